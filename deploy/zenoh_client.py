@@ -1,8 +1,12 @@
 """Zenoh session of a client of the bridge: its subscriptions, the bridge's answers, its end."""
 
+import queue
 import socket
+import threading
 from collections.abc import Callable, Collection, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +21,8 @@ from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, key
 from rover_ncp.wire.zenoh import PORT, client_config
 
 PROBE_S = 1.0
+CALLBACK_S = 1.0
+"""Longest wait for the end of a callback."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +42,7 @@ class BridgeAddress:
 class ZenohClient(ClosedAtExit):
     """A session with one bridge. It gives every message of the bridge to ``receive``, except ``own`` ones.
 
-    ``receive`` runs in Zenoh's thread. Opening raises NoBridge when nothing answers at the address, and
+    ``receive`` runs in threads of Zenoh, and no more after `close`. Opening raises NoBridge when nothing answers at the address, and
     NotAuthorised when the bridge rejects the session.
     """
 
@@ -47,6 +53,9 @@ class ZenohClient(ClosedAtExit):
         self.key("odom")  # an invalid namespace is reported before anything is opened
         config, self.robot = client_config(address.robot, address.zenoh_config)
         self.bridge_alive = False
+        self._held: list[Any] = []
+        self._ending = queue.SimpleQueue[threading.Thread]()
+        """The threads of subscriptions that have ended, or are about to."""
         self._receive = receive
         self.sources = Sources()
         try:
@@ -55,24 +64,26 @@ class ZenohClient(ClosedAtExit):
             raise _refused(self.robot) from error
         try:
             self._declare()
-            self._held: list[Any] = [
-                self._session.declare_subscriber(self.key(row.name), self._receiving(row))
-                for row in KEYS
-                if row.kind is Kind.MESSAGE and row.name not in own
-            ]
-            alive = self._session.liveliness()
-            self._held.append(
-                alive.declare_subscriber(
-                    self.key("rover/alive/bridge"), self._bridge_token_changed, history=True
-                )
-            )
+            for row in KEYS:
+                if row.kind is Kind.MESSAGE and row.name not in own:
+                    self._subscribe(self._session.declare_subscriber, row.name, self._receiving(row))
+            declare = partial(self._session.liveliness().declare_subscriber, history=True)
+            self._subscribe(declare, "rover/alive/bridge", self._bridge_token_changed)
         except BaseException:
-            self._session.close()  # type: ignore[no-untyped-call]
+            ZenohClient.close(self)
             raise
 
     def close(self) -> None:
-        """End the session."""
+        """End the session, and wait until no callback runs.
+
+        The threads of callbacks are daemon threads if a daemon thread opened the session. Python does not
+        wait for those, and Zenoh's code aborts the process when Python ends one of them.
+        """
         self._session.close()  # type: ignore[no-untyped-call]
+        with suppress(queue.Empty):
+            for _ in self._held:
+                self._ending.get(timeout=CALLBACK_S).join(CALLBACK_S)
+        self._held.clear()
 
     def key(self, name: str) -> str:
         """Return the key expression of a row of the table, with the namespace."""
@@ -103,6 +114,12 @@ class ZenohClient(ClosedAtExit):
 
     def _declare(self) -> None:
         """Declare what a subclass sends, before the first message arrives."""
+
+    def _subscribe(
+        self, declare: Callable[..., Any], name: str, callback: Callable[[zenoh.Sample], None]
+    ) -> None:
+        handler = zenoh.handlers.Callback(callback, lambda: self._ending.put(threading.current_thread()))
+        self._held.append(declare(self.key(name), handler))
 
     def _receiving(self, row: KeySpec) -> Callable[[zenoh.Sample], None]:
         def receive(sample: zenoh.Sample) -> None:

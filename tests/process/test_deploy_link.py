@@ -1,10 +1,13 @@
 """The driver's link: detection of a link that is too slow, and of a bridge of another version."""
 
+import threading
+import time
+
 import pytest
 from deploy_bench import Bridge
 
 from deploy.drive.zenoh_link import REQUEST_TRIES, ROUND_TRIP_S, ZenohLink
-from deploy.zenoh_client import BridgeAddress
+from deploy.zenoh_client import BridgeAddress, ZenohClient
 from rover_ncp.core.errors import OtherVersion, SafetyStop
 
 
@@ -47,3 +50,25 @@ def test_a_bridge_of_an_older_version_is_named_with_our_own():
         request_motors(OldBridge())
     assert error.value.exit_code == 3
     assert "\n" not in str(error.value)
+
+
+def test_no_callback_runs_after_close_and_none_is_left_to_abort_python():
+    bridge, begun, ended = Bridge(), threading.Event(), threading.Event()
+
+    def receive(_row, _data):
+        begun.set()
+        time.sleep(0.3)
+        ended.set()
+
+    def use():
+        with ZenohClient(BridgeAddress(bridge.robot), receive):
+            assert begun.wait(5.0)
+            ended.clear()
+
+    others = threading.enumerate()
+    user = threading.Thread(target=use, daemon=True)
+    user.start()
+    user.join()
+    assert ended.is_set()
+    assert [thread for thread in threading.enumerate() if thread not in others] == []
+    bridge.close()

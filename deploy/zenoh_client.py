@@ -42,8 +42,8 @@ class BridgeAddress:
 class ZenohClient(ClosedAtExit):
     """A session with one bridge. It gives every message of the bridge to ``receive``, except ``own`` ones.
 
-    ``receive`` runs in threads of Zenoh, and no more after `close`. Opening raises NoBridge when nothing answers at the address, and
-    NotAuthorised when the bridge rejects the session.
+    ``receive`` runs in threads of Zenoh, and no more after `close`. Opening raises NoBridge when nothing
+    answers at the address, and NotAuthorised when the bridge rejects the session.
     """
 
     def __init__(

@@ -1,6 +1,6 @@
 """How well robots are identified: whether the truth is within 1.96 standard deviations of each value.
 
-    PYTHONPATH=tests/kit python -m benchmarks.identify --robots 500 --seed 1 --randomize full
+    PYTHONPATH=tests python -m benchmarks.identify --robots 500 --seed 1 --randomize full
 
 draws robots and drives each as `rover-ncp identify` does, through firmware, bridge and driver's code on a
 virtual clock, with noisy external poses beside odometry. It prints a row for each value: the share of robots
@@ -15,7 +15,7 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
 import numpy as np
-from identified import Error, errors, identified, robot, truth
+from kit.identified import Error, errors, identified, robot, truth
 from rich.progress import track
 
 from sim.world.randomization import load_randomization

@@ -1,6 +1,6 @@
 """The MuJoCo body against theory, and how far its results depend on the simulator's contacts.
 
-    PYTHONPATH=tests/kit python -m benchmarks.rigid_body
+    PYTHONPATH=tests python -m benchmarks.rigid_body
 
 prints how a robot drives straight, brakes, turns on the spot and stands on a slope, beside what Coulomb
 friction predicts; then the same turns under other contact settings.
@@ -8,7 +8,7 @@ friction predicts; then the same turns under other contact settings.
 
 import math
 
-from rigid_body import (
+from kit.rigid_body import (
     OMEGA_RAD_S,
     SETTINGS,
     V_M_S,

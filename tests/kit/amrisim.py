@@ -8,10 +8,9 @@ import threading
 import time
 from dataclasses import replace
 
-from arcos_captures import CAPTURES
-
 from bridge.pioneer.arcos import Decoder
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Kind, Sip
+from kit.arcos_captures import CAPTURES
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.robot.description import load_description
 from sim.pioneer.firmware import ClientState, Firmware

@@ -5,7 +5,7 @@ import re
 from dataclasses import dataclass
 from functools import cached_property
 
-from paths import DATA
+from kit.paths import DATA
 
 FOLDER = DATA / "arcos"
 VECTORS = json.loads((FOLDER / "vectors.json").read_text())

@@ -6,8 +6,7 @@ import struct
 import threading
 import time
 
-from bridge_bench import client
-
+from kit.bridge_bench import client
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.wire.messages import read_text, twist_stamped
 

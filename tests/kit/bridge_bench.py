@@ -2,9 +2,8 @@
 
 import time
 
-from zenoh_session import open_session
-
 from deploy.drive.lease import DriverLease
+from kit.zenoh_session import open_session
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.key_table import key

@@ -5,11 +5,10 @@ import json
 import threading
 import time
 
-from zenoh_session import open_session
-
 from deploy.commands import deploy
 from deploy.drive import config
 from deploy.drive.config import DriveConfig
+from kit.zenoh_session import open_session
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, save_policy
 from rover_ncp.core.geometry import Pose, Velocity, compose

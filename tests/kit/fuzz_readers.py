@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from bnn_text import circuit_to_bnn
 
 from bridge.base import BaseReport, Setpoint
 from bridge.gate.limits import Limits
@@ -36,6 +35,7 @@ from deploy.drive.records import (
 )
 from deploy.replay import replay
 from deploy.view.recorded_drive import read_drive
+from kit.bnn_text import circuit_to_bnn
 from rover_ncp.circuit.bnn import circuit_from_bnn
 from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml, policy_to_yaml
 from rover_ncp.core.config import dump_yaml, parse_yaml

@@ -1,11 +1,10 @@
 """A ROS 2 base on a virtual clock: its connection, its robot's odometry, its events."""
 
-from ros_cdr import TwistStamped, odometry
-
 from bridge.base import BaseReport, Setpoint, TurnRate
 from bridge.inbox import RobotMessage
 from bridge.ros2.base import Ros2Base, TokenSeen
 from bridge.ros2.discovery import Announced
+from kit.ros_cdr import TwistStamped, odometry
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import load_description
 

@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from base_odometry import reported
 
 from deploy.estimator.estimator import Estimator
+from kit.base_odometry import reported
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from sim.world.random_course import random_course
 

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from paths import ROOT
+from kit.paths import ROOT
 
 PAGES = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 _BLOCK = re.compile(r"^```(\w+) ?(?:title=\"([^\"]+)\")?\n(.*?)^```", re.MULTILINE | re.DOTALL)

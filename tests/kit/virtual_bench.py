@@ -1,9 +1,8 @@
 """A robot and its bridge on a virtual clock, with scripted drivers as those of `bridge_bench`."""
 
-from bridge_bench import PERIOD_S
-
 from bridge.inbox import CommandMessage, Query
 from deploy.drive.lease import DriverLease
+from kit.bridge_bench import PERIOD_S
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import read_odometry, read_text, read_twist, twist_stamped

@@ -1,9 +1,9 @@
 """What several files of process tests share."""
 
 import pytest
-from bridge_bench import Rig
-from deploy_bench import Bridge, driver
-from json_fields import undescribed
+from kit.bridge_bench import Rig
+from kit.deploy_bench import Bridge, driver
+from kit.json_fields import undescribed
 
 from rover_ncp import cli
 from sim.live.processes import Process

@@ -3,8 +3,8 @@
 import time
 
 import pytest
-from amrisim import AmriSimServer
-from bridge_bench import MACHINE_S, Driver, braking_s, wait_for, zenoh_address
+from kit.amrisim import AmriSimServer
+from kit.bridge_bench import MACHINE_S, Driver, braking_s, wait_for, zenoh_address
 
 from sim.live.processes import Process
 

@@ -4,8 +4,8 @@ import signal
 import time
 
 import pytest
-from bridge_bench import Driver, Rig, wait_for
 from faults.proxy import Proxy
+from kit.bridge_bench import Driver, Rig, wait_for
 
 RECOVERY_S = 5.0
 """The base is there again at the latest so long after it answers again."""

@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import zenoh
-from bridge_bench import client, wait_for
+from kit.bridge_bench import client, wait_for
 
 from bridge.inbox import Inbox
 from bridge.ros2.rmw import Attachment

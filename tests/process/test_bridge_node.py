@@ -4,8 +4,8 @@ import math
 import time
 
 import pytest
-from bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, braking_s, wait_for
-from virtual_bench import VirtualDriver, VirtualRig
+from kit.bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, braking_s, wait_for
+from kit.virtual_bench import VirtualDriver, VirtualRig
 
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import load_description

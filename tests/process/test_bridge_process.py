@@ -11,7 +11,7 @@ import threading
 import time
 
 import pytest
-from bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, braking_s, wait_for
+from kit.bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, braking_s, wait_for
 
 from rover_ncp import cli
 from rover_ncp.wire.protocol import MotorsReply, MotorsRequest, dump_json, parse_json

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 import pytest
 import zenoh
 import zenoh.ext
-from bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, braking_s, client, wait_for
-from zenoh_session import open_session
+from kit.bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, braking_s, client, wait_for
+from kit.zenoh_session import open_session
 
 from bridge.inbox import CommandMessage, Inbox
 from bridge.ros2.discovery import Convention

@@ -10,10 +10,10 @@ import threading
 import time
 
 import pytest
-from bridge_bench import Driver, Rig, wait_for, zenoh_address
-from paths import DATA
-from ros_cdr import TwistStamped, odometry
-from zenoh_session import open_session
+from kit.bridge_bench import Driver, Rig, wait_for, zenoh_address
+from kit.paths import DATA
+from kit.ros_cdr import TwistStamped, odometry
+from kit.zenoh_session import open_session
 
 from rover_ncp import cli
 from rover_ncp.core.geometry import Velocity

@@ -1,6 +1,6 @@
 """The tokens that zenoh-bridge-ros2dds looks for, as keys and on a real bridge."""
 
-from bridge_bench import Rig, client
+from kit.bridge_bench import Rig, client
 
 from bridge.ros2.discovery import bridge_token, topic_token
 from rover_ncp.wire.key_table import KEYS, Kind, Role

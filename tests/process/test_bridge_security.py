@@ -7,8 +7,8 @@ import time
 
 import pytest
 import zenoh
-from bridge_bench import wait_for
-from zenoh_session import open_session
+from kit.bridge_bench import wait_for
+from kit.zenoh_session import open_session
 
 from bridge.zenoh.credentials import access_control
 from deploy.drive.lease import DriverLease

@@ -8,9 +8,9 @@ import sys
 from contextlib import ExitStack
 
 import pytest
-from bridge_bench import Driver, wait_for, zenoh_address
-from paths import ROOT
-from serial_base import SerialBase
+from kit.bridge_bench import Driver, wait_for, zenoh_address
+from kit.paths import ROOT
+from kit.serial_base import SerialBase
 
 from bridge.pioneer.arcos import Command
 from sim.live.processes import Process

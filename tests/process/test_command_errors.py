@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from paths import DATA, ROOT
-from recorded_drives import write_drive
+from kit.paths import DATA, ROOT
+from kit.recorded_drives import write_drive
 
 from rover_ncp.cli import run
 

@@ -8,9 +8,9 @@ import sys
 import time
 
 import pytest
-from bridge_bench import Rig, wait_for
+from kit.bridge_bench import Rig, wait_for
+from kit.paths import DATA
 from mcap.reader import make_reader
-from paths import DATA
 
 from rover_ncp import cli
 from rover_ncp.recording.recording import read_recording

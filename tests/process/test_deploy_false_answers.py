@@ -3,7 +3,7 @@
 import time
 
 import pytest
-from bridge_bench import Rig, client, wait_for
+from kit.bridge_bench import Rig, client, wait_for
 
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.view.viewer import Viewer

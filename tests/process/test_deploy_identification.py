@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 import pytest
-from identified import driven, errors, identified, robot, truth
-from json_fields import assert_on_page
+from kit.identified import driven, errors, identified, robot, truth
+from kit.json_fields import assert_on_page
 
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor

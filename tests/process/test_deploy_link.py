@@ -4,7 +4,7 @@ import threading
 import time
 
 import pytest
-from deploy_bench import Bridge
+from kit.deploy_bench import Bridge
 
 from deploy.drive.zenoh_link import REQUEST_TRIES, ROUND_TRIP_S, ZenohLink
 from deploy.zenoh_client import BridgeAddress, ZenohClient

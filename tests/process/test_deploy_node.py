@@ -8,7 +8,7 @@ import threading
 import time
 
 import pytest
-from deploy_bench import LEASE, ODOM_AT_START, STILL
+from kit.deploy_bench import LEASE, ODOM_AT_START, STILL
 
 from deploy.replay import replay
 from rover_ncp.core.errors import AnotherDriver, NoBridge, NoRobot

@@ -6,8 +6,8 @@ import threading
 from types import SimpleNamespace
 
 import pytest
-from bridge_bench import BRAKING_M_S2, Rig, wait_for
-from json_fields import undescribed
+from kit.bridge_bench import BRAKING_M_S2, Rig, wait_for
+from kit.json_fields import undescribed
 
 from deploy.check import STANDING, Battery, Preflight
 from rover_ncp import cli

@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 import pytest
-from bridge_bench import Rig
+from kit.bridge_bench import Rig
 
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.wire.messages import imu, odometry, pose_with_covariance, read_text

@@ -4,7 +4,7 @@ import dataclasses
 import math
 
 import pytest
-from deploy_bench import ODOM_AT_START, STILL
+from kit.deploy_bench import ODOM_AT_START, STILL
 
 from deploy.drive.records import TICKS_TOPIC, TickRecord
 from deploy.replay import replay

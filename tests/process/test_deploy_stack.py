@@ -1,7 +1,7 @@
 """The driver among real processes: mock Pioneer and bridge over loopback TCP and Zenoh."""
 
 import numpy as np
-from paths import DATA
+from kit.paths import DATA
 
 from deploy.drive.records import TICKS_TOPIC, TickRecord
 from deploy.replay import replay

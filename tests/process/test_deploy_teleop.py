@@ -12,8 +12,8 @@ import time
 from itertools import pairwise
 
 import pytest
-from bridge_bench import MACHINE_S, Rig, braking_s, wait_for
-from json_fields import undescribed
+from kit.bridge_bench import MACHINE_S, Rig, braking_s, wait_for
+from kit.json_fields import undescribed
 
 from deploy.keyboard import HOLD_S, V_M_S
 from rover_ncp import cli

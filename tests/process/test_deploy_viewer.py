@@ -1,7 +1,7 @@
 """Permission to stop, between real processes with the keys of ``rover-ncp keys``."""
 
 import pytest
-from bridge_bench import wait_for
+from kit.bridge_bench import wait_for
 
 from deploy.view.viewer import Viewer
 from deploy.zenoh_client import BridgeAddress

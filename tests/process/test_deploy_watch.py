@@ -10,7 +10,7 @@ import urllib.request
 from html import unescape
 
 import pytest
-from recorded_drives import drive_messages
+from kit.recorded_drives import drive_messages
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 

@@ -11,7 +11,7 @@ import threading
 import time
 
 import pytest
-from paths import ROOT
+from kit.paths import ROOT
 
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.zenoh_client import BridgeAddress

@@ -2,8 +2,8 @@
 
 import re
 
-from paths import ROOT
-from recorded_drives import write_drive
+from kit.paths import ROOT
+from kit.recorded_drives import write_drive
 
 
 def test_the_examples_of_the_python_page_run(tmp_path, monkeypatch, capsys):

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from paths import ROOT
+from kit.paths import ROOT
 
 from rover_ncp import cli
 from rover_ncp.core.interruption import SIGNALS

@@ -4,9 +4,9 @@ import json
 import signal
 
 import pytest
-from dask_cluster import Cluster, start
-from folders import content
-from paths import DATA
+from kit.dask_cluster import Cluster, start
+from kit.folders import content
+from kit.paths import DATA
 
 from rover_ncp.cli import run
 from sim.live.processes import wait_for

@@ -11,9 +11,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from folders import content
-from json_fields import assert_on_page
-from paths import DATA
+from kit.folders import content
+from kit.json_fields import assert_on_page
+from kit.paths import DATA
 
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.cli import run

@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-from folders import content
+from kit.folders import content
 
 from rover_ncp.cli import run as shell
 from rover_ncp.core.errors import ConfigError, FileError, UsageError

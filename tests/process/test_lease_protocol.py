@@ -6,8 +6,8 @@ import threading
 import time
 
 import pytest
-from bridge_bench import Driver, Rig, client, wait_for
-from virtual_bench import VirtualDriver, VirtualRig
+from kit.bridge_bench import Driver, Rig, client, wait_for
+from kit.virtual_bench import VirtualDriver, VirtualRig
 
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.zenoh_client import BridgeAddress

@@ -3,8 +3,8 @@
 import time
 
 import pytest
-from attacker import Attacker
-from bridge_bench import wait_for
+from kit.attacker import Attacker
+from kit.bridge_bench import wait_for
 
 from deploy.drive.records import TICKS_TOPIC, TickRecord
 from rover_ncp.course.course import load_course

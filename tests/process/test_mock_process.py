@@ -7,7 +7,7 @@ from contextlib import ExitStack, closing
 
 import numpy as np
 import pytest
-from pioneer_bench import Pioneer
+from kit.pioneer_bench import Pioneer
 
 from bridge.base import BaseReport
 from bridge.pioneer.session import Session

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from dask_cluster import Cluster
+from kit.dask_cluster import Cluster
 
 from rover_ncp.cli import run
 from sim.paper import BudgetName

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
-from json_fields import assert_on_page
+from kit.json_fields import assert_on_page
 
 from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
 from rover_ncp.cli import run

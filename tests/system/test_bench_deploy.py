@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from json_fields import assert_on_page
+from kit.json_fields import assert_on_page
 
 from rover_ncp.cli import run
 from sim.benchmarks import deploy as bench_deploy

@@ -1,8 +1,8 @@
 """The report in a real browser; `make test-browser` installs what this needs, `make test` leaves it out."""
 
 import pytest
-from browser import Watched, chromium
-from recorded_drives import BEGAN_NS, TICK_NS, write_drive
+from kit.browser import Watched, chromium
+from kit.recorded_drives import BEGAN_NS, TICK_NS, write_drive
 
 from deploy.view.page import drive_page
 from deploy.view.recorded_drive import read_drive

@@ -4,8 +4,8 @@ import csv
 import time
 
 import pytest
-from bridge_bench import Driver, Rig, wait_for
-from browser import Watched, chromium
+from kit.bridge_bench import Driver, Rig, wait_for
+from kit.browser import Watched, chromium
 
 from rover_ncp import cli
 from sim.live.live_run import LiveRun

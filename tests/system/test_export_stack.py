@@ -4,7 +4,7 @@ import ctypes
 import shutil
 
 import pytest
-from c_policy import CPolicy, compile_c
+from kit.c_policy import CPolicy, compile_c
 
 from deploy.drive import controller
 from rover_ncp.circuit.policy_file import load_policy

@@ -9,7 +9,7 @@ import tarfile
 import zipfile
 
 import pytest
-from paths import ROOT
+from kit.paths import ROOT
 
 
 def newest_python():

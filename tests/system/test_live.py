@@ -3,7 +3,7 @@
 import time
 
 import pytest
-from paths import DATA
+from kit.paths import DATA
 
 from deploy.replay import replay
 from deploy.view.recorded_drive import read_drive

@@ -9,7 +9,7 @@ from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
-from paths import ROOT
+from kit.paths import ROOT
 
 PACKAGES = ("sim", "bridge", "deploy")
 MODULES = ("numba", "yaml", "pickle")

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from json_fields import assert_on_page
+from kit.json_fields import assert_on_page
 
 from deploy.replay import replay
 from rover_ncp.cli import run

@@ -23,7 +23,7 @@ from faults.measure import in_time, measure
 from faults.rig import CREEP_M_S, SPEED_M_S, Rig
 from faults.row import SCRIPTED, braking_s
 from faults.table import MATRIX, ROWS
-from paths import DATA, ROOT
+from kit.paths import DATA, ROOT
 
 from rover_ncp.core.geometry import relative, wrap_angle
 from rover_ncp.wire.key_table import key

@@ -16,7 +16,7 @@ from faults.measure import MAX_LATE_S, measure
 from faults.rig import Rig
 from faults.row import DELAY_S, LOW_BATTERY_S, STOP_S
 from faults.table import MATRIX, ROS2_ROWS, ROWS
-from paths import DATA, ROOT
+from kit.paths import DATA, ROOT
 
 from rover_ncp.robot.description import load_description
 from sim.live.live_run import RMW_ZENOH, ROS2DDS

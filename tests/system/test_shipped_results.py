@@ -1,7 +1,7 @@
 """Results that are shipped or documented can be made again; too slow for the unit tests."""
 
 import pytest
-from paths import ROOT
+from kit.paths import ROOT
 
 from benchmarks.compare import compare
 from sim.explain.explain import explain

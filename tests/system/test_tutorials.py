@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from tutorials import PAGES, steps
+from kit.tutorials import PAGES, steps
 
 NEEDS_A_CLONE = "source .venv/bin/activate"
 READY = ("listening on ", "ready ")

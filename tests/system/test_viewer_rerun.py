@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from paths import DATA
-from recorded_drives import write_drive
+from kit.paths import DATA
+from kit.recorded_drives import write_drive
 
 from rover_ncp import cli
 from rover_ncp.recording.recording import read_recording

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import atheris
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "kit"))
+sys.path.insert(0, str(Path(__file__).parents[1]))
 with atheris.instrument_imports(include=["bridge", "deploy", "rover_ncp"]):
-    from fuzz_readers import READERS, survives
+    from kit.fuzz_readers import READERS, survives
 
 FOLDER = Path(__file__).parents[2] / "runs" / "fuzz"
 LONGEST = 20_000

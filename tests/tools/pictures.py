@@ -4,7 +4,7 @@ import io
 import sys
 from pathlib import Path
 
-from browser import Watched, chromium
+from kit.browser import Watched, chromium
 from PIL import Image
 
 STEP_S, FRAME_MS = 0.4, 100

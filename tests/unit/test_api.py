@@ -5,8 +5,8 @@ import sys
 
 import numpy as np
 import pytest
-from paths import DATA
-from recorded_drives import write_drive
+from kit.paths import DATA
+from kit.recorded_drives import write_drive
 
 from rover_ncp import api
 from rover_ncp.core.errors import ConfigError

@@ -3,7 +3,7 @@
 import re
 
 import grimp
-from paths import ROOT
+from kit.paths import ROOT
 
 MAX_LINES = 400
 MAX_MODULES = 16

@@ -1,9 +1,9 @@
 """Any bytes from a line, a network or a file give a result or the package's own error."""
 
 import pytest
-from fuzz_readers import READERS, survives
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from kit.fuzz_readers import READERS, survives
 
 EXAMPLES = {"line": 150, "cdr": 150, "json": 300, "robot": 60, "bnn": 200, "yaml": 40, "contents": 60}
 PIECES = [

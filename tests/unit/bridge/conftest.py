@@ -1,7 +1,7 @@
 """A ROS 2 base on a virtual clock, for several files."""
 
 import pytest
-from ros2_world import World
+from kit.ros2_world import World
 
 from bridge.base import Ready
 

@@ -3,9 +3,9 @@
 from itertools import combinations, product
 
 import pytest
-from arcos_captures import CAPTURES, VECTORS
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
+from kit.arcos_captures import CAPTURES, VECTORS
 
 from bridge.pioneer.arcos import Command, Decoder, Packet, checksum, encode_command, encode_frame
 

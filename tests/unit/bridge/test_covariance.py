@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from base_report import STAMP
+from kit.base_report import STAMP
 
 from bridge.base import BaseReport
 from bridge.ros2 import messages as ros

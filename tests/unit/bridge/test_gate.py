@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from gate_bench import LIMITS, SECRET, SLOW, Gate, follow, timelines
+from kit.gate_bench import LIMITS, SECRET, SLOW, Gate, follow, timelines
 
 from bridge.base import BaseReport
 from bridge.gate.state import ZERO, BaseLost, Enable, Reason, describe, read_tag

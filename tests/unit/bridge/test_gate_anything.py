@@ -3,9 +3,9 @@
 import math
 from dataclasses import replace
 
-from gate_bench import SECRET, SLOW
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from kit.gate_bench import SECRET, SLOW
 
 from bridge.base import BaseReport
 from bridge.gate.gate import step

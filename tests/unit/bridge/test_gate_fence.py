@@ -5,7 +5,7 @@ import random
 from collections import deque
 
 import pytest
-from gate_bench import BOX, LIMITS, Gate
+from kit.gate_bench import BOX, LIMITS, Gate
 
 from bridge.base import BaseReport
 from bridge.gate.limits import Fence, Limits

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from lease_client import LeaseClient
+from kit.lease_client import LeaseClient
 
 from bridge.gate.limits import Fence, Limits
 from bridge.pioneer.arcos import Command, Decoder

@@ -3,7 +3,7 @@
 import logging
 
 import pytest
-from lease_client import LeaseClient
+from kit.lease_client import LeaseClient
 
 from bridge.base import BaseReport, BaseTimeout, LinkHealth, Lost, Ready, Recovered, Setpoint
 from bridge.gate.limits import Fence, Limits

@@ -3,9 +3,9 @@
 import math
 
 import pytest
-from arcos_captures import ARIA_LINE, CAPTURES, PLAYER_LINE
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.arcos_captures import ARIA_LINE, CAPTURES, PLAYER_LINE
 
 from bridge.pioneer.arcos import Command, Decoder
 from bridge.pioneer.odometry import ROBOTS, Odometer

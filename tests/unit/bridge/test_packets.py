@@ -3,9 +3,9 @@
 import dataclasses
 
 import pytest
-from arcos_captures import CAPTURES, VECTORS
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.arcos_captures import CAPTURES, VECTORS
 
 from bridge.pioneer.arcos import Decoder, Packet
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, GyroPac, Kind, Sip, decode_names, encode_names

@@ -5,7 +5,7 @@ import struct
 from dataclasses import replace
 
 import pytest
-from base_report import STAMP, STATE
+from kit.base_report import STAMP, STATE
 
 from bridge.base import LinkHealth
 from bridge.gate.state import GateState, Lease, Reason

@@ -3,9 +3,9 @@
 import math
 
 import pytest
-import ros_cdr
-from ros2_world import BURGER, EPOCH_S, OURS, World, announced
-from ros_cdr import (
+from kit import ros_cdr
+from kit.ros2_world import BURGER, EPOCH_S, OURS, World, announced
+from kit.ros_cdr import (
     BatteryState,
     Bool,
     HazardDetection,

@@ -1,9 +1,9 @@
 """What a ROS 2 robot does without commands: the measurement, and what lifts the refusal to serve it."""
 
 import pytest
-from lease_client import LeaseClient
-from ros2_world import BURGER, World
-from ros_cdr import TwistStamped, twist
+from kit.lease_client import LeaseClient
+from kit.ros2_world import BURGER, World
+from kit.ros_cdr import TwistStamped, twist
 
 from bridge.base import Lost
 from bridge.ros2.base_timeout import TimeoutRecord

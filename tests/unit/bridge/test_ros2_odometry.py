@@ -5,8 +5,8 @@ import math
 import tracemalloc
 
 import pytest
-from ros2_world import BURGER, EPOCH_S, World, announced
-from ros_cdr import odometry
+from kit.ros2_world import BURGER, EPOCH_S, World, announced
+from kit.ros_cdr import odometry
 
 from bridge.base import Lost, Notice, Ready, Recovered
 from bridge.ros2.odometry import RosOdometer

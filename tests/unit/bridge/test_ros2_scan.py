@@ -3,8 +3,8 @@
 import math
 
 import pytest
-from ros2_world import EPOCH_S, World
-from ros_cdr import LaserScan, header
+from kit.ros2_world import EPOCH_S, World
+from kit.ros_cdr import LaserScan, header
 
 from rover_ncp.robot.description import load_description
 

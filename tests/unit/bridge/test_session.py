@@ -4,10 +4,10 @@ import math
 from itertools import cycle, pairwise
 
 import pytest
-from arcos_bench import BYTES, CONFIG, ECHO0, ECHO1, NAMES, STRANGER, Bench, frame, sip
-from arcos_captures import CAPTURES
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.arcos_bench import BYTES, CONFIG, ECHO0, ECHO1, NAMES, STRANGER, Bench, frame, sip
+from kit.arcos_captures import CAPTURES
 
 from bridge.base import BaseReport, Failed, Lost, Notice, Ready, Recovered
 from bridge.pioneer.arcos import Command, encode_frame

@@ -1,7 +1,7 @@
 """Every (state, input) pair of a session, written down independently of the table it comes from."""
 
 import pytest
-from arcos_bench import Bench
+from kit.arcos_bench import Bench
 
 from bridge.base import BaseReport, Failed, Lost, Ready, Recovered
 from bridge.pioneer.arcos import Command

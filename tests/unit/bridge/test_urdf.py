@@ -6,7 +6,7 @@ from dataclasses import replace
 from xml.etree import ElementTree
 
 import pytest
-from base_report import STAMP, STATE
+from kit.base_report import STAMP, STATE
 
 from bridge.pioneer.odometry import ROBOTS
 from bridge.ros2 import messages as ros

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from paths import DATA
+from kit.paths import DATA
 
 from rover_ncp.circuit.motors import Motors, parking_motors
 from rover_ncp.circuit.policy import Policy

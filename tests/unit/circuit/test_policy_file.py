@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from bnn_text import circuit_to_bnn
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from paths import DATA
+from kit.bnn_text import circuit_to_bnn
+from kit.paths import DATA
 
 import rover_ncp
 from rover_ncp.circuit.bnn import circuit_from_bnn

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from paths import DATA
+from kit.paths import DATA
 
 from deploy.drive.controller import Controller
 from deploy.estimator.settings import EstimatorSettings

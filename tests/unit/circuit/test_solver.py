@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import solver_reference as reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from wirings import in_bounds, unit_vectors, wirings
+from kit import solver_reference as reference
+from kit.wirings import in_bounds, unit_vectors, wirings
 
 from rover_ncp.circuit.circuit import SynapseKind, time_constants
 from rover_ncp.circuit.compiled import allocate_lanes, fill_lane, make_program, resting_potentials

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from base_odometry import reported
+from kit.base_odometry import reported
 
 from deploy.drive.controller import Controller
 from deploy.estimator.settings import EstimatorSettings, Outcome

@@ -3,9 +3,9 @@ import math
 
 import numpy as np
 import pytest
-from base_odometry import reported
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.base_odometry import reported
 
 from deploy.drive.config import settings_for
 from deploy.estimator.estimator import Estimator

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from kit.skid_rover import Camera, SkidDrive
 from scipy.stats import chi2
-from skid_rover import Camera, SkidDrive
 
 from deploy.drive.config import settings_for
 from deploy.estimator.estimator import Estimator

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from base_odometry import reported
+from kit.base_odometry import reported
 
 from deploy.drive.config import settings_for
 from deploy.estimator.estimator import Estimator

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from json_fields import assert_on_page
+from kit.json_fields import assert_on_page
 
 from deploy.drive.config import DriveConfig
 from deploy.drive.control_loop import Drive

@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from paths import ROOT
+from kit.paths import ROOT
 
 from deploy.drive.publisher import ViewerTopics
 from rover_ncp.circuit.policy_file import load_circuit

@@ -5,7 +5,7 @@ import shlex
 
 import pytest
 import typer
-from paths import ROOT
+from kit.paths import ROOT
 from typer.main import get_command
 
 from rover_ncp.cli import _app

@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from paths import ROOT
+from kit.paths import ROOT
 
 from sim.explain.explain import explain
 from sim.explain.files import markdown

@@ -5,11 +5,11 @@ from importlib.metadata import entry_points
 
 import pytest
 import reference_pages
-from json_fields import assert_on_page, described
-from paths import DATA
-from recorded_drives import write_drive
+from kit.json_fields import assert_on_page, described
+from kit.paths import DATA
+from kit.recorded_drives import write_drive
+from kit.tutorials import PAGES, write_files
 from result_fields import RESULTS
-from tutorials import PAGES, write_files
 
 from rover_ncp import cli
 from rover_ncp.cli import run

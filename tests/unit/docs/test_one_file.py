@@ -3,7 +3,7 @@
 from runpy import run_path
 
 import numpy as np
-from paths import ROOT
+from kit.paths import ROOT
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.files import resolve

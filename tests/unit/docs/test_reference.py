@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import reference_pages
 import yaml
-from paths import ROOT
+from kit.paths import ROOT
 from result_fields import COMMON, RESULTS, result_fields
 
 from rover_ncp import api

@@ -5,7 +5,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
-from recorded_drives import write_drive
+from kit.recorded_drives import write_drive
 
 from deploy.view.findings import analyse
 from deploy.view.page import circuit_svg

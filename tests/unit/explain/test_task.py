@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from tutorials import PAGES, write_files
+from kit.tutorials import PAGES, write_files
 
 from rover_ncp.cli import run
 from rover_ncp.core.errors import ConfigError, UsageError

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from c_policy import CCourse, CPolicy, compile_c
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from wirings import wirings
+from kit.c_policy import CCourse, CPolicy, compile_c
+from kit.wirings import wirings
 
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.circuit.runner import Runner

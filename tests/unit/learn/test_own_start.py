@@ -3,7 +3,7 @@
 import shutil
 
 import pytest
-from paths import DATA, ROOT
+from kit.paths import DATA, ROOT
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import ConfigError

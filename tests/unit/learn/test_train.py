@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from paths import DATA
+from kit.paths import DATA
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy

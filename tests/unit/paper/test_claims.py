@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from json_fields import assert_on_page
-from paper_runs import result
+from kit.json_fields import assert_on_page
+from kit.paper_runs import result
 
 from deploy.view.interpretation import Sign
 from rover_ncp.cli import run

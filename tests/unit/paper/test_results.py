@@ -1,7 +1,7 @@
 """Stored runs: one line each, the last one of a name counts, and they replay."""
 
 import pytest
-from paper_runs import result
+from kit.paper_runs import result
 
 from rover_ncp.cli import run
 from rover_ncp.core.errors import FileError

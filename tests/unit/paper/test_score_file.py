@@ -3,8 +3,8 @@
 import json
 
 import pytest
-from bnn_text import circuit_to_bnn
-from json_fields import assert_on_page
+from kit.bnn_text import circuit_to_bnn
+from kit.json_fields import assert_on_page
 
 from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
 from rover_ncp.cli import run

@@ -3,10 +3,10 @@
 import math
 
 import pytest
-from arcos_captures import CAPTURES, Capture
 from hypothesis import given
 from hypothesis import strategies as st
-from pioneer_bench import Pioneer
+from kit.arcos_captures import CAPTURES, Capture
+from kit.pioneer_bench import Pioneer
 
 import sim.pioneer.firmware
 from bridge.pioneer.arcos import Command, Decoder, Packet, encode_command, encode_frame

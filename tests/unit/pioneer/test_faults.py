@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pioneer_bench import Pioneer
-from ros_cdr import twist
+from kit.pioneer_bench import Pioneer
+from kit.ros_cdr import twist
 
 from bridge.pioneer.arcos import Command, Decoder, Packet, encode_frame
 from bridge.pioneer.packets import Flag

@@ -4,7 +4,7 @@ import math
 import struct
 
 import pytest
-from pioneer_bench import Pioneer
+from kit.pioneer_bench import Pioneer
 
 from bridge.pioneer.arcos import Command, Packet, encode_command, encode_frame
 from bridge.pioneer.odometry import ROBOTS, Odometer

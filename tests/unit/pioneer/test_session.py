@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pioneer_bench import Pioneer
+from kit.pioneer_bench import Pioneer
 
 from bridge.base import BaseReport, Failed, Lost, Ready, Recovered, TurnRate
 from bridge.pioneer.arcos import Command, encode_command

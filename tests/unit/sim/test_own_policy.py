@@ -6,8 +6,8 @@ import shutil
 import gymnasium
 import numpy as np
 import pytest
-from paths import DATA, ROOT
-from tutorials import steps
+from kit.paths import DATA, ROOT
+from kit.tutorials import steps
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.runner import Runner

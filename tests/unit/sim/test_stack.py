@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from paths import DATA
+from kit.paths import DATA
 from scipy.stats import chi2
 
 from rover_ncp.circuit.policy_file import load_policy

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recorded_drives import BEGAN_NS, TICK_NS, drive_messages
+from kit.recorded_drives import BEGAN_NS, TICK_NS, drive_messages
 
 from deploy.drive.records import COURSE_FILE, POLICY_FILE, TICKS_TOPIC
 from deploy.view.page_data import columns

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recorded_drives import BEGAN_NS, TICK_NS, drive_messages, write_drive
+from kit.recorded_drives import BEGAN_NS, TICK_NS, drive_messages, write_drive
 
 from deploy.view.feed import Cursor, Feed
 from deploy.view.page import drive_page, fragment, page

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from recorded_drives import BEGAN_NS, TICK_NS, drive_messages, write_drive
+from kit.recorded_drives import BEGAN_NS, TICK_NS, drive_messages, write_drive
 
 from deploy.view.recorded_drive import read_drive
 from deploy.view.timeline import Timeline

@@ -4,7 +4,7 @@ import math
 from itertools import pairwise
 
 import pytest
-from rigid_body import (
+from kit.rigid_body import (
     SETTINGS,
     V_M_S,
     advance,

@@ -17,7 +17,7 @@ from bridge.ros2.address import RosAddress, command_type, sensor_topics
 from bridge.ros2.base import TokenSeen
 from bridge.ros2.discovery import Announced, Convention, bridge_token, read_topic_token, topic_token
 from bridge.ros2.rmw import Attachment, Graph, Topic, gid, read_token
-from bridge.ros2.rmw_node import publisher
+from bridge.ros2.ros_node import publisher
 from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.robot.description import Topics
 from rover_ncp.wire.messages import TWIST, TWIST_STAMPED

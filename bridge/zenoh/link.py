@@ -16,7 +16,7 @@ import zenoh
 from bridge.inbox import CommandMessage, Inbox, Query
 from bridge.ros2.discovery import Convention, bridge_token, topic_token
 from bridge.ros2.rmw import domain_id
-from bridge.ros2.rmw_node import RmwNode, command_bytes, publisher, read_command
+from bridge.ros2.ros_node import RmwNode, command_bytes, publisher, read_command
 from bridge.zenoh.config import any_port, configured
 from rover_ncp.core.errors import PortInUse, UsageError
 from rover_ncp.core.process import ClosedAtExit

@@ -16,7 +16,7 @@ import zenoh
 from bridge.ros2.address import command_type, sensor_topics
 from bridge.ros2.discovery import Convention, bridge_token, topic_token
 from bridge.ros2.rmw import Attachment, Graph, Topic, gid
-from bridge.ros2.rmw_node import publisher
+from bridge.ros2.ros_node import publisher
 from rover_ncp.core.errors import PortInUse
 from rover_ncp.wire.zenoh import reason
 from sim.pioneer.real_time import RealTimeLoop

@@ -1,24 +1,24 @@
-"""The bridge as a node of rmw_zenoh's graph, on the Zenoh session of its link."""
+"""A node of a ROS graph on a Zenoh session, in the form of either Zenoh integration."""
 
 import contextlib
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any
 
 import zenoh
 import zenoh.ext
 
 from bridge.inbox import CommandMessage
-from bridge.ros2.rmw import Attachment, Graph, Topic, gid
+from bridge.ros2.discovery import Convention, bridge_token, topic_token
+from bridge.ros2.rmw import NODE_NAME, Attachment, Graph, Topic, gid
 from rover_ncp.core.errors import FormatError
-from rover_ncp.wire.key_table import KeySpec, key, spec
-from rover_ncp.wire.messages import TWIST, TWIST_STAMPED
+from rover_ncp.wire.key_table import spec
 
 HEARTBEAT_S = 0.5
 """Period of heartbeats, which give a publisher's last sequence number after a change; as in rmw_zenoh."""
 
 
-def publisher(session: zenoh.Session, key_expr: str, latched: bool) -> Any:
+def declare_publisher(session: zenoh.Session, key_expr: str, latched: bool = False) -> Any:
     """Declare a publisher that never waits. Late subscribers receive a ``latched`` one's last message."""
     if not latched:
         return session.declare_publisher(
@@ -37,55 +37,98 @@ def publisher(session: zenoh.Session, key_expr: str, latched: bool) -> Any:
     )
 
 
-class RmwNode:
-    """Publishers of ``rows`` and subscribers of ``cmd_vel``; ``commanded`` gets the received commands.
+class RosPublisher:
+    """Publishes on one key. In rmw_zenoh's form it numbers and stamps messages, and ``source`` is its gid."""
 
-    Raises UsageError for a namespace that ROS does not accept.
+    def __init__(self, session: zenoh.Session, key_expr: str, latched: bool, source: bytes | None) -> None:
+        self.source, self._sequence = source, 0
+        self._publisher: Any = declare_publisher(session, key_expr, latched)
+
+    def put(self, data: bytes) -> None:
+        """Send a message; it is dropped if it cannot leave at once."""
+        if self.source is None:
+            self._publisher.put(data)
+            return
+        self._sequence += 1
+        attachment = Attachment(self._sequence, time.time_ns(), self.source)
+        self._publisher.put(data, attachment=attachment.pack())
+
+
+class RosNode:
+    """Publishers and subscribers of topics below ``namespace``.
+
+    Keys of rmw_zenoh have type hashes if they are ``hashed``. Raises UsageError for a namespace that ROS does
+    not accept.
     """
 
     def __init__(
         self,
         session: zenoh.Session,
-        domain: int,
-        namespace: str,
-        rows: Iterable[KeySpec],
-        commanded: Callable[[zenoh.Sample], None],
+        convention: Convention,
+        *,
+        domain: int = 0,
+        namespace: str = "",
+        name: str = NODE_NAME,
+        hashed: bool = True,
     ) -> None:
-        self._session = session
-        self._graph = Graph(domain, str(session.info.zid()), namespace.strip("/"))
-        self._tokens = [self._graph.node_token()]
-        self._publishers: dict[str, _Publisher] = {}
-        for row in rows:
-            topic = Topic(key(namespace, row.name), row.type, row.latched)
-            token = self._graph.publisher_token(len(self._tokens), topic)
-            self._tokens.append(token)
-            self._publishers[row.name] = _Publisher(session, topic.key(domain), topic.latched, gid(token))
+        self._session, self._zid = session, str(session.info.zid())
+        self._domain, self._namespace, self._hashed = domain, namespace.strip("/"), hashed
+        self._graph: Graph | None = None
+        if convention is Convention.RMW_ZENOH:
+            self._graph = Graph(domain, self._zid, self._namespace, name)
+        self._tokens = [self._graph.node_token() if self._graph else bridge_token(self._zid)]
         self._held: list[Any] = []
-        for ros_type in (TWIST, TWIST_STAMPED):
-            topic = Topic(key(namespace, "cmd_vel"), ros_type)
-            self._tokens.append(self._graph.subscriber_token(len(self._tokens), topic))
-            self._held.append(session.declare_subscriber(topic.key(domain), commanded))
+
+    def topic(self, name: str) -> str:
+        """Return a topic with the namespace, without a leading slash."""
+        return f"{self._namespace}/{name}" if self._namespace else name
+
+    def publisher(self, name: str, ros_type: str, latched: bool = False) -> RosPublisher:
+        """Return a publisher of a topic."""
+        topic = self._topic(name, ros_type, latched)
+        self._tokens.append(token := self._token(topic, published=True))
+        source = gid(token) if self._graph else None
+        return RosPublisher(self._session, self._key(topic), latched, source)
+
+    def subscribe(
+        self,
+        name: str,
+        ros_type: str,
+        receive: Callable[[zenoh.Sample], None],
+        *,
+        announced: bool = True,
+        reliable: bool = True,
+    ) -> None:
+        """Call ``receive`` with each message of a topic from outside this session."""
+        topic = self._topic(name, ros_type)
+        if announced:
+            self._tokens.append(self._token(topic, published=False, reliable=reliable))
+        # Messages of our own come back only from outside, and then through a loop.
+        subscriber = self._session.declare_subscriber(
+            self._key(topic), receive, allowed_origin=zenoh.Locality.REMOTE
+        )
+        self._held.append(subscriber)
 
     def announce(self) -> None:
-        """Show the node, its publishers and its subscribers in the graph."""
+        """Show the node, its publishers and its subscribers to others."""
         tokens = self._session.liveliness()
         self._held += [tokens.declare_token(token) for token in self._tokens]
 
-    def publish(self, name: str, data: bytes) -> None:
-        """Send a message on a key of the table."""
-        self._publishers[name].put(data)
+    def _topic(self, name: str, ros_type: str, latched: bool = False) -> Topic:
+        return Topic(self.topic(name), ros_type, latched, self._hashed)
 
+    def _key(self, topic: Topic) -> str:
+        return topic.key(self._domain) if self._graph else topic.name
 
-class _Publisher:
-    """A publisher that numbers and stamps what it sends."""
-
-    def __init__(self, session: zenoh.Session, key_expr: str, latched: bool, gid_: bytes) -> None:
-        self._gid, self._sequence = gid_, 0
-        self._publisher: Any = publisher(session, key_expr, latched)
-
-    def put(self, data: bytes) -> None:
-        self._sequence += 1
-        self._publisher.put(data, attachment=Attachment(self._sequence, time.time_ns(), self._gid).pack())
+    def _token(self, topic: Topic, *, published: bool, reliable: bool = True) -> str:
+        if self._graph is None:
+            return topic_token(
+                self._zid, topic.name, topic.ros_type, published, topic.latched, reliable=reliable
+            )
+        number = len(self._tokens)
+        if published:
+            return self._graph.publisher_token(number, topic)
+        return self._graph.subscriber_token(number, topic)
 
 
 def command_bytes(sample: zenoh.Sample) -> bytes:

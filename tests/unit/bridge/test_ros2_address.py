@@ -12,7 +12,7 @@ from rover_ncp.core.errors import ConfigError, UsageError
 def test_addresses():
     assert parse_ros_address("ros2/tcp/robot") == RosAddress("tcp/robot:7447")
     found = parse_ros_address("ros2/tcp/[::1]:8000#rmw=zenoh&domain=7&namespace=/a200_0001")
-    assert (found.endpoint, found.domain, found.topic("odom")) == ("tcp/[::1]:8000", 7, "a200_0001/odom")
+    assert (found.endpoint, found.domain, found.namespace) == ("tcp/[::1]:8000", 7, "a200_0001")
     assert found.convention == "rmw-zenoh"
 
 

@@ -49,7 +49,7 @@ class Ros2Server(RealTimeLoop):
         self._arrived.setblocking(False)
         # As a robot does, the mock takes a command when it arrives, not when its next step is due.
         self.selector.register(self._woken, selectors.EVENT_READ, lambda: self._woken.recv(4096))
-        topics, name = robot.topics, robot.description.name.replace("-", "_")
+        topics, name = robot.topics, robot.robot.name.replace("-", "_")
         self._node = RosNode(self._session, convention, domain=domain, namespace=namespace, name=name)
         self._publishers = {
             name: self._node.publisher(name, ros_type) for name, ros_type in sensor_topics(topics)

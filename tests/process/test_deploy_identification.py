@@ -275,12 +275,8 @@ def excited(trials, fence_m):
     """Drive the steps on a virtual clock; return the farthest from the start, what stopped it, the base."""
     rover = rover_of(trials, default_rover(), Ground(()))
     start, farthest = rover.pose, [0.0]
-    firmware = Firmware(
-        "p3at-sh",
-        rover,
-        trial=BaseTrial(trials),
-        observe=lambda now: farthest.append(max(farthest[-1], distance(rover.pose, start))),
-    )
+    firmware = Firmware("p3at-sh", rover, trial=BaseTrial(trials))
+    firmware.observe = lambda now: farthest.append(max(farthest[-1], distance(rover.pose, start)))
     world = VirtualBridge(firmware)
     air = VirtualLink(world, start)
     measurements = Measurements(air)

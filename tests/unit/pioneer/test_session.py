@@ -28,9 +28,9 @@ class Pair:
     A line that the session gives up is replaced at once, as the bridge does.
     """
 
-    def __init__(self, pioneer: Pioneer | None = None, model: str = "auto") -> None:
+    def __init__(self, pioneer: Pioneer | None = None) -> None:
         self.pioneer = pioneer or Pioneer()
-        self.session = Session(ROBOTS.get(model))
+        self.session = Session()
         self.events: list[SessionEvent] = []
         self.driver: Callable[[Session], None] = lambda session: None
         self.cut_up = self.cut_down = False
@@ -78,16 +78,15 @@ class Pair:
 
 
 @pytest.mark.parametrize("model", list(ROBOTS))
-def test_connecting_takes_less_than_a_second(model: str) -> None:
+def test_connecting_takes_less_than_a_second_and_leaves_the_motors_off(model: str) -> None:
     pair = Pair(Pioneer(model)).ready()
     assert pair.now < 1.0
     pair.run(0.3)
-    kinds = [type(event) for event in pair.events]
-    assert kinds[:2] == [Ready, BaseReport]
-    configured = pair.events[0]
+    configured, report = pair.events[:2]
     assert isinstance(configured, Ready)
     assert configured.robot.name == model
-    assert not pair.state.motors_on
+    assert isinstance(report, BaseReport)
+    assert not report.motors_on
 
 
 @pytest.mark.parametrize("model", list(ROBOTS))
@@ -157,24 +156,15 @@ def test_a_cut_line_leaves_the_rover_to_the_bases_watchdog_and_it_stays_put_afte
     assert not pair.state.motors_on
 
 
-def test_a_base_that_restarts_is_connected_to_again() -> None:
+@pytest.mark.parametrize("restart", [MockCommand.RESET, Command.CLOSE])  # with a notice, and without one
+def test_a_base_that_restarts_is_connected_to_again(restart: int) -> None:
     pair = Pair().driving(0.2, 0.0)
     pair.run(3.0)
-    pair.pioneer.firmware.receive(encode_command(MockCommand.RESET), pair.now)
-    pair.run(3.0)
-    assert pair.session.state is SessionState.READY
-    assert [type(e) for e in pair.events if not isinstance(e, BaseReport)] == [*(Ready, Lost, Ready)]
-    assert pair.pioneer.rover.velocity.v == 0.0
-
-
-def test_restart_without_a_notice_is_detected() -> None:
-    pair = Pair().ready()
-    pair.run(1.0)
-    pair.pioneer.firmware.receive(encode_command(Command.CLOSE), pair.now)
+    pair.pioneer.firmware.receive(encode_command(restart), pair.now)
     pair.run(6.0)
     assert pair.session.state is SessionState.READY
-    assert len(pair.of(Lost)) == 1
-    assert len(pair.of(Ready)) == 2
+    assert [type(e) for e in pair.events if isinstance(e, Ready | Lost)] == [Ready, Lost, Ready]
+    assert pair.pioneer.rover.velocity.v == 0.0
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -56,7 +56,6 @@ class Transport(ABC):
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.bytes_in = 0
         self.bytes_out = 0
         self.baudrate: int | None = None
         """The rate it runs at; None on a line that has none."""
@@ -97,7 +96,6 @@ class Transport(ABC):
             raise self._gone(_reason(error)) from error
         if not data:
             raise self._gone(self.hung_up)
-        self.bytes_in += len(data)
         return data
 
     def write(self, data: bytes) -> None:

@@ -88,7 +88,7 @@ def mock(
     --body mujoco simulates four wheels with friction, weight and motors, on level or sloped ground.
     """
     from rover_ncp.robot.description import load_description
-    from sim.pioneer.run import Ros2Options, run_mock
+    from sim.pioneer.run import run_mock
     from sim.world.described import ranges_for
 
     if ros2:
@@ -101,7 +101,9 @@ def mock(
     run_mock(
         listen=listen,
         model=model,
-        ros2=Ros2Options(ros or Convention.ROS2DDS, namespace) if ros2 else None,
+        robot=robot,
+        ros2=(ros or Convention.ROS2DDS) if ros2 else None,
+        namespace=namespace,
         course=course,
         truth=truth,
         overwrite=overwrite,

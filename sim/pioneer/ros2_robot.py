@@ -193,7 +193,7 @@ class Ros2Robot(SimulatedBase):
         elif self._frozen is not None:
             return self._frozen
         (x, y, theta), noise, gauss = self.drive.odometry, self._trial.noise, self._random.gauss
-        own = self.robot.odometry if self.drive.moving else None
+        own = self.robot.odometry if self.drive.rover.moving else None
         spread_m, spread_rad = (own.noise_m, own.noise_rad) if own else (0.0, 0.0)
         pose = Pose(
             x + noise.x + gauss(0.0, spread_m) + (self._fault("jump-odometry") or 0.0),

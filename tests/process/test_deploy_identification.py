@@ -297,7 +297,7 @@ def test_the_steps_stay_within_their_fence_and_give_the_motors_back():
     assert stopped is None
     assert 0.3 < farthest < FENCE_M
     assert not firmware.drive.enabled
-    assert not firmware.drive.moving
+    assert not firmware.drive.rover.moving
 
 
 def test_a_rover_that_would_leave_the_fence_is_stopped_before_it_does():
@@ -306,7 +306,7 @@ def test_a_rover_that_would_leave_the_fence_is_stopped_before_it_does():
     assert stopped == "geofence"
     assert farthest < 0.27  # a decimetre a second of odometry, 3 % off, and its noise
     assert not firmware.drive.enabled
-    assert not firmware.drive.moving
+    assert not firmware.drive.rover.moving
 
 
 def test_steps_are_what_the_base_takes_as_it_is():

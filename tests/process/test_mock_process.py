@@ -40,12 +40,13 @@ class Client:
     def __init__(self, transport):
         self.transport = transport
         self.session = Session()
-        self.states, self.model = [], ""
+        self.states, self.model, self.bytes_in = [], "", 0
         self.motion = Velocity(0.0, 0.0)
         self.session.connect(time.monotonic())
 
     def turn(self):
         data = self.transport.read(0.02)
+        self.bytes_in += len(data)
         events = self.session.receive(data, time.monotonic()) if data else []
         self.session.set_motion(self.motion)
         events += self.session.tick(time.monotonic())
@@ -100,7 +101,7 @@ def test_drive_over_tcp_and_leave(mock, tmp_path):
     assert code == 0
     assert report["connections"] == 1
     assert report["bytes_in"] == client.transport.bytes_out
-    assert report["bytes_out"] == client.transport.bytes_in
+    assert report["bytes_out"] == client.bytes_in
     assert report["unknown_commands"] == report["bad_arguments"] == report["bad_checksums"] == 0
     assert not report["touched"]
     lines = truth_of(truth)

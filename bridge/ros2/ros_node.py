@@ -125,10 +125,7 @@ class RosNode:
             return topic_token(
                 self._zid, topic.name, topic.ros_type, published, topic.latched, reliable=reliable
             )
-        number = len(self._tokens)
-        if published:
-            return self._graph.publisher_token(number, topic)
-        return self._graph.subscriber_token(number, topic)
+        return self._graph.topic_token(len(self._tokens), topic, published=published)
 
 
 def command_bytes(sample: zenoh.Sample) -> bytes:

@@ -20,7 +20,9 @@ def test_tokens_are_read_as_they_are_written():
         "abc", True, "bot1/cmd_vel", "geometry_msgs/msg/Twist", "zenoh-bridge-ros2dds abc"
     )
     graph = Graph(3, "abc", "bot1", "teleop")
-    found = read_token(graph.subscriber_token(5, Topic("bot1/cmd_vel", "geometry_msgs/msg/TwistStamped")))
+    found = read_token(
+        graph.topic_token(5, Topic("bot1/cmd_vel", "geometry_msgs/msg/TwistStamped"), published=False)
+    )
     assert found == Announced("abc", False, "bot1/cmd_vel", "geometry_msgs/msg/TwistStamped", "/bot1/teleop")
     assert read_token(graph.node_token()) is None
     assert read_topic_token("@/abc/@ros2_lv") is None
@@ -53,22 +55,22 @@ def test_tokens_have_the_form_that_rmw_zenoh_reads():
     chatter = Topic("chatter", "std_msgs/msg/String")
     plain = Graph(0, "a1b2")
     assert plain.node_token() == "@ros2_lv/0/a1b2/0/0/NN/%/%/rover_bridge"
-    assert plain.publisher_token(4, chatter) == (
+    assert plain.topic_token(4, chatter, published=True) == (
         f"@ros2_lv/0/a1b2/0/4/MP/%/%/rover_bridge/%chatter/std_msgs::msg::dds_::String_/{STRING}/::,10:,:,:,,"
     )
     named = Graph(7, "a1b2", "lab/bot1")
     latched = Topic("lab/bot1/chatter", "std_msgs/msg/String", latched=True)
     assert named.node_token() == "@ros2_lv/7/a1b2/0/0/NN/%/%lab%bot1/rover_bridge"
-    assert named.publisher_token(1, latched) == (
+    assert named.topic_token(1, latched, published=True) == (
         "@ros2_lv/7/a1b2/0/1/MP/%/%lab%bot1/rover_bridge/%lab%bot1%chatter/std_msgs::msg::dds_::String_/"
         f"{STRING}/:1:,1:,:,:,,"
     )
-    assert named.subscriber_token(2, chatter).split("/")[5] == "MS"
+    assert named.topic_token(2, chatter, published=False).split("/")[5] == "MS"
 
 
 @pytest.mark.parametrize("ros_type", ["Twist", ""])
 def test_a_token_with_a_type_of_no_package_announces_nothing(ros_type):
-    token = Graph(0, "a1b2").publisher_token(1, Topic("cmd_vel", "geometry_msgs/msg/Twist"))
+    token = Graph(0, "a1b2").topic_token(1, Topic("cmd_vel", "geometry_msgs/msg/Twist"), published=True)
     assert read_token(token) is not None
     assert read_token(token.replace("geometry_msgs::msg::dds_::Twist_", ros_type)) is None
 
@@ -114,4 +116,4 @@ def test_invalid_domain_is_rejected(value):
 def test_keys_of_humble_have_no_type_hash():
     plain = Topic("odom", "nav_msgs/msg/Odometry", hashed=False)
     assert plain.key(0) == "0/odom/nav_msgs::msg::dds_::Odometry_/TypeHashNotSupported"
-    assert "/TypeHashNotSupported/" in Graph(0, "abc").subscriber_token(1, plain)
+    assert "/TypeHashNotSupported/" in Graph(0, "abc").topic_token(1, plain, published=False)

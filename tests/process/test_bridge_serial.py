@@ -2,7 +2,6 @@
 
 import json
 import math
-import signal
 import subprocess
 import sys
 from contextlib import ExitStack
@@ -12,7 +11,6 @@ from kit.bridge_bench import Driver, wait_for, zenoh_address
 from kit.paths import ROOT
 from kit.serial_base import SerialBase
 
-from bridge.pioneer.arcos import Command
 from sim.live.processes import Process
 from sim.pioneer.faults import parse_fault
 from sim.pioneer.firmware import ClientState
@@ -67,27 +65,6 @@ def test_a_bridge_on_a_serial_line_asks_for_a_faster_rate_and_drives(bridge_on):
         process.stop()
         assert (base.firmware.client, base.firmware.baudrate) == (ClientState.WAITING, 9600)
     assert base.rates[:2] == [9600, 38400]
-
-
-@pytest.mark.long
-def test_a_base_that_a_killed_bridge_left_at_the_faster_rate_is_found(bridge_on):
-    with SerialBase(strict=True) as base:
-        process, _ = bridge_on(base)
-        process.send_signal(signal.SIGKILL)
-        process.wait(5.0)
-        assert (base.firmware.client, base.firmware.baudrate) == (ClientState.OPEN, 38400)
-        process, _ = bridge_on(base)
-        process.stop()
-        assert (base.firmware.client, base.firmware.baudrate) == (ClientState.WAITING, 9600)
-    assert base.rates == [9600, 38400, 9600, 38400]
-
-
-@pytest.mark.long
-def test_base_at_the_fast_rate_is_found(bridge_on):
-    with SerialBase(strict=True, rate=38400) as base:
-        bridge_on(base)[0].stop()
-    assert base.rates == [38400]
-    assert not base.heard(Command.HOSTBAUD)
 
 
 @pytest.mark.long

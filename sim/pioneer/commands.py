@@ -8,6 +8,7 @@ import typer
 from bridge.ros2.discovery import Convention
 from rover_ncp.core.console import MAX_SEED, Json, Overwrite, reject
 from rover_ncp.core.files import DEFAULT_ROBOT
+from sim.pioneer.faults import FAULTS
 from sim.world.bodies import BODY_WORDS, PRESET_WORDS, PRESETS, Body
 
 
@@ -42,8 +43,7 @@ def mock(
         list[str] | None,
         typer.Option(
             help="Inject a fault, NAME[=VALUE][@START[-END]]; repeat for more. Seconds count from when "
-            "the motors are first enabled. Names: mute, deaf, corrupt, drop, noise, freeze-odometry, "
-            "jump-odometry, bumper, stall, stop-button, low-battery, reset. '-' reads more faults from "
+            f"the motors are first enabled. Names: {', '.join(FAULTS)}. '-' reads more faults from "
             "standard input, one a line; their seconds count from when the line is read."
         ),
     ] = None,

@@ -82,7 +82,7 @@ READINGS = 4
 OFFSET, NOISE = 7.3, 0.7
 """In units, of 0.954 deg/s each: what it reads beside 512 at rest, and the noise of a reading (chosen)."""
 ROOM_C = 25
-_MOST = 1023
+_MAX_READING = 1023
 
 
 class TurnMeter:
@@ -113,4 +113,4 @@ class Gyro:
         rate = self._turns.rate(now)
         mean = GYRO_REST + OFFSET - (rate + self.error_rad_s) / GYRO_RAD_S
         readings = (round(mean + self._random.gauss(0.0, NOISE)) for _ in range(READINGS))
-        return GyroPac(tuple((min(max(reading, 0), _MOST), ROOM_C) for reading in readings)).encode()
+        return GyroPac(tuple((min(max(reading, 0), _MAX_READING), ROOM_C) for reading in readings)).encode()

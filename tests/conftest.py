@@ -1,5 +1,6 @@
 """What holds for all tests."""
 
+import logging
 import os
 import signal
 
@@ -26,6 +27,16 @@ settings.register_profile("mutants", deadline=None, database=None, phases=[Phase
 
 # Files that wait longest for real processes begin first, so that they do not run alone at the end.
 LONGEST = ["test_bridge_dead_line.py", "test_learn_cluster.py", "test_deploy_identification.py"]
+
+
+@pytest.fixture(autouse=True)
+def log_of_its_own():
+    """A bridge or mock that a test runs in this process prints no log of the tests after it."""
+    logger = logging.getLogger("rover_ncp")
+    handlers, level = logger.handlers, logger.level
+    yield
+    logger.handlers = handlers
+    logger.setLevel(level)
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects

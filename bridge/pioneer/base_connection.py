@@ -49,24 +49,14 @@ class BaseConnection:
         self._current: Transport | None = None
         """The line that the loop writes to."""
         self._all: list[Transport] = []
-        self._bytes_in = self._bytes_out = 0
-        """Bytes of the lines that are closed."""
+        self.bytes_in = self.bytes_out = 0
+        """Bytes from and to the base, over all lines so far."""
         self._broken: NoRobot | None = None
         """Reason for giving up the line although reading does not fail."""
         self._closing, self._dropped = threading.Event(), threading.Event()
         first = self._open()
         self._thread = threading.Thread(target=self._run, args=(first,), name="base-line", daemon=True)
         self._thread.start()
-
-    @property
-    def bytes_in(self) -> int:
-        """Bytes from the base, over all lines so far."""
-        return self._bytes_in + sum(transport.bytes_in for transport in self._all)
-
-    @property
-    def bytes_out(self) -> int:
-        """Bytes to the base, over all lines so far."""
-        return self._bytes_out + sum(transport.bytes_out for transport in self._all)
 
     def use(self) -> None:
         """Write to the line that was opened last, from now on."""
@@ -83,8 +73,8 @@ class BaseConnection:
 
     def write(self, data: bytes) -> None:
         """Send bytes to the base; without a line they are lost. A failure arrives as `Broken`."""
-        if data:
-            self._try(lambda line: line.write(data))
+        if data and self._try(lambda line: line.write(data)):
+            self.bytes_out += len(data)
 
     def set_baudrate(self, baudrate: int) -> None:
         """Let the line run at another rate. A failure arrives as `Broken`."""
@@ -105,12 +95,15 @@ class BaseConnection:
             else:
                 transport.close()
 
-    def _try(self, action: Callable[[Transport], None]) -> None:
-        if self._current is not None:
-            try:
-                action(self._current)
-            except NoRobot as error:
-                self._current, self._broken = None, error
+    def _try(self, action: Callable[[Transport], None]) -> bool:
+        if self._current is None:
+            return False
+        try:
+            action(self._current)
+        except NoRobot as error:
+            self._current, self._broken = None, error
+            return False
+        return True
 
     def _open(self) -> Transport:
         transport = open_transport(self.endpoint)
@@ -137,6 +130,7 @@ class BaseConnection:
                     wait_s = min(2 * wait_s, MAX_RETRY_S)
                 else:
                     if data:
+                        self.bytes_in += len(data)
                         self._inbox.put(Received(data))
                         wait_s = RETRY_S
         except BaseException as error:
@@ -153,5 +147,3 @@ class BaseConnection:
         if transport is not None and not self._closing.is_set():
             transport.abort()
             self._all.remove(transport)
-            self._bytes_in += transport.bytes_in
-            self._bytes_out += transport.bytes_out

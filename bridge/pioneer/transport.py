@@ -42,36 +42,31 @@ ABORT = struct.pack("ii", 1, 0)
 
 CHUNK_BYTES = 4096
 
+_ERRORS = (OSError, ValueError, TypeError)
+"""Errors of sockets and of pyserial, whose SerialException is an OSError."""
+
 _FORM = "expected tcp/HOST[:8101] or serial//dev/ttyUSB0[#baudrate=9600]"
 
 
 class Transport(ABC):
     """An open line. One thread may read while another writes."""
 
+    hung_up: str
+    """Reason for the end of a line that has not failed."""
+
     def __init__(self, name: str) -> None:
         self.name = name
-        self.bytes_in = 0
         self.bytes_out = 0
         self.baudrate: int | None = None
         """The rate it runs at; None on a line that has none."""
 
     @abstractmethod
+    def fileno(self) -> int:
+        """Return the descriptor, which never waits."""
+
+    @abstractmethod
     def set_baudrate(self, baudrate: int) -> None:
         """Run at another rate from now on, if the line has one. Raises NoRobot when the line is gone."""
-
-    @abstractmethod
-    def read(self, timeout: float) -> bytes:
-        """Return what has arrived, waiting up to ``timeout`` seconds for the first byte; empty if none came.
-
-        Raises NoRobot when the line is gone.
-        """
-
-    @abstractmethod
-    def write(self, data: bytes) -> None:
-        """Send all of ``data`` without waiting. Raises NoRobot when the line is gone or has no room for it.
-
-        Then part of it may have been sent.
-        """
 
     @abstractmethod
     def close(self) -> None:
@@ -81,8 +76,39 @@ class Transport(ABC):
     def abort(self) -> None:
         """Close the line at once; written bytes that have not been delivered are lost. Never fails."""
 
-    def _count(self, sent: int, data: bytes) -> None:
-        """Count what was sent of ``data``. Raises NoRobot unless it is all."""
+    @abstractmethod
+    def _stuck(self) -> bool:
+        """Return whether written bytes have waited in the line for longer than `BACKLOG_S`."""
+
+    def read(self, timeout: float) -> bytes:
+        """Return what has arrived, waiting up to ``timeout`` seconds for the first byte; empty if none came.
+
+        Raises NoRobot when the line is gone.
+        """
+        try:
+            readable, _, _ = select.select([self], [], [], timeout)
+            if not readable:
+                return b""
+            data = os.read(self.fileno(), CHUNK_BYTES)
+        except BlockingIOError:  # the bytes that were announced had a wrong checksum
+            return b""
+        except _ERRORS as error:
+            raise self._gone(_reason(error)) from error
+        if not data:
+            raise self._gone(self.hung_up)
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data`` without waiting. Raises NoRobot when the line is gone or has no room for it.
+
+        Then part of it may have been sent.
+        """
+        try:
+            sent = 0 if self._stuck() else os.write(self.fileno(), data)
+        except BlockingIOError:
+            sent = 0
+        except _ERRORS as error:
+            raise self._gone(_reason(error)) from error
         self.bytes_out += sent
         if sent < len(data):
             raise self._gone("the line takes no more bytes")
@@ -93,6 +119,8 @@ class Transport(ABC):
 
 class TcpTransport(Transport):
     """A base behind a TCP port: a simulator, or a serial-to-ethernet converter on the robot."""
+
+    hung_up = "the base closed the connection (it takes one client at a time)"
 
     def __init__(self, host: str, port: int) -> None:
         super().__init__(f"tcp/{host}:{port}")
@@ -113,34 +141,12 @@ class TcpTransport(Transport):
         self._advanced_s = 0.0
         """When a write last found that number grown, or no byte outstanding."""
 
+    def fileno(self) -> int:
+        """See Transport."""
+        return self._socket.fileno()
+
     def set_baudrate(self, baudrate: int) -> None:
         """See Transport: this line has no rate."""
-
-    def read(self, timeout: float) -> bytes:
-        """See Transport."""
-        try:
-            readable, _, _ = select.select([self._socket], [], [], timeout)
-            if not readable:
-                return b""
-            data = self._socket.recv(CHUNK_BYTES)
-        except BlockingIOError:  # the bytes that were announced had a wrong checksum
-            return b""
-        except (OSError, ValueError) as error:
-            raise self._gone(getattr(error, "strerror", None) or error) from error
-        if not data:
-            raise self._gone("the base closed the connection (it takes one client at a time)")
-        self.bytes_in += len(data)
-        return data
-
-    def write(self, data: bytes) -> None:
-        """See Transport."""
-        try:
-            sent = 0 if self._stuck() else self._socket.send(data)
-        except BlockingIOError:
-            sent = 0
-        except (OSError, ValueError) as error:
-            raise self._gone(getattr(error, "strerror", None) or error) from error
-        self._count(sent, data)
 
     def _stuck(self) -> bool:
         """Return whether bytes are outstanding and the far end has acknowledged none for `BACKLOG_S`.
@@ -183,13 +189,13 @@ class TcpTransport(Transport):
 class SerialTransport(Transport):
     """A base on a serial port; 8 data bits, no parity, 1 stop bit."""
 
+    hung_up = "the port was unplugged, or another process reads it too"
+
     def __init__(self, port: str, baudrate: int = DEFAULT_BAUD) -> None:
         super().__init__(f"serial/{port}#baudrate={baudrate}")
         try:
-            self._port = serial.Serial(
-                port, baudrate=baudrate, timeout=0.0, write_timeout=0.0, exclusive=True
-            )
-        except (serial.SerialException, OSError, ValueError) as error:
+            self._port = serial.Serial(port, baudrate=baudrate, timeout=0.0, exclusive=True)
+        except _ERRORS as error:
             raise self._gone(_other_user(port, error) or _reason(error)) from error
         self.baudrate = baudrate
 
@@ -197,44 +203,26 @@ class SerialTransport(Transport):
         """See Transport."""
         try:
             self._port.baudrate = baudrate
-        except (serial.SerialException, OSError, ValueError) as error:
+        except _ERRORS as error:
             raise self._gone(_reason(error)) from error
         self.baudrate = baudrate
 
-    def read(self, timeout: float) -> bytes:
+    def fileno(self) -> int:
         """See Transport."""
-        try:
-            if self._port.timeout != timeout:  # setting it configures the port anew
-                self._port.timeout = timeout
-            data = self._port.read(1)
-            if data:
-                data += self._port.read(min(self._port.in_waiting, CHUNK_BYTES))
-        except (serial.SerialException, OSError, TypeError) as error:
-            raise self._gone(_reason(error)) from error
-        self.bytes_in += len(data)
-        return bytes(data)
+        return int(self._port.fileno())
 
-    def write(self, data: bytes) -> None:
-        """See Transport."""
-        try:
-            backlog_s = self._port.out_waiting * BITS_PER_BYTE / self._port.baudrate
-            # With a timeout of 0, pyserial's own write polls in a loop until there is room.
-            sent = 0 if backlog_s > BACKLOG_S else os.write(self._port.fileno(), data)
-        except BlockingIOError:
-            sent = 0
-        except (serial.SerialException, OSError, TypeError) as error:
-            raise self._gone(_reason(error)) from error
-        self._count(sent, data)
+    def _stuck(self) -> bool:
+        return bool(self._port.out_waiting * BITS_PER_BYTE / self._port.baudrate > BACKLOG_S)
 
     def close(self) -> None:
         """See Transport."""
         # The system sends what was written; waiting for it here could wait for ever on a dead port.
-        with suppress(serial.SerialException, OSError):
+        with suppress(OSError):
             self._port.close()
 
     def abort(self) -> None:
         """See Transport."""
-        with suppress(serial.SerialException, OSError, TypeError):
+        with suppress(*_ERRORS):
             self._port.reset_output_buffer()
         self.close()
 

@@ -44,10 +44,6 @@ class RosAddress:
     topics: dict[str, str] = field(default_factory=dict, hash=False)
     zenoh_config: Path | None = None
 
-    def topic(self, name: str) -> str:
-        """Return a topic with the namespace, without a leading slash."""
-        return f"{self.namespace}/{name}" if self.namespace else name
-
 
 def parse_ros_address(text: str, zenoh_config: Path | None = None) -> RosAddress:
     """Read ``ros2/tcp/HOST[:PORT][#rmw=zenoh&domain=N&namespace=NAME&odom=TOPIC...]``. Raises UsageError."""

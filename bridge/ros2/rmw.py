@@ -75,23 +75,16 @@ class Graph:
         """Return the token that stands for the node."""
         return self._token(0, "NN")
 
-    def publisher_token(self, number: int, topic: Topic) -> str:
-        """Return the token of a publisher; ``number`` is its own among all of the session."""
-        return self._topic_token(number, "MP", topic)
-
-    def subscriber_token(self, number: int, topic: Topic) -> str:
-        """Return the token of a subscriber."""
-        return self._topic_token(number, "MS", topic)
+    def topic_token(self, number: int, topic: Topic, *, published: bool) -> str:
+        """Return the token of a publisher or subscriber; ``number`` is its own among all of the session."""
+        qos = _LATCHED if topic.latched else _KEEP_10
+        where = self._token(number, "MP" if published else "MS")
+        return f"{where}/{_mangled(topic.name)}/{topic.dds_type}/{topic.hash}/{qos}"
 
     def _token(self, number: int, kind: str) -> str:
         # Node 0 of the session, in the enclave "/".
         where = f"@ros2_lv/{self.domain}/{self.zid}/0/{number}"
         return f"{where}/{kind}/%/{_mangled(self.namespace)}/{self.node}"
-
-    def _topic_token(self, number: int, kind: str, topic: Topic) -> str:
-        qos = _LATCHED if topic.latched else _KEEP_10
-        hashed = topic.hash
-        return f"{self._token(number, kind)}/{_mangled(topic.name)}/{topic.dds_type}/{hashed}/{qos}"
 
 
 class Attachment(NamedTuple):

@@ -16,11 +16,12 @@ import zenoh
 from bridge.inbox import CommandMessage, Inbox, Query
 from bridge.ros2.discovery import Convention, bridge_token, topic_token
 from bridge.ros2.rmw import domain_id
-from bridge.ros2.rmw_node import RmwNode, command_bytes, publisher, read_command
+from bridge.ros2.ros_node import RosNode, command_bytes, declare_publisher, read_command
 from bridge.zenoh.config import any_port, configured
 from rover_ncp.core.errors import PortInUse, UsageError
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, Role, key
+from rover_ncp.wire.messages import TWIST, TWIST_STAMPED
 from rover_ncp.wire.protocol import TAG_BYTES
 from rover_ncp.wire.zenoh import reason
 
@@ -45,7 +46,7 @@ class ZenohLink(ClosedAtExit):
         self._inbox = inbox
         self._namespace = namespace
         self._ros = ros
-        self._rmw: RmwNode | None = None
+        self._rmw: RosNode | None = None
         self._sequence = 0
         # Raises for a bad namespace before anything is opened.
         settings, endpoints = configured(listen, config, insecure, self.key("cmd_vel"))
@@ -95,7 +96,7 @@ class ZenohLink(ClosedAtExit):
         else:
             publisher.put(data)
         if self._rmw is not None:
-            self._rmw.publish(name, data)
+            self._rmw_publishers[name].put(data)
 
     def close(self) -> None:
         """End the session; the token goes with it."""
@@ -108,7 +109,7 @@ class ZenohLink(ClosedAtExit):
     def _declare(self) -> None:
         ours = [row for row in KEYS if row.senders == {Role.BRIDGE} and row.kind is Kind.MESSAGE]
         self._publishers = {
-            row.name: publisher(self._session, self.key(row.name), row.latched) for row in ours
+            row.name: declare_publisher(self._session, self.key(row.name), row.latched) for row in ours
         }
         # By this id drivers notice others that publish our topics. Latched messages cannot have it.
         self._marked = {row.name for row in ours if not row.latched}
@@ -120,8 +121,15 @@ class ZenohLink(ClosedAtExit):
                 on_query = self._inbox.guarded(partial(self._query, row))
                 self._held.append(self._session.declare_queryable(self.key(row.name), on_query))
         if Convention.RMW_ZENOH in self._ros:
+            self._rmw = RosNode(
+                self._session, Convention.RMW_ZENOH, domain=domain_id(os.environ), namespace=self._namespace
+            )
+            self._rmw_publishers = {
+                row.name: self._rmw.publisher(row.name, row.type, row.latched) for row in ours
+            }
             commanded = self._inbox.guarded(lambda sample: self._inbox.put(read_command(sample)))
-            self._rmw = RmwNode(self._session, domain_id(os.environ), self._namespace, ours, commanded)
+            for ros_type in (TWIST, TWIST_STAMPED):
+                self._rmw.subscribe("cmd_vel", ros_type, commanded)
 
     def _command(self, sample: zenoh.Sample) -> None:
         stamp = sample.timestamp

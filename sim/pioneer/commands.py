@@ -8,6 +8,7 @@ import typer
 from bridge.ros2.discovery import Convention
 from rover_ncp.core.console import MAX_SEED, Json, Overwrite, reject
 from rover_ncp.core.files import DEFAULT_ROBOT
+from sim.pioneer.faults import FAULTS
 from sim.world.bodies import BODY_WORDS, PRESET_WORDS, PRESETS, Body
 
 
@@ -42,8 +43,7 @@ def mock(
         list[str] | None,
         typer.Option(
             help="Inject a fault, NAME[=VALUE][@START[-END]]; repeat for more. Seconds count from when "
-            "the motors are first enabled. Names: mute, deaf, corrupt, drop, noise, freeze-odometry, "
-            "jump-odometry, bumper, stall, stop-button, low-battery, reset. '-' reads more faults from "
+            f"the motors are first enabled. Names: {', '.join(FAULTS)}. '-' reads more faults from "
             "standard input, one a line; their seconds count from when the line is read."
         ),
     ] = None,
@@ -88,7 +88,7 @@ def mock(
     --body mujoco simulates four wheels with friction, weight and motors, on level or sloped ground.
     """
     from rover_ncp.robot.description import load_description
-    from sim.pioneer.run import Ros2Options, run_mock
+    from sim.pioneer.run import run_mock
     from sim.world.described import ranges_for
 
     if ros2:
@@ -101,7 +101,9 @@ def mock(
     run_mock(
         listen=listen,
         model=model,
-        ros2=Ros2Options(ros or Convention.ROS2DDS, namespace) if ros2 else None,
+        robot=robot,
+        ros2=(ros or Convention.ROS2DDS) if ros2 else None,
+        namespace=namespace,
         course=course,
         truth=truth,
         overwrite=overwrite,

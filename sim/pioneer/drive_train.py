@@ -124,11 +124,6 @@ class DriveTrain:
         return self.odometry.theta if self._heading is None else self._heading
 
     @property
-    def setpoints(self) -> tuple[float, float]:
-        """The commanded speed and turn rate, also while they are not obeyed."""
-        return self._v, self._omega
-
-    @property
     def measured(self) -> Velocity:
         """The motion as the base measures it: the encoders', with the trial's errors."""
         return self._trial.measured(self.rover.encoders)
@@ -137,11 +132,6 @@ class DriveTrain:
     def wheel_speeds(self) -> tuple[float, float]:
         """Left and right, m/s, as the encoders see them."""
         return self._wheels(*self.measured)
-
-    @property
-    def moving(self) -> bool:
-        """Whether the base reports motion."""
-        return self.rover.moving
 
     @property
     def _obeys(self) -> bool:
@@ -166,7 +156,7 @@ class DriveTrain:
         self.rover.substep()
         self._count_way()
         self._watch_stall()
-        if self._braking and not self.moving:
+        if self._braking and not self.rover.moving:
             self._braking = False
             self.rover.change_limits(**self._real(self.limits))
 

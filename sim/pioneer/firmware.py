@@ -25,14 +25,13 @@ from bridge.pioneer.packets import ConfigPac, Kind, encode_names
 from rover_ncp.core.geometry import Pose
 from rover_ncp.robot.description import RobotDescription, load_description
 from sim.pioneer.client_commands import IGNORED, MockCommand, decode_argument, pair
-from sim.pioneer.drive_train import DriveTrain
-from sim.pioneer.faults import Fault, Faults
+from sim.pioneer.faults import Faults
 from sim.pioneer.models import BASE_CLASS, BASE_NAME, config_of
 from sim.pioneer.report import BATTERY_DV, Panel, Reporter
 from sim.pioneer.sensors import Gyro, Sonars
+from sim.pioneer.simulated_base import SimulatedBase
 from sim.pioneer.trial import BaseTrial
-from sim.world.randomization import nominal_trials
-from sim.world.rover import SUBSTEP_S, Rover
+from sim.world.rover import Rover
 
 VEL2_M_S = 0.02
 """Wheel speed per unit of VEL2 (Vel2Divisor 20)."""
@@ -52,12 +51,11 @@ class ClientState(Enum):
     OPEN = "servers running"
 
 
-class Firmware:
-    """One base: ``model`` is a description or its name, ``rover`` is what it drives, from where that stands.
+class Firmware(SimulatedBase):
+    """One Pioneer: ``model`` is a description or its name.
 
-    ``observe`` is called after each substep with its time in s, on the clock that ``start_s`` is of.
-    ``config`` holds the FLASH values if they are not those of the model; ``trial`` has the
-    errors of the base, ``gyro_seed`` is that of a gyro's noise.
+    ``config`` holds the FLASH values if they are not those of the model, ``gyro_seed`` is that of a gyro's
+    noise. Faults and the trial count from when the motors were first enabled.
     """
 
     def __init__(
@@ -66,16 +64,14 @@ class Firmware:
         rover: Rover,
         faults: Faults | None = None,
         start_s: float = 0.0,
-        observe: Callable[[float], None] | None = None,
         *,
         config: ConfigPac | None = None,
         trial: BaseTrial | None = None,
         gyro_seed: int = 0,
     ) -> None:
-        self.robot = load_description(model) if isinstance(model, str) else model
+        robot = load_description(model) if isinstance(model, str) else model
+        super().__init__(robot, rover, faults, start_s, trial)
         self.decoder = Decoder()
-        self._trial = trial or BaseTrial(nominal_trials(rover.model, ticks=1))
-        self.drive = DriveTrain(self.robot, rover, self._trial)
         self.unknown: Counter[int] = Counter()
         """How often each unknown command came."""
         self.bad_arguments: Counter[int] = Counter()
@@ -83,41 +79,31 @@ class Firmware:
         self._config = config or config_of(self.robot)
         self._sonars = Sonars(self.robot, self._config.sonar_cycle / 1000)
         self._reporter = Reporter(self.robot, self._config, self.drive, self._sonars)
-        self._gyro = Gyro(rover, gyro_seed)
-        self._faults = faults or Faults()
-        self.observe = observe
+        self._gyro = Gyro(rover, start_s, gyro_seed)
         self._home = rover.pose
         self.baudrate = HOSTBAUD_RATES[0]
         """The rate of its serial line: HOSTBAUD changes it, the end of a session restores FLASH's."""
         self.client = ClientState.WAITING
-        self.due_s = self._measure_due_s = math.inf
+        self._due_s = self._measure_due_s = math.inf
         """When the next SIP will be sent, and when its content will be measured."""
         self._expected = 0
         self._out = bytearray()
-        self._start_s, self._substeps = start_s, 0
-        self._enabled_first_s: float | None = None
-        self._was_reset = False
         self._handlers = self._make_handlers()
         self._power_up()
 
     # Calls of the line.
 
     @property
-    def now(self) -> float:
-        """The time up to which the rover has moved, s."""
-        return self._start_s + self._substeps * SUBSTEP_S
-
-    def advance(self, now: float) -> None:
-        """Let time pass until ``now``."""
-        while self.now + SUBSTEP_S <= now + 1e-9:
-            self._substep()
+    def due_s(self) -> float:
+        """When it sends the next SIP, infinite without a session."""
+        return self._due_s
 
     def receive(self, data: bytes, now: float) -> None:
         """Take over bytes from the client, those of ``now``."""
         self.advance(now)
         if self._fault("deaf") is not None:
             return
-        self._decode(self._faults.damage(data, self._enabled_s), now)
+        self._decode(self._faults.damage(data, self._driven_s), now)
 
     def data_to_send(self) -> bytes:
         """Return the bytes for the client and forget them."""
@@ -129,10 +115,6 @@ class Firmware:
         """Drop half-received and unsent bytes: they belong to the last client."""
         self.decoder.drop()
         self._out.clear()
-
-    def inject(self, fault: Fault) -> None:
-        """Add a fault from now on; its times count from now, if the motors were ever enabled."""
-        self._faults.add(fault, self._enabled_s)
 
     # Time.
 
@@ -148,12 +130,14 @@ class Firmware:
         if self.client is ClientState.OPEN and self.now >= self._measure_due_s - 1e-9:
             self._measure_due_s += self._config.sip_cycle / 1000
             self._reporter.measure()
-        if self.client is ClientState.OPEN and self.now >= self.due_s - 1e-9:
+        if self.client is ClientState.OPEN and self.now >= self._due_s - 1e-9:
             self._report()
-            self.due_s = self._measure_due_s + self._trial.next_age_s
+            self._due_s = self._measure_due_s + self._trial.next_age_s
 
     def _report(self) -> None:
-        self._begin_tick()
+        if self._first_s is not None:
+            self._begin_tick(self._trial.tick + 1)
+            self._reporter.noise = self._trial.noise
         sip = self._reporter.sip()
         if self._streaming(MockCommand.SIM_STAT):
             self._emit(self._reporter.simstat())
@@ -165,15 +149,6 @@ class Firmware:
         if self._streaming(MockCommand.ENCODER):
             self._emit(self._reporter.encoders())
 
-    def _begin_tick(self) -> None:
-        """Begin the trial's next tick, once the motors were enabled."""
-        if self._enabled_first_s is None:
-            return
-        self._trial.tick += 1
-        self._reporter.noise = self._trial.noise
-        if push := self._trial.push:
-            self.drive.rover.push(push)
-
     def _streaming(self, command: int) -> bool:
         """Return whether a packet is due: mode 1 asks for one, more for a stream."""
         mode = self._streams.get(command, 0)
@@ -184,20 +159,12 @@ class Firmware:
     def _emit(self, packet: Packet) -> None:
         if self._fault("mute") is None:
             frame = encode_frame(packet.kind, packet.payload)
-            self._out += self._faults.damage(frame, self._enabled_s)
+            self._out += self._faults.damage(frame, self._driven_s)
 
     def _switch_gyro(self, mode: int) -> None:
         self._gyro.on = mode > 0 and self._config.has_gyro == 1
 
     # Faults.
-
-    @property
-    def _enabled_s(self) -> float | None:
-        """Seconds since the motors were first enabled."""
-        return None if self._enabled_first_s is None else self.now - self._enabled_first_s
-
-    def _fault(self, name: str) -> float | None:
-        return self._faults.value(name, self._enabled_s)
 
     def _apply_faults(self) -> None:
         """Apply the faults that are active now."""
@@ -213,8 +180,7 @@ class Firmware:
         reporter.odometry_frozen = self._fault("freeze-odometry") is not None
         reporter.odometry_jump_m = self._fault("jump-odometry") or 0.0
         self._gyro.error_rad_s = self._fault("gyro") or 0.0
-        was_reset, self._was_reset = self._was_reset, self._fault("reset") is not None
-        if self._was_reset and not was_reset:
+        if self._reset_begins():
             self._restart()
 
     # Packets.
@@ -315,7 +281,7 @@ class Firmware:
         """End the session: stop, motors off, working values as in FLASH (AROS manual p. 44)."""
         self.client = ClientState.WAITING
         self._expected = 0
-        self.due_s = self._measure_due_s = math.inf
+        self._due_s = self._measure_due_s = math.inf
         self._streams: dict[int, int] = {}
         self._gyro.on = False
         self.baudrate = HOSTBAUD_RATES[self._config.host_baud]
@@ -327,7 +293,7 @@ class Firmware:
         if self.client is ClientState.SYNCED:
             self.client = ClientState.OPEN
             self._measure_due_s = self.now + self._config.sip_cycle / 1000
-            self.due_s = self._measure_due_s + self._trial.next_age_s
+            self._due_s = self._measure_due_s + self._trial.next_age_s
 
     def _restart(self) -> None:
         self._emit(Packet(Kind.RESET_FF))
@@ -342,8 +308,8 @@ class Firmware:
             return
         if bool(on) != self.drive.enabled:
             self.drive.enable(bool(on))
-        if on and self._enabled_first_s is None:
-            self._enabled_first_s = self.now
+        if on and self._first_s is None:
+            self._first_s = self.now
 
     def _set_wheels(self, word: int) -> None:
         left, right = (units * VEL2_M_S for units in pair(word))

@@ -11,12 +11,11 @@ import time
 from collections.abc import Callable
 from io import FileIO
 from pathlib import Path
-from typing import Protocol
 
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import create
-from sim.pioneer.drive_train import DriveTrain
-from sim.pioneer.faults import Fault, parse_fault
+from sim.pioneer.faults import parse_fault
+from sim.pioneer.simulated_base import SimulatedBase
 from sim.world.rover import SUBSTEP_S
 
 _LOGGER = logging.getLogger("rover_ncp")
@@ -33,28 +32,6 @@ simulation clock in ns: the end of the step on the machine's monotonic clock, wh
 def clock_ns(now: float) -> int:
     """Return a moment of the simulation clock in ns."""
     return round(now * 1e9)
-
-
-class SimulatedBase(Protocol):
-    """A base on a simulated rover, as `sim.pioneer.firmware.Firmware`."""
-
-    drive: DriveTrain
-    observe: Callable[[float], None] | None
-    """Called after each substep with its time in s."""
-
-    @property
-    def now(self) -> float:
-        """The time up to which the rover has moved, s."""
-
-    @property
-    def due_s(self) -> float:
-        """When the base sends its next message."""
-
-    def advance(self, now: float) -> None:
-        """Let time pass until ``now``."""
-
-    def inject(self, fault: Fault) -> None:
-        """Add a fault from now on."""
 
 
 class TruthFile:

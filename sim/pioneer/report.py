@@ -9,7 +9,7 @@ import struct
 from dataclasses import dataclass, replace
 
 from bridge.pioneer.arcos import Packet
-from bridge.pioneer.odometry import COUNTER_BITS, HEADING_BITS, WHEEL_SPEED_M_S
+from bridge.pioneer.odometry import COUNTER_BITS, HEADING_BITS, WHEEL_SPEED_M_S, counter_difference
 from bridge.pioneer.packets import ConfigPac, Flag, Sip
 from rover_ncp.robot.description import RobotDescription
 from sim.pioneer.drive_train import DriveTrain
@@ -88,7 +88,7 @@ class Reporter:
             right=right,
             control=_heading(drive.heading_setpoint),
             rotvel=round(math.degrees(drive.measured.omega) * 10),
-            moving=drive.moving,
+            moving=drive.rover.moving,
         )
 
     def sip(self) -> Packet:
@@ -145,8 +145,8 @@ class Reporter:
 
     def encoders(self) -> Packet:
         """Return the ENCODERpac: ticks since power-up, which wrap at 32 bits."""
-        left, right = (round(way * 1000 * TICKS_PER_MM) for way in self._wheels_m)
-        return Packet(ENCODER, struct.pack("<2i", _signed(left, 32), _signed(right, 32)))
+        ticks = (round(way * 1000 * TICKS_PER_MM) for way in self._wheels_m)
+        return Packet(ENCODER, struct.pack("<2i", *(counter_difference(count, 0, 32) for count in ticks)))
 
     def io(self) -> Packet:
         """Return the IOpac; its last analog value is the battery, 0 to 1023 for 0 to 25.5 V (chosen)."""
@@ -159,7 +159,7 @@ class Reporter:
     def simstat(self) -> Packet:
         """Return the SIMSTAT: the true pose."""
         x, y, theta = self._drive.rover.pose
-        x_mm, y_mm = (_signed(round(place * 1000), 32) for place in (x, y))
+        x_mm, y_mm = (counter_difference(round(place * 1000), 0, 32) for place in (x, y))
         # Flags, three intervals; x, y, z in mm, heading in deg; GPS position and errors of odometry.
         return Packet(
             SIMSTAT,
@@ -178,9 +178,4 @@ def _counter(units: float) -> int:
 
 def _heading(theta: float) -> int:
     """Return a heading in units of 4096 a turn, −2048 to 2047."""
-    return _signed(round(theta / math.tau * (1 << HEADING_BITS)), HEADING_BITS)
-
-
-def _signed(value: int, bits: int) -> int:
-    half = 1 << (bits - 1)
-    return (value + half) % (2 * half) - half
+    return counter_difference(round(theta / math.tau * (1 << HEADING_BITS)), 0, HEADING_BITS)

@@ -8,7 +8,6 @@ that is ignored, as ros2_control's diff_drive_controller does.
 import math
 import random
 from collections import deque
-from collections.abc import Callable
 
 import numpy as np
 
@@ -19,10 +18,10 @@ from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire import messages
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import TWIST_BYTES
-from sim.pioneer.drive_train import DriveTrain
-from sim.pioneer.faults import Fault, Faults
+from sim.pioneer.faults import Faults
+from sim.pioneer.sensors import TurnMeter
+from sim.pioneer.simulated_base import SimulatedBase
 from sim.pioneer.trial import BaseTrial
-from sim.world.randomization import nominal_trials
 from sim.world.rover import SUBSTEP_S, Rover
 
 RESTART_S = 1.5
@@ -35,8 +34,11 @@ BEAMS = 120
 """Beams of the mock's laser, 3 degrees apart."""
 
 
-class Ros2Robot:
-    """One robot, which has topics; ``epoch_s`` is its wall clock minus the clock of ``start_s``."""
+class Ros2Robot(SimulatedBase):
+    """One robot, which has topics; ``epoch_s`` is its wall clock minus the clock of ``start_s``.
+
+    Faults and the trial count from the first command that moves it.
+    """
 
     def __init__(
         self,
@@ -49,20 +51,14 @@ class Ros2Robot:
         trial: BaseTrial | None = None,
         seed: int = 0,
     ) -> None:
+        super().__init__(description, rover, faults, start_s, trial)
         assert description.topics is not None
-        self.description, self.topics = description, description.topics
-        self._trial = trial or BaseTrial(nominal_trials(rover.model, ticks=1))
-        self.drive = DriveTrain(description, rover, self._trial)
+        self.topics = description.topics
         self.drive.enable(True)
-        self.observe: Callable[[float], None] | None = None
         self.ignored = 0
         """Commands that could not be read, or were too old."""
-        self._faults, self._random = faults or Faults(), random.Random(seed)
-        self._start_s, self._substeps, self._epoch_s = start_s, 0, epoch_s
-        self._first_s: float | None = None
-        """When the first command that moves it came."""
+        self._random, self._epoch_s = random.Random(seed), epoch_s
         self._fed_s = self._silent_until_s = -math.inf
-        self._was_reset = False
         rates = {
             self.topics.odom: description.odometry.rate_hz,
             self.topics.imu: description.gyro.rate_hz if description.gyro else 0.0,
@@ -76,14 +72,9 @@ class Ros2Robot:
         self._due = dict.fromkeys(self._rates, start_s)
         self._held: deque[tuple[float, bytes]] = deque()
         """Odometry that is sent late, and when."""
-        self._turned, self._turned_s = rover.turned, start_s
+        self._turns = TurnMeter(rover, start_s)
         self._out: list[tuple[str, bytes]] = []
         self._frozen: Pose | None = None
-
-    @property
-    def now(self) -> float:
-        """The time up to which the rover has moved, s."""
-        return self._start_s + self._substeps * SUBSTEP_S
 
     @property
     def due_s(self) -> float:
@@ -92,11 +83,6 @@ class Ros2Robot:
         substeps = math.ceil((next_s - self._start_s) / SUBSTEP_S - 1e-6)
         return self._start_s + max(substeps, self._substeps + 1) * SUBSTEP_S
 
-    def advance(self, now: float) -> None:
-        """Let time pass until ``now``."""
-        while self.now + SUBSTEP_S <= now + 1e-9:
-            self._substep()
-
     def command(self, payload: bytes, now: float) -> None:
         """Take a message of its ``cmd_vel``."""
         self.advance(now)
@@ -104,7 +90,7 @@ class Ros2Robot:
             return
         stamped = self.topics.cmd_vel_type == "TwistStamped"
         try:
-            velocity, stamp_ns = messages.read_twist(self._faults.damage(payload, self._moved_s))
+            velocity, stamp_ns = messages.read_twist(self._faults.damage(payload, self._driven_s))
         except FormatError:
             self.ignored += 1
             return
@@ -127,33 +113,18 @@ class Ros2Robot:
         sent, self._out = self._out, []
         return sent
 
-    def inject(self, fault: Fault) -> None:
-        """Add a fault from now on; its times count from now, if the robot ever moved."""
-        self._faults.add(fault, self._moved_s)
-
-    @property
-    def _moved_s(self) -> float | None:
-        return None if self._first_s is None else self.now - self._first_s
-
-    def _fault(self, name: str) -> float | None:
-        return self._faults.value(name, self._moved_s)
-
     def _stamp_ns(self) -> int:
         return round((self.now + self._epoch_s + (self._fault("clock") or 0.0)) * 1e9)
 
     def _substep(self) -> None:
-        reset = self._fault("reset") is not None
-        if reset and not self._was_reset:
+        if self._reset_begins():
             self.drive.stop()
             self.drive.zero_odometry()
             self._silent_until_s = self.now + RESTART_S
-        self._was_reset = reset
-        if self._moved_s is not None:
-            tick = int(self._moved_s / TICK_S + 1e-9)
+        if self._driven_s is not None:
+            tick = int(self._driven_s / TICK_S + 1e-9)
             if tick > self._trial.tick:
-                self._trial.tick = tick
-                if push := self._trial.push:
-                    self.drive.rover.push(push)
+                self._begin_tick(tick)
         timeout_s = self.topics.cmd_vel_timeout_s
         if timeout_s is not None and self.now - self._fed_s > timeout_s:
             self.drive.stop()
@@ -176,7 +147,7 @@ class Ros2Robot:
         if topics.imu in due:
             self._emit(topics.imu, self._gyro())
         if topics.battery_state in due:
-            volts = self._fault("low-battery") or self.description.battery.nominal_v
+            volts = self._fault("low-battery") or self.robot.battery.nominal_v
             self._emit(topics.battery_state, messages.battery_state(volts, self._stamp_ns()))
         if topics.stop in due:
             self._emit(topics.stop, encode(messages.BOOL, data=self._fault("stop-button") is not None))
@@ -200,11 +171,13 @@ class Ros2Robot:
             self._emit(self.topics.odom, data)
 
     def _gyro(self) -> bytes:
-        assert self.description.gyro is not None
-        return messages.imu(self._turn_rate(), self.description.gyro.noise_rad_s**2, self._stamp_ns())
+        assert self.robot.gyro is not None
+        noise_rad_s = self.robot.gyro.noise_rad_s
+        rate = self._turns.rate(self.now) + (self._fault("gyro") or 0.0)
+        return messages.imu(rate + self._random.gauss(0.0, noise_rad_s), noise_rad_s**2, self._stamp_ns())
 
     def _scan(self) -> bytes:
-        laser = self.description.scan
+        laser = self.robot.scan
         assert laser is not None
         rover = self.drive.rover
         mount = compose(rover.pose, Pose(laser.x_m, laser.y_m, math.radians(laser.yaw_deg)))
@@ -213,14 +186,6 @@ class Ros2Robot:
         ranges = np.array([math.inf if range_m is None else range_m for range_m in found])
         return messages.laser_scan(ranges, laser.range_m, self._stamp_ns())
 
-    def _turn_rate(self) -> float:
-        assert self.description.gyro is not None
-        turned, seconds = self.drive.rover.turned, self.now - self._turned_s
-        rate = (turned - self._turned) / seconds if seconds > 0 else 0.0
-        self._turned, self._turned_s = turned, self.now
-        error = self._fault("gyro") or 0.0
-        return rate + error + self._random.gauss(0.0, self.description.gyro.noise_rad_s)
-
     def _pose(self) -> Pose:
         """Return the pose that it reports: the encoders', with the errors of trial and faults."""
         if self._fault("freeze-odometry") is None:
@@ -228,7 +193,7 @@ class Ros2Robot:
         elif self._frozen is not None:
             return self._frozen
         (x, y, theta), noise, gauss = self.drive.odometry, self._trial.noise, self._random.gauss
-        own = self.description.odometry if self.drive.moving else None
+        own = self.robot.odometry if self.drive.rover.moving else None
         spread_m, spread_rad = (own.noise_m, own.noise_rad) if own else (0.0, 0.0)
         pose = Pose(
             x + noise.x + gauss(0.0, spread_m) + (self._fault("jump-odometry") or 0.0),
@@ -240,4 +205,4 @@ class Ros2Robot:
         return pose
 
     def _emit(self, topic: str, payload: bytes) -> None:
-        self._out.append((topic, self._faults.damage(payload, self._moved_s)))
+        self._out.append((topic, self._faults.damage(payload, self._driven_s)))

@@ -6,7 +6,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 from bridge.pioneer.odometry import ROBOTS
 from bridge.ros2.discovery import Convention
@@ -17,7 +16,7 @@ from rover_ncp.core.files import require_creatable
 from rover_ncp.core.process import Interrupts
 from rover_ncp.core.streams import Domain, integer_seed
 from rover_ncp.course.course import load_course
-from rover_ncp.robot.description import load_description
+from rover_ncp.robot.description import RobotDescription
 from sim.pioneer.faults import Faults, parse_fault
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import config_of
@@ -32,18 +31,13 @@ FROM_STDIN = "-"
 """In place of a fault: read more faults from standard input."""
 
 
-class Ros2Options(NamedTuple):
-    """Form and namespace of a ROS 2 robot's topics."""
-
-    convention: Convention
-    namespace: str
-
-
 def run_mock(
     *,
     listen: str,
     model: str,
-    ros2: Ros2Options | None,
+    robot: RobotDescription,
+    ros2: Convention | None,
+    namespace: str,
     course: str | None,
     truth: Path | None,
     overwrite: bool,
@@ -54,13 +48,15 @@ def run_mock(
     gyro: bool,
     as_json: bool,
 ) -> None:
-    """See ``commands.mock``. Raises RoverNcpError before anything listens."""
+    """See ``commands.mock``; ``ros2`` is the form of a ROS 2 robot's topics.
+
+    Raises RoverNcpError before anything listens.
+    """
     output = Output(as_json, controls=True)
     host, port = parse_listen(listen)
-    description = load_description(model)
-    if ros2 is None and description.arcos is None:
+    if ros2 is None and robot.arcos is None:
         raise UsageError(f"--model {model}: expected one of {', '.join(ROBOTS)}, or --ros2")
-    if ros2 is not None and description.topics is None:
+    if ros2 is not None and robot.topics is None:
         raise UsageError(f"--model {model}: the description has no topics, which a ROS 2 robot needs")
     fault_seed = integer_seed(seed, Domain.MOCK_FAULTS, trial)
     base_seed = integer_seed(seed, Domain.BASE_SENSORS, trial)
@@ -68,30 +64,19 @@ def run_mock(
     # Unbuffered, so that the server's selector sees every line that is left to read.
     fault_lines = io.FileIO(0, closefd=False) if FROM_STDIN in faults else None
     known = load_course(course) if course else None
-    rover, trials = draw_rover(ranges, description, known, seed=seed, number=trial)
+    rover, trials = draw_rover(ranges, robot, known, seed=seed, number=trial)
     base_trial, now = BaseTrial(trials), time.monotonic()
     if truth is not None:
         require_creatable(truth, overwrite=overwrite)
     server: Server | Ros2Server
     if ros2 is None:
-        flash = replace(config_of(description), has_gyro=int(gyro))
-        firmware = Firmware(
-            description, rover, injected, now, config=flash, trial=base_trial, gyro_seed=base_seed
-        )
+        flash = replace(config_of(robot), has_gyro=int(gyro))
+        firmware = Firmware(robot, rover, injected, now, config=flash, trial=base_trial, gyro_seed=base_seed)
         server = Server(host, port, firmware)
     else:
-        epoch_s = time.time() - now
-        robot = Ros2Robot(
-            description, rover, injected, now, epoch_s=epoch_s, trial=base_trial, seed=base_seed
-        )
-        server = Ros2Server(
-            host,
-            port,
-            robot,
-            convention=ros2.convention,
-            domain=domain_id(os.environ),
-            namespace=ros2.namespace,
-        )
+        epoch_s, domain = time.time() - now, domain_id(os.environ)
+        ros2_robot = Ros2Robot(robot, rover, injected, now, epoch_s=epoch_s, trial=base_trial, seed=base_seed)
+        server = Ros2Server(host, port, ros2_robot, convention=ros2, domain=domain, namespace=namespace)
     try:
         server.truth = TruthFile(truth, overwrite=overwrite) if truth else None
         with Interrupts() as interrupts:

@@ -82,24 +82,35 @@ READINGS = 4
 OFFSET, NOISE = 7.3, 0.7
 """In units, of 0.954 deg/s each: what it reads beside 512 at rest, and the noise of a reading (chosen)."""
 ROOM_C = 25
-_MOST = 1023
+_MAX_READING = 1023
+
+
+class TurnMeter:
+    """A rover's true mean turn rate between two readings."""
+
+    def __init__(self, rover: Rover, now: float) -> None:
+        self._rover, self._angle, self._at = rover, rover.turned, now
+
+    def rate(self, now: float) -> float:
+        """Return the mean rate since the last reading, rad/s."""
+        angle, seconds = self._rover.turned, now - self._at
+        rate = (angle - self._angle) / seconds if seconds > 0 else 0.0
+        self._angle, self._at = angle, now
+        return rate
 
 
 class Gyro:
     """Turns with the rover's true motion; ``seed`` is that of its noise."""
 
-    def __init__(self, rover: Rover, seed: int = 0) -> None:
-        self._rover, self._random = rover, random.Random(seed)
-        self._angle, self._at = rover.turned, 0.0
+    def __init__(self, rover: Rover, now: float, seed: int = 0) -> None:
+        self._turns, self._random = TurnMeter(rover, now), random.Random(seed)
         self.on = False
         self.error_rad_s = 0.0
         """How much more it reads, by a fault."""
 
     def packet(self, now: float) -> Packet:
         """Return the readings since the last packet."""
-        angle, seconds = self._rover.turned, now - self._at
-        rate = (angle - self._angle) / seconds if seconds > 0 else 0.0
-        self._angle, self._at = angle, now
+        rate = self._turns.rate(now)
         mean = GYRO_REST + OFFSET - (rate + self.error_rad_s) / GYRO_RAD_S
         readings = (round(mean + self._random.gauss(0.0, NOISE)) for _ in range(READINGS))
-        return GyroPac(tuple((min(max(reading, 0), _MOST), ROOM_C) for reading in readings)).encode()
+        return GyroPac(tuple((min(max(reading, 0), _MAX_READING), ROOM_C) for reading in readings)).encode()

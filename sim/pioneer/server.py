@@ -31,12 +31,7 @@ class Server(RealTimeLoop):
     Raises PortInUse, or UsageError for an address that cannot be listened on.
     """
 
-    def __init__(
-        self,
-        host: str,
-        port: int,
-        firmware: Firmware,
-    ) -> None:
+    def __init__(self, host: str, port: int, firmware: Firmware) -> None:
         super().__init__(firmware)
         self._listener = _listen(host, port)
         name = self._listener.getsockname()

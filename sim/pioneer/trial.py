@@ -31,14 +31,14 @@ TRIAL_TICKS = 600
 
 
 class BaseTrial:
-    """Row ``row`` of ``trials``; what may change with the tick is that of tick ``tick``."""
+    """The first of ``trials``; what may change with the tick is that of tick ``tick``."""
 
-    def __init__(self, trials: Trials, row: int = 0) -> None:
-        self._trials, self._row = trials, row
-        self._base = base_errors(trials, row)
-        self._odometry = odometry_errors(trials._replace(sensors=(False, False)), row)
+    def __init__(self, trials: Trials) -> None:
+        self._trials = trials
+        self._base = base_errors(trials, 0)
+        self._odometry = odometry_errors(trials._replace(sensors=(False, False)), 0)
         self.efforts = dict(
-            zip(("accel", "alpha", "decel", "alpha_decel"), trials.acceleration[row].tolist(), strict=True)
+            zip(("accel", "alpha", "decel", "alpha_decel"), trials.acceleration[0].tolist(), strict=True)
         )
         """Factors on the acceleration limits that are set in the base."""
         self.tick = -1
@@ -60,31 +60,31 @@ class BaseTrial:
         """Offset of the pose in the SIP that begins this tick."""
         if self.tick < 0 or self._trials.exact:
             return ORIGIN
-        rows = self._trials.noise[self._row]
+        rows = self._trials.noise[0]
         return Pose(*rows[self.tick % len(rows)].tolist())
 
     @property
     def next_age_s(self) -> float:
         """How late the SIP is that begins the next tick, in whole substeps."""
-        ages = self._trials.age[self._row]
+        ages = self._trials.age[0]
         return SUBSTEP_S * round(float(ages[(self.tick + 1) % len(ages)]) * TICK_S / SUBSTEP_S)
 
     @property
     def lost(self) -> bool:
         """Whether setpoints get lost."""
-        lost = self._trials.lost[self._row]
+        lost = self._trials.lost[0]
         return 0 <= self.tick < len(lost) and bool(lost[self.tick])
 
     @property
     def push(self) -> Pose | None:
         """Displacement of the rover by a push at the start of this tick."""
-        when, *push = self._trials.bump[self._row].tolist()
+        when, *push = self._trials.bump[0].tolist()
         return Pose(*push) if self.tick == when and any(push) else None
 
 
-def rover_of(trials: Trials, model: RoverModel, ground: Ground, row: int = 0) -> PymunkRover:
-    """Return the rover of a trial at its start; its accelerations and other errors are a `BaseTrial`'s."""
-    return PymunkRover(trial_body(model, trials, row), ground, Pose(*trials.start[row].tolist()))
+def rover_of(trials: Trials, model: RoverModel, ground: Ground) -> PymunkRover:
+    """Return the rover of the first trial at its start; other errors are a `BaseTrial`'s."""
+    return PymunkRover(trial_body(model, trials, 0), ground, Pose(*trials.start[0].tolist()))
 
 
 class Drawn(NamedTuple):
@@ -93,7 +93,7 @@ class Drawn(NamedTuple):
     rover: Rover
     """At its start, with its delays."""
     trials: Trials
-    """Its trial, as row 0."""
+    """Its trial, the only one."""
 
 
 def draw_rover(

@@ -3,8 +3,8 @@
 A line carries the bytes or messages of the real one. Time is that of the last ``advance``.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import Protocol
 
 from bridge.base import Base
 from bridge.bases import gate_limits
@@ -19,6 +19,7 @@ from rover_ncp.robot.description import RobotDescription
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import config_of
 from sim.pioneer.ros2_robot import Ros2Robot
+from sim.pioneer.simulated_base import SimulatedBase
 from sim.pioneer.trial import BaseTrial
 from sim.world.rover import Rover
 
@@ -41,21 +42,35 @@ def simulated_base(
     return Ros2Robot(known, rover, trial=trial, seed=seed)
 
 
-class VirtualLine(Protocol):
-    """A robot's line; ``arrivals`` is what its base has not taken yet."""
+class VirtualLine(ABC):
+    """A robot's line."""
 
+    endpoint = "virtual"
     base: Base
-    limits: Limits
-    arrivals: list[object]
-    bytes_to_base: int
-    bytes_from_base: int
+
+    def __init__(self, robot: SimulatedBase, limits: Limits) -> None:
+        self._robot, self.limits, self._now = robot, limits, 0.0
+        self.bytes_to_base = self.bytes_from_base = 0
+        self.arrivals: list[object] = []
+        """What the base has not taken yet."""
 
     @property
     def due_s(self) -> float:
         """When the robot next sends something by itself."""
+        return self._robot.due_s
 
     def advance(self, now: float) -> None:
         """Let time pass until ``now`` s."""
+        self._now = now
+        self._robot.advance(now)
+        self._collect()
+
+    def close(self) -> None:  # noqa: B027
+        """Do nothing: the line stays open."""
+
+    @abstractmethod
+    def _collect(self) -> None:
+        """Bring what the robot has sent to the base."""
 
 
 def virtual_line(robot: Firmware | Ros2Robot, limits: Limits | None = None) -> VirtualLine:
@@ -63,29 +78,15 @@ def virtual_line(robot: Firmware | Ros2Robot, limits: Limits | None = None) -> V
     return ArcosLine(robot, limits) if isinstance(robot, Firmware) else Ros2Line(robot, limits)
 
 
-class ArcosLine:
+class ArcosLine(VirtualLine):
     """The bytes between a Pioneer's firmware and its session, as a `bridge.pioneer.base.Connection`."""
 
-    endpoint = "virtual"
-
     def __init__(self, firmware: Firmware, limits: Limits | None) -> None:
-        self._firmware, self._now = firmware, 0.0
-        self.limits = limits or Limits()
-        self.bytes_to_base = self.bytes_from_base = 0
-        self.arrivals: list[object] = [Opened()]
+        super().__init__(firmware, limits or Limits())
+        self._firmware = firmware
+        self.reopen("")
         most = MotionLimits(v=self.limits.v_max, omega=self.limits.omega_max)
         self.base: Base = ArcosBase(self, Session(firmware.robot, most))
-
-    @property
-    def due_s(self) -> float:
-        """See VirtualLine."""
-        return self._firmware.due_s
-
-    def advance(self, now: float) -> None:
-        """See VirtualLine."""
-        self._now = now
-        self._firmware.advance(now)
-        self._collect()
 
     def _collect(self) -> None:
         if data := self._firmware.data_to_send():
@@ -104,9 +105,6 @@ class ArcosLine:
     def drop(self) -> None:
         """Do nothing: the connection never breaks."""
 
-    def close(self) -> None:
-        """Do nothing: the connection stays open."""
-
     def set_baudrate(self, baudrate: int) -> None:
         """Do nothing: the connection has no rate."""
 
@@ -115,37 +113,27 @@ class ArcosLine:
         self.arrivals.append(Opened())
 
 
-class Ros2Line:
+class Ros2Line(VirtualLine):
     """The messages between a ROS 2 robot and its base, as a `bridge.ros2.base.Connection`."""
 
-    endpoint, zid = "virtual", "bridge"
+    zid = "bridge"
     source: bytes | None = None
 
     def __init__(self, robot: Ros2Robot, limits: Limits | None) -> None:
-        self._robot, self._now = robot, 0.0
-        self.limits = limits or gate_limits(None, robot.description)
-        self.bytes_to_base = self.bytes_from_base = 0
-        self.arrivals: list[object] = []
+        super().__init__(robot, limits or gate_limits(None, robot.robot))
+        self._ros2_robot = robot
         # Every driver may drive: a bridge on a virtual clock does not die.
-        self.base: Base = Ros2Base(self, robot.description, unsafe=True)
+        self.base: Base = Ros2Base(self, robot.robot, unsafe=True)
 
-    @property
-    def due_s(self) -> float:
-        """See VirtualLine."""
-        return self._robot.due_s
-
-    def advance(self, now: float) -> None:
-        """See VirtualLine."""
-        self._now = now
-        self._robot.advance(now)
-        for topic, payload in self._robot.messages():
+    def _collect(self) -> None:
+        for topic, payload in self._ros2_robot.messages():
             self.bytes_from_base += len(payload)
-            self.arrivals.append(RobotMessage(topic, payload, now))
+            self.arrivals.append(RobotMessage(topic, payload, self._now))
 
     def publish(self, payload: bytes) -> None:
         """Bring a command to the robot."""
         self.bytes_to_base += len(payload)
-        self._robot.command(payload, self._now)
+        self._ros2_robot.command(payload, self._now)
 
     def wait(self, seconds: float) -> None:
         """Do nothing: the owner of the virtual clock lets time pass."""
@@ -153,6 +141,3 @@ class Ros2Line:
     def topic(self, name: str) -> str:
         """Return a topic; there is no namespace."""
         return name
-
-    def close(self) -> None:
-        """Do nothing: the session stays open."""

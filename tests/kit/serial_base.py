@@ -8,47 +8,30 @@ import termios
 import threading
 import time
 import tty
-from dataclasses import replace
 
-from bridge.pioneer.arcos import HOSTBAUD_RATES, Command, Packet
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.robot.description import load_description
 from sim.pioneer.firmware import Firmware
-from sim.pioneer.models import config_of
 from sim.world.described import described_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 
 SPEEDS = {getattr(termios, f"B{rate}"): rate for rate in (9600, 19200, 38400, 57600, 115200)}
 
 
-class Listening(Firmware):
-    """Notes the packets it gets."""
-
-    def __init__(self, *args, **kwargs):
-        self.heard: list[Packet] = []
-        super().__init__(*args, **kwargs)
-
-    def _take(self, packet):
-        self.heard.append(packet)
-        super()._take(packet)
-
-
 class SerialBase(ClosedAtExit):
-    """``port`` is what a client opens; ``rate`` is the base's in FLASH. A thread turns it until ``close``.
+    """``port`` is what a client opens. A thread turns the base until ``close``.
 
     With ``strict``, what goes through at another rate than the base's arrives as garbage.
     """
 
-    def __init__(self, model="p3at-sh", strict=False, rate=9600):
-        self._far, self._near = (
-            pty.openpty()
-        )  # ours stays open: without it, reading ends when a client leaves
+    def __init__(self, strict=False):
+        # Ours stays open: without it, reading ends when a client leaves.
+        self._far, self._near = pty.openpty()
         tty.setraw(self._near)
         self.port = os.ttyname(self._near)
-        self.rover = PymunkRover(described_rover(load_description(model)), Ground())
-        self._start_s = time.monotonic()
-        flash = replace(config_of(load_description(model)), host_baud=HOSTBAUD_RATES.index(rate))
-        self.firmware = Listening(model, self.rover, start_s=self._start_s, config=flash)
+        model = load_description("p3at-sh")
+        self.rover = PymunkRover(described_rover(model), Ground())
+        self.firmware = Firmware(model, self.rover, start_s=time.monotonic())
         self.rates = []
         """Every rate the base had while bytes went through."""
         self._strict, self._garbler = strict, random.Random(0)
@@ -60,9 +43,6 @@ class SerialBase(ClosedAtExit):
     def client_rate(self):
         """The rate that the client set its port to."""
         return SPEEDS[termios.tcgetattr(self._near)[5]]
-
-    def heard(self, command: Command):
-        return [packet for packet in self.firmware.heard if packet.kind == command]
 
     def close(self):
         self._stop.set()

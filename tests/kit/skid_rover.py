@@ -11,6 +11,7 @@ from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from sim.world.random_course import random_course
 
 TICK_S, PARTS = 0.1, 10
+BEFORE_S, AFTER_S = 1.0, 2.0
 ACCEL = np.array([0.31, 1.25])
 
 
@@ -31,7 +32,7 @@ class Camera:
 class SkidDrive:
     """One drive over a random course, with errors drawn from the priors of ``settings``."""
 
-    def __init__(self, settings, seed, number, *, before_s=1.0, after_s=2.0, gyro_bias=0.1):
+    def __init__(self, settings, seed, number):
         rng = np.random.default_rng([seed, number])
         s = settings
         draw = lambda mean, std: mean + std * rng.normal()  # noqa: E731
@@ -40,11 +41,11 @@ class SkidDrive:
         self.pull = draw(s.wheel_mismatch_rad_m, s.wheel_mismatch_std_rad_m)
         self.center = draw(s.rotation_center_m, s.rotation_center_std_m)
         self.drift = draw(0.0, s.drift_std_rad_s)
-        self.bias = gyro_bias * rng.normal()
+        self.bias = 0.1 * rng.normal()
         self.downhill = s.downhill_std_m * rng.normal(size=2)
         motion = np.array(random_course(seed, number)[1].motion)
         motion = motion[: np.flatnonzero(motion.any(axis=1))[-1] + 1]
-        rest = [np.zeros((round(t / TICK_S), 2)) for t in (before_s, after_s)]
+        rest = [np.zeros((round(t / TICK_S), 2)) for t in (BEFORE_S, AFTER_S)]
         commands = np.vstack([rest[0], motion, rest[1]])
         self.ticks = len(commands)
         start = Pose(*(rng.normal(size=3) * [0.05, 0.05, 0.05]))

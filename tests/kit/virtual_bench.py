@@ -26,14 +26,12 @@ STEP_S = 0.01
 
 
 class VirtualRig(VirtualBridge):
-    """The bridge of one robot; each driver receives all that it publishes."""
+    """The bridge of one robot among ``walls``; each driver receives all that it publishes."""
 
-    def __init__(self, robot, *, accept_ros=False):
-        self.rover = PymunkRover(described_rover(robot), Ground(()))
-        super().__init__(
-            Firmware(robot, self.rover) if robot.arcos else Ros2Robot(robot, self.rover),
-            accept_ros=accept_ros,
-        )
+    def __init__(self, robot, *, accept_ros=False, limits=None, walls=(), firmware=Firmware):
+        self.rover = PymunkRover(described_rover(robot), Ground(walls))
+        self.base = firmware(robot, self.rover) if robot.arcos else Ros2Robot(robot, self.rover)
+        super().__init__(self.base, limits, accept_ros=accept_ros)
         self.drivers = []
         self.deliver = self._deliver
 

@@ -41,9 +41,8 @@ def test_a_connection_that_falls_silent_is_replaced_and_the_log_says_so_once(tmp
     assert (done.code, done.result["reconnects"]) == (0, 1)
 
 
-@pytest.mark.parametrize(
-    "stopped_s", [2.0, *(pytest.param(stopped_s, marks=pytest.mark.long) for stopped_s in (4.0, 10.0))]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("stopped_s", [2.0, 10.0])
 def test_a_base_that_stops_for_a_while_is_there_again_soon_after(tmp_path, stopped_s):
     with Rig(tmp_path) as rig, Driver(rig.locator) as driver:
         driver.start()

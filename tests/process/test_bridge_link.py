@@ -7,7 +7,7 @@ from kit.bridge_bench import client, wait_for
 
 from bridge.inbox import Inbox
 from bridge.ros2.rmw import Attachment
-from bridge.ros2.rmw_node import read_command
+from bridge.ros2.ros_node import read_command
 from bridge.zenoh.link import ZenohLink
 
 

@@ -4,6 +4,7 @@ import pytest
 from kit.lease_client import LeaseClient
 from kit.ros2_world import BURGER, World
 from kit.ros_cdr import TwistStamped, twist
+from kit.virtual_bench import VirtualRig
 
 from bridge.base import Lost
 from bridge.ros2.base_timeout import TimeoutRecord
@@ -19,12 +20,7 @@ from rover_ncp.wire.protocol import (
     dump_json,
     parse_json,
 )
-from sim.pioneer.ros2_robot import Ros2Robot
-from sim.stack.virtual import VirtualBridge
-from sim.world.described import described_rover
-from sim.world.pymunk_rover import Ground, PymunkRover
 
-UNSCANNED = BURGER.model_copy(update={"topics": BURGER.topics.model_copy(update={"scan": None})})
 CHECKED = BURGER.model_copy(update={"measured_base_timeout_s": 0.6})
 
 
@@ -188,8 +184,7 @@ class Checked:
     """A robot without a timeout behind a bridge on a virtual clock; the check has begun to measure it."""
 
     def __init__(self):
-        self.robot = Ros2Robot(UNSCANNED, PymunkRover(described_rover(UNSCANNED), Ground(())))
-        self.bridge = VirtualBridge(self.robot)
+        self.bridge = VirtualRig(BURGER)
         self.driver = LeaseClient(self.bridge)
         self.bridge.sleep(3.0)
         assert self.motors().granted
@@ -210,7 +205,7 @@ class Checked:
 
     @property
     def speed(self):
-        return self.robot.drive.measured.v
+        return self.bridge.base.drive.measured.v
 
 
 @pytest.mark.parametrize("end", [lambda checked: checked.motors(enable=False), Checked.stop])

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from kit.pioneer_bench import Pioneer
 
 from bridge.base import BaseReport, Failed, Lost, Ready, Recovered, TurnRate
-from bridge.pioneer.arcos import Command, encode_command
+from bridge.pioneer.arcos import HOSTBAUD_RATES, Command, encode_command
 from bridge.pioneer.odometry import ROBOTS
-from bridge.pioneer.session import Session, SessionEvent
+from bridge.pioneer.session import FAST_RATE, BaudChanged, Session, SessionEvent
 from bridge.pioneer.states import SessionState
 from rover_ncp.core.geometry import Velocity
 from sim.pioneer.client_commands import MockCommand
@@ -25,16 +25,21 @@ STEP_S = 0.02
 class Pair:
     """A session and a base, 50 turns a second; ``driver`` is what a gate would do each turn.
 
-    A line that the session gives up is replaced at once, as the bridge does.
+    A line that the session gives up is replaced at once, as the bridge does. One with a ``rate`` is serial.
     """
 
-    def __init__(self, pioneer: Pioneer | None = None, model: str = "auto") -> None:
+    def __init__(self, pioneer: Pioneer | None = None, rate: int | None = None) -> None:
         self.pioneer = pioneer or Pioneer()
-        self.session = Session(ROBOTS.get(model))
+        self.opened_rate = rate
+        self.session = Session()
         self.events: list[SessionEvent] = []
         self.driver: Callable[[Session], None] = lambda session: None
         self.cut_up = self.cut_down = False
-        self.session.connect(self.now)
+        self.connect()
+
+    def connect(self) -> None:
+        self.rate = self.opened_rate
+        self.session.connect(self.now, self.rate)
 
     @property
     def now(self) -> float:
@@ -45,17 +50,23 @@ class Pair:
         for _ in range(round(seconds / STEP_S)):
             self.pioneer.now += STEP_S
             firmware.advance(self.now)
-            heard = firmware.data_to_send()
-            self.events += self.session.receive(b"" if self.cut_up else heard, self.now)
+            events = self.session.receive(self.arriving(firmware.data_to_send(), self.cut_up), self.now)
             self.driver(self.session)
-            events = self.session.tick(self.now)
-            if self.of(Ready) and any(isinstance(event, Failed) for event in events):
-                self.session.connect(self.now)
+            events += self.session.tick(self.now)
+            for event in events:
+                if isinstance(event, BaudChanged):
+                    self.rate = event.baudrate
+                elif isinstance(event, Failed) and self.of(Ready):
+                    self.connect()
             self.events += events
-            said = self.session.data_to_send()
-            firmware.receive(b"" if self.cut_down else said, self.now)
+            firmware.receive(self.arriving(self.session.data_to_send(), self.cut_down), self.now)
             if until():
                 return
+
+    def arriving(self, data: bytes, cut: bool) -> bytes:
+        """Return what arrives of bytes: others if the two ends have different rates."""
+        garbled = self.rate not in {None, self.pioneer.firmware.baudrate}
+        return b"" if cut else bytes(byte ^ 0x80 for byte in data) if garbled else data
 
     def ready(self) -> "Pair":
         self.run(20.0, until=lambda: self.session.state is SessionState.READY)
@@ -78,16 +89,15 @@ class Pair:
 
 
 @pytest.mark.parametrize("model", list(ROBOTS))
-def test_connecting_takes_less_than_a_second(model: str) -> None:
+def test_connecting_takes_less_than_a_second_and_leaves_the_motors_off(model: str) -> None:
     pair = Pair(Pioneer(model)).ready()
     assert pair.now < 1.0
     pair.run(0.3)
-    kinds = [type(event) for event in pair.events]
-    assert kinds[:2] == [Ready, BaseReport]
-    configured = pair.events[0]
+    configured, report = pair.events[:2]
     assert isinstance(configured, Ready)
     assert configured.robot.name == model
-    assert not pair.state.motors_on
+    assert isinstance(report, BaseReport)
+    assert not report.motors_on
 
 
 @pytest.mark.parametrize("model", list(ROBOTS))
@@ -157,24 +167,45 @@ def test_a_cut_line_leaves_the_rover_to_the_bases_watchdog_and_it_stays_put_afte
     assert not pair.state.motors_on
 
 
-def test_a_base_that_restarts_is_connected_to_again() -> None:
+@pytest.mark.parametrize("restart", [MockCommand.RESET, Command.CLOSE])  # with a notice, and without one
+def test_a_base_that_restarts_is_connected_to_again(restart: int) -> None:
     pair = Pair().driving(0.2, 0.0)
     pair.run(3.0)
-    pair.pioneer.firmware.receive(encode_command(MockCommand.RESET), pair.now)
-    pair.run(3.0)
+    pair.pioneer.firmware.receive(encode_command(restart), pair.now)
+    pair.run(6.0)
     assert pair.session.state is SessionState.READY
-    assert [type(e) for e in pair.events if not isinstance(e, BaseReport)] == [*(Ready, Lost, Ready)]
+    assert [type(e) for e in pair.events if isinstance(e, Ready | Lost)] == [Ready, Lost, Ready]
     assert pair.pioneer.rover.velocity.v == 0.0
 
 
-def test_restart_without_a_notice_is_detected() -> None:
-    pair = Pair().ready()
+@pytest.mark.parametrize("flash", [9600, FAST_RATE])
+def test_a_serial_line_runs_at_the_fast_rate_until_it_is_closed(flash: int) -> None:
+    config = replace(config_of(ROBOTS["p3at-sh"]), host_baud=HOSTBAUD_RATES.index(flash))
+    pair = Pair(Pioneer(config=config), rate=9600).ready()
     pair.run(1.0)
-    pair.pioneer.firmware.receive(encode_command(Command.CLOSE), pair.now)
-    pair.run(6.0)
+    assert pair.state.battery_v > 0
+    assert pair.rate == pair.pioneer.firmware.baudrate == FAST_RATE
+    pair.session.close(pair.now)
+    pair.run(0.1)
+    assert pair.pioneer.firmware.baudrate == flash
+
+
+def test_a_base_that_a_killed_bridge_left_at_the_fast_rate_is_found() -> None:
+    pioneer = Pair(rate=9600).ready().pioneer
+    again = Pair(pioneer, rate=9600).ready()
+    assert again.rate == pioneer.firmware.baudrate == FAST_RATE
+
+
+def test_a_silent_serial_line_is_opened_again_and_the_base_found_at_its_rate() -> None:
+    pair = Pair(rate=9600).driving(0.2, 0.0)
+    pair.run(1.0)
+    pair.cut_up = pair.cut_down = True
+    pair.run(5.0)
+    pair.cut_up = pair.cut_down = False
+    pair.events.clear()
+    pair.run(10.0, until=lambda: bool(pair.of(Ready)))
     assert pair.session.state is SessionState.READY
-    assert len(pair.of(Lost)) == 1
-    assert len(pair.of(Ready)) == 2
+    assert pair.rate == pair.pioneer.firmware.baudrate == FAST_RATE
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from deploy.drive.config import settings_for
 from deploy.estimator.estimator import Estimator
-from deploy.estimator.history import History
+from deploy.estimator.history import WAITING_MAX, History
 from deploy.estimator.motion import OMEGA, initial, true_motion, turned_without_gain
 from deploy.estimator.settings import EstimatorSettings, Outcome
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
@@ -257,6 +257,13 @@ def test_a_pose_counts_for_the_moment_at_which_it_was_measured():
     early.odometry(Pose(_way(3.1), 0.0, 0.0), Velocity(0.1, 0.0), 3.1)
     assert early.at(3.1).pose.y == pytest.approx(0.02, abs=0.001)
     assert early.poses[Outcome.ACCEPTED] == 1
+
+
+def test_poses_beyond_those_that_may_wait_for_odometry_are_dropped():
+    estimator = straight(1.0)
+    found = [estimator.external(Pose(0, 0, 0), COVARIANCE, 1.5) for _ in range(WAITING_MAX + 1)]
+    assert found == [*[Outcome.WAITING] * WAITING_MAX, Outcome.DROPPED]
+    assert not estimator.fault
 
 
 def test_many_late_poses_at_once_cost_hardly_more_than_one(monkeypatch):

@@ -7,8 +7,9 @@ fail for the same cause. The wheels move at walking pace for a few seconds.
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import date
+
+from pydantic import BaseModel, Field
 
 from deploy.drive.lease import ACCEPTED_S, NOT_ACCEPTED
 from deploy.drive.measurements import NS, Measurement, Measurements
@@ -47,26 +48,32 @@ SCALE = 0.15
 STANDING = 0.01
 
 
-@dataclass(frozen=True)
-class Finding:
+class Finding(BaseModel):
     """Result of one check."""
 
-    name: str
-    ok: bool
-    detail: str
+    name: str = Field(description="of the check")
+    ok: bool = Field(description="whether it passed")
+    detail: str = Field(description="in words")
 
 
-def run(address: BridgeAddress, robot: RobotDescription | None = None) -> tuple[list[Finding], str]:
-    """Check a robot against its description, if there is one.
+class CheckResult(BaseModel):
+    """Result of all checks."""
 
-    Returns the findings and the bridge's locator. Raises NoBridge, NotAuthorised.
-    """
+    ready: bool = Field(description="whether all checks passed")
+    findings: list[Finding] = Field(description="the result of each check")
+    robot: str = Field(description="the bridge's Zenoh address")
+
+
+def run(address: BridgeAddress, robot: RobotDescription | None = None) -> CheckResult:
+    """Check a robot, against its description if there is one. Raises NoBridge, NotAuthorised."""
     battery = Battery()
     with Interrupts() as interrupts, ZenohLink(address, battery.record) as link:
         measurements = Measurements(link)
         monitor = SafetyMonitor(link, measurements, lambda: interrupts.raised)
         monitor.wait_for_bridge()
-        return Preflight(link, measurements, monitor, battery, robot).run(), link.robot
+        findings = Preflight(link, measurements, monitor, battery, robot).run()
+        ready = all(finding.ok for finding in findings)
+        return CheckResult(ready=ready, findings=findings, robot=link.robot)
 
 
 class Battery:
@@ -118,7 +125,7 @@ class Preflight:
                     ok, detail = check()
                 except SafetyStop as stop:  # the gate accepts no more commands
                     ok, detail = False, f"{stop}: {self._gate_since(gate)}"
-                findings.append(Finding(name, ok, detail))
+                findings.append(Finding(name=name, ok=ok, detail=detail))
                 if not ok:
                     break
         finally:

@@ -16,7 +16,15 @@ from rover_ncp.course.course import Course
 from rover_ncp.recording.recording import Recorded, RecordingWriter
 from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import odometry, read_odometry, read_text, text, twist_stamped
-from rover_ncp.wire.protocol import DriverStatus, GateStatus, Signed, dump_json, parse_json
+from rover_ncp.wire.protocol import (
+    BaseReply,
+    BaseRequest,
+    DriverStatus,
+    GateStatus,
+    Signed,
+    dump_json,
+    parse_json,
+)
 from sim.pioneer.firmware import Firmware
 from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.described import default_rover
@@ -97,6 +105,11 @@ class ChangedLink(VirtualLink):
     def request_motors(self, name, unchecked=False):
         self.requests += 1
         return super().request_motors(name, unchecked)
+
+    def about_base(self, measure=False):
+        payload = dump_json(BaseRequest(measure=measure, sent_ns=self.bridge.now_ns))
+        tag = self.lease.sign(Signed.MOTORS, "rover/base", payload, self.bridge.now_ns)
+        return parse_json(BaseReply, self.bridge.query("rover/base", payload, tag.pack()))
 
     def release(self):
         self.released_ns = self.bridge.now_ns

@@ -35,7 +35,7 @@ from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.console import Output, printable
 from rover_ncp.core.errors import SafetyStop, UsageError
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
-from rover_ncp.core.process import Interrupts
+from rover_ncp.core.process import Clock, Interrupts
 from rover_ncp.wire.protocol import in_words
 
 PERIOD_S = 0.05
@@ -123,10 +123,12 @@ class Terminal:
 class Teleop:
     """One person's drive over an open link; the attributes hold the result."""
 
-    def __init__(self, link: Link, terminal: Terminal, interrupted: Callable[[], bool]) -> None:
-        self._link, self._terminal = link, terminal
+    def __init__(
+        self, link: Link, terminal: Terminal, interrupted: Callable[[], bool], clock: Clock = time
+    ) -> None:
+        self._link, self._terminal, self._clock = link, terminal, clock
         self._measurements = Measurements(link)
-        self._monitor = SafetyMonitor(link, self._measurements, interrupted)
+        self._monitor = SafetyMonitor(link, self._measurements, interrupted, clock=clock)
         self.keyboard = Keyboard()
         self._reader = KeyReader()
         self.seconds = self.driven_m = self.turned_rad = 0.0
@@ -163,10 +165,10 @@ class Teleop:
             self._link.release()
 
     def _drive(self) -> None:
-        began = due = read = time.monotonic()
+        began = due = read = self._clock.monotonic()
         while True:
-            text = self._terminal.read(max(0.0, due - time.monotonic()))
-            now = time.monotonic()
+            text = self._terminal.read(max(0.0, due - self._clock.monotonic()))
+            now = self._clock.monotonic()
             if now - read > LONGEST_LOOP_S:
                 self._terminal.discard()
                 self.keyboard.release()

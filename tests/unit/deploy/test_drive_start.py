@@ -9,8 +9,10 @@ from kit.virtual_drive import COURSE, STILL, VirtualDrive
 
 from deploy.drive.records import TICKS_TOPIC, TickRecord
 from deploy.replay import replay
+from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import NoBridge, NoPose, NoRobot
-from rover_ncp.core.geometry import Pose, compose, distance
+from rover_ncp.core.geometry import Pose, compose, distance, wrap_angle
+from rover_ncp.course.course import load_course
 from rover_ncp.recording.recording import read_recording, rewrite
 from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import imu, pose_with_covariance, read_odometry, read_pose, read_text
@@ -204,4 +206,20 @@ def test_estimate_is_where_the_rover_is_and_the_drive_recomputes(tmp_path):
     assert np.median(errors) < 0.002
     assert max(errors) < 0.004
     assert truth[-1].x > 0.1
+    assert replay(virtual.path).difference is None
+
+
+def test_rover_with_an_external_start_pose_parks_on_the_true_pose(tmp_path):
+    start, course = Pose(0.07, -0.09, 0.15), load_course("parking")
+    policy = load_policy("course")
+    virtual = VirtualDrive(policy, course, tmp_path / "run.mcap", pose="required")
+    localised(virtual.link, start)
+    result = virtual.run()
+    assert (result.exit_code, result.parked) == (0, True)
+    assert result.pose.used > 50
+    assert result.pose.refused == 0
+    end = compose(start, virtual.rover.pose)
+    # Without external poses the final position error would be as large as that of the start.
+    assert distance(end, course.goal) < course.parked.position_m / 2 < distance(start, ORIGIN)
+    assert abs(wrap_angle(end.theta - course.goal.theta)) < course.parked.heading_rad
     assert replay(virtual.path).difference is None

@@ -107,7 +107,7 @@ class Node:
         """Serve until ``stopping``. Raises NoRobot if the base cannot be reached the first time."""
         try:
             while not stopping():
-                self.turn()
+                self.run_once()
         finally:
             self._log += self._base.shut_down(self._clock.monotonic())
             self._flush_log()
@@ -117,7 +117,7 @@ class Node:
         """When the loop turns even if nothing arrives."""
         return self._acted_s + TICK_S
 
-    def turn(self) -> None:
+    def run_once(self) -> None:
         """Turn the loop once: take what arrived, at most one tick's wait for it, and act on it."""
         wait_s = max(self.due_s - self._clock.monotonic(), 0.0)
         for arrived_s, arrival in self._inbox.take(wait_s):

@@ -7,8 +7,9 @@ fail for the same cause. The wheels move at walking pace for a few seconds.
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import date
+
+from pydantic import BaseModel, Field
 
 from deploy.drive.lease import ACCEPTED_S, NOT_ACCEPTED
 from deploy.drive.measurements import NS, Measurement, Measurements
@@ -17,7 +18,7 @@ from deploy.drive.zenoh_link import ZenohLink
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.errors import FormatError, RoverNcpError, SafetyStop
 from rover_ncp.core.geometry import Velocity, relative
-from rover_ncp.core.process import Interrupts
+from rover_ncp.core.process import Clock, Interrupts
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.cdr import decode
@@ -47,26 +48,32 @@ SCALE = 0.15
 STANDING = 0.01
 
 
-@dataclass(frozen=True)
-class Finding:
+class Finding(BaseModel):
     """Result of one check."""
 
-    name: str
-    ok: bool
-    detail: str
+    name: str = Field(description="of the check")
+    ok: bool = Field(description="whether it passed")
+    detail: str = Field(description="in words")
 
 
-def run(address: BridgeAddress, robot: RobotDescription | None = None) -> tuple[list[Finding], str]:
-    """Check a robot against its description, if there is one.
+class CheckResult(BaseModel):
+    """Result of all checks."""
 
-    Returns the findings and the bridge's locator. Raises NoBridge, NotAuthorised.
-    """
+    ready: bool = Field(description="whether all checks passed")
+    findings: list[Finding] = Field(description="the result of each check")
+    robot: str = Field(description="the bridge's Zenoh address")
+
+
+def run(address: BridgeAddress, robot: RobotDescription | None = None) -> CheckResult:
+    """Check a robot, against its description if there is one. Raises NoBridge, NotAuthorised."""
     battery = Battery()
     with Interrupts() as interrupts, ZenohLink(address, battery.record) as link:
         measurements = Measurements(link)
         monitor = SafetyMonitor(link, measurements, lambda: interrupts.raised)
         monitor.wait_for_bridge()
-        return Preflight(link, measurements, monitor, battery, robot).run(), link.robot
+        findings = Preflight(link, measurements, monitor, battery, robot=robot).run()
+        ready = all(finding.ok for finding in findings)
+        return CheckResult(ready=ready, findings=findings, robot=link.robot)
 
 
 class Battery:
@@ -92,10 +99,12 @@ class Preflight:
         measurements: Measurements,
         monitor: SafetyMonitor,
         battery: Battery,
+        *,
         robot: RobotDescription | None = None,
+        clock: Clock = time,
     ) -> None:
         self._link, self._measurements, self._robot = link, measurements, robot
-        self._monitor, self._battery = monitor, battery
+        self._monitor, self._battery, self._clock = monitor, battery, clock
 
     def run(self) -> list[Finding]:
         """Run all checks, in this order. Raises KeyboardInterrupt after a termination signal."""
@@ -118,7 +127,7 @@ class Preflight:
                     ok, detail = check()
                 except SafetyStop as stop:  # the gate accepts no more commands
                     ok, detail = False, f"{stop}: {self._gate_since(gate)}"
-                findings.append(Finding(name, ok, detail))
+                findings.append(Finding(name=name, ok=ok, detail=detail))
                 if not ok:
                     break
         finally:
@@ -166,11 +175,11 @@ class Preflight:
 
     def _check_motors(self) -> tuple[bool, str]:
         try:
-            began = time.monotonic()
+            began = self._clock.monotonic()
             self._link.request_motors("check", unchecked=True)
         except RoverNcpError as error:
             return False, str(error)
-        return True, f"granted within {time.monotonic() - began:.3f} s"
+        return True, f"granted within {self._clock.monotonic() - began:.3f} s"
 
     def _check_forward(self) -> tuple[bool, str]:
         gate = self._link.gate
@@ -194,7 +203,7 @@ class Preflight:
     def _check_silence(self) -> tuple[bool, str]:
         """Test the stop when no more commands arrive."""
         self._move(Velocity(V_M_S, 0.0))
-        silent = time.monotonic()
+        silent = self._clock.monotonic()
         braking_s = BRAKING_S
         if self._robot is not None:
             braking_s = max(braking_s, self._robot.delays.v_s + V_M_S / self._robot.motion.decel)
@@ -219,8 +228,8 @@ class Preflight:
                 break
         if base is None or base.state is not TimeoutState.RUNNING:
             return False, f"the timeout was not measured: {base.reason if base else 'no answer'}"
-        ended_s = time.monotonic() + MEASURING_S
-        while base is not None and base.state is TimeoutState.RUNNING and time.monotonic() < ended_s:
+        ended_s = self._clock.monotonic() + MEASURING_S
+        while base is not None and base.state is TimeoutState.RUNNING and self._clock.monotonic() < ended_s:
             self._until(lambda: False, POLL_S)
             self._link.request_motors("check", unchecked=True)  # without the lease, the bridge sends zeros
             base = self._link.about_base()
@@ -263,13 +272,13 @@ class Preflight:
 
     def _command(self, velocity: Velocity) -> tuple[OdometrySample, OdometrySample, float]:
         before = newest = self._newest
-        by_speed, due = 0.0, time.monotonic()
+        by_speed, due = 0.0, self._clock.monotonic()
         end = due + MOVE_S
-        while time.monotonic() < end:
+        while self._clock.monotonic() < end:
             self._link.command(velocity)
-            self._link.lease.check(self._link.gate, time.monotonic_ns())
+            self._link.lease.check(self._link.gate, self._clock.monotonic_ns())
             due += PERIOD_S
-            self._until(lambda: False, max(0.0, due - time.monotonic()))
+            self._until(lambda: False, max(0.0, due - self._clock.monotonic()))
             last, newest = newest, self._newest
             by_speed += newest.sample.velocity.v * (newest.ref.measured_ns - last.ref.measured_ns) * 1e-9
         return before.sample, newest.sample, by_speed

@@ -138,21 +138,8 @@ def replay(
     from deploy.replay import replay as recompute
 
     found = recompute(run)
-    same = found.difference is None
-    fields = {
-        "same": same,  #: to the last bit
-        "ticks": found.ticks,  #: that were compared
-        "complete": found.complete,  #: false for a recording that was cut off
-        "difference": found.difference,  #: the first one
-    }
-    cut = "" if found.complete else " (the recording was cut off; the rest was compared)"
-    words = (
-        f"{found.ticks} ticks, all the same to the last bit{cut}"
-        if same
-        else f"differs: {found.difference}{cut}"
-    )
-    Output(json).result(fields, words)
-    return 0 if same else 1
+    Output(json).result(found.model_dump(), str(found))
+    return 0 if found.same else 1
 
 
 def watch(
@@ -213,15 +200,12 @@ def check(
 
     output = Output(json, controls=True)
     described = load_description(model) if model else None
-    findings, locator = run(BridgeAddress(robot, namespace, zenoh_config), described)
-    ready = all(finding.ok for finding in findings)
-    lines = [f"{'ok ' if finding.ok else 'NO '} {finding.name:9} {finding.detail}" for finding in findings]
-    verdict = "yes: it may drive" if ready else f"no: {findings[-1].name}: {findings[-1].detail}"
-    output.result(
-        {"ready": ready, "findings": findings, "robot": locator},
-        "\n".join(map(printable, [*lines, verdict])),
-    )
-    return 0 if ready else 1
+    found = run(BridgeAddress(robot, namespace, zenoh_config), described)
+    lines = [f"{'ok ' if each.ok else 'NO '} {each.name:9} {each.detail}" for each in found.findings]
+    last = found.findings[-1]
+    verdict = "yes: it may drive" if found.ready else f"no: {last.name}: {last.detail}"
+    output.result(found.model_dump(), "\n".join(map(printable, [*lines, verdict])))
+    return 0 if found.ready else 1
 
 
 def teleop(

@@ -96,10 +96,10 @@ class Recorder(ClosedAtExit):
 
     @property
     def fields(self) -> dict[str, Any]:
-        """The recording in a command's result."""
+        """The fields of a `RecordingResult`."""
         return {
-            "recording": str(self.path) if self.path else None,  #: its file
-            "recording_failure": self.failure or None,  #: why it is not whole
+            "recording": str(self.path) if self.path else None,
+            "recording_failure": self.failure or None,
         }
 
     def _run(self, writer: RecordingWriter) -> None:

@@ -7,10 +7,10 @@ estimates, potentials and commands. A difference is reported with tick, quantity
 import contextlib
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from pydantic import BaseModel, Field
 
 from deploy.drive.controller import Controller, Tick
 from deploy.drive.measurements import READERS, Sample, SampleRef
@@ -31,27 +31,35 @@ INPUTS = {"odom": "odometry", "imu": "gyro reading", "pose": "external pose"}
 TOPICS = {*INPUTS, START_TOPIC, TICKS_TOPIC, "rover/estimate", "rover/neurons", "cmd_vel"}
 
 
-@dataclass(frozen=True)
-class Difference:
-    """First difference between recording and recomputation; ``tick`` is None if it belongs to no tick."""
+class Difference(BaseModel):
+    """First difference between recording and recomputation."""
 
-    tick: int | None
-    quantity: str
-    recorded: str
-    recomputed: str
+    tick: int | None = Field(description="null if it belongs to none")
+    quantity: str = Field(description="what differs")
+    recorded: str = Field(description="the value in the recording")
+    recomputed: str = Field(description="the value now")
 
     def __str__(self) -> str:
         where = "" if self.tick is None else f"tick {self.tick}: "
         return f"{where}{self.quantity} is {self.recorded} in the recording, {self.recomputed} now"
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Result of a replay. ``complete`` is False for a recording that was cut off; its rest is compared."""
+class Comparison(BaseModel):
+    """Result of a replay; the rest of a recording that was cut off is compared."""
 
-    ticks: int
-    complete: bool
-    difference: Difference | None
+    same: bool = Field(description="to the last bit")
+    ticks: int = Field(description="that were compared")
+    complete: bool = Field(description="false for a recording that was cut off")
+    difference: Difference | None = Field(description="the first one")
+
+    def __str__(self) -> str:
+        cut = "" if self.complete else " (the recording was cut off; the rest was compared)"
+        found = f"{self.ticks} ticks, all the same to the last bit" if self.same else "differs: "
+        return f"{found}{self.difference or ''}{cut}"
+
+
+def _differs(tick: int | None, quantity: str, recorded: str, recomputed: str) -> Difference:
+    return Difference(tick=tick, quantity=quantity, recorded=recorded, recomputed=recomputed)
 
 
 def replay(path: Path) -> Comparison:
@@ -67,7 +75,8 @@ def replay(path: Path) -> Comparison:
         ticks_done += record.command is not None
     # A changed number may leave no trace in this run: then the files themselves show the difference.
     difference = difference or _changed_file(recording, start)
-    return Comparison(ticks_done, recording.complete, difference)
+    same = difference is None
+    return Comparison(same=same, ticks=ticks_done, complete=recording.complete, difference=difference)
 
 
 def _records(recording: Recording) -> tuple[StartRecord, list[TickRecord]]:
@@ -99,7 +108,7 @@ def _compared(
             return  # the writer was killed before it wrote this tick's inputs
         if missing:
             quantity = f"the {INPUTS[missing[0].topic]} of stamp {missing[0].stamp_ns}"
-            yield record, Difference(record.index, quantity, ABSENT, "needed")
+            yield record, _differs(record.index, quantity, ABSENT, "needed")
             return
         now = start.sample.seconds_to(record.now_ns)
         try:
@@ -150,20 +159,20 @@ def _differences(
     yield from _unequal(index, ESTIMATE, record.estimate, numbers(estimate))
     sent = messages.estimates.get(record.wall_ns)
     if sent is not None and sent != estimate_message(estimate, record.wall_ns):
-        yield Difference(index, "the estimate's covariance", "other bytes", "other bytes")
+        yield _differs(index, "the estimate's covariance", "other bytes", "other bytes")
     if sent is None and messages.complete:
-        yield Difference(index, "the message rover/estimate", ABSENT, "there")
+        yield _differs(index, "the message rover/estimate", ABSENT, "there")
     if tick is None or record.command is None:
         return
     data = messages.neurons.get(record.wall_ns)
     if data is not None:
         recorded = read_neurons(data)
         if tuple(recorded) != names:
-            yield Difference(index, "the neurons", ",".join(recorded), ",".join(names))
+            yield _differs(index, "the neurons", ",".join(recorded), ",".join(names))
         quantities = tuple(f"potential {name}" for name in names)
         yield from _unequal(index, quantities, tuple(recorded.values()), tuple(tick.potentials.tolist()))
     elif messages.complete:
-        yield Difference(index, "the message rover/neurons", ABSENT, "there")
+        yield _differs(index, "the message rover/neurons", ABSENT, "there")
     yield from _unequal(index, COMMAND, record.command, tick.command)
     if record.sequence is None:
         return
@@ -171,7 +180,7 @@ def _differences(
     if command is not None:
         yield from _unequal(index, ("sent v", "sent omega"), read_twist(command).velocity, tick.command)
     elif messages.complete:
-        yield Difference(index, "the message cmd_vel", ABSENT, "there")
+        yield _differs(index, "the message cmd_vel", ABSENT, "there")
 
 
 def _unequal(
@@ -179,12 +188,12 @@ def _unequal(
 ) -> Iterator[Difference]:
     for quantity, before, now in zip(quantities, recorded, recomputed, strict=True):
         if np.float64(before).tobytes() != np.float64(now).tobytes():
-            yield Difference(tick, quantity, repr(float(before)), repr(float(now)))
+            yield _differs(tick, quantity, repr(float(before)), repr(float(now)))
 
 
 def _changed_file(recording: Recording, start: StartRecord) -> Difference | None:
     """Return the attachment that is not the one the drive was recorded with."""
     for name, crc in start.attachments.items():
         if (now := zlib.crc32(recording.attachment(name))) != crc:
-            return Difference(None, f"the checksum of {name}", f"{crc:08x}", f"{now:08x}")
+            return _differs(None, f"the checksum of {name}", f"{crc:08x}", f"{now:08x}")
     return None

@@ -19,10 +19,13 @@ import time
 from collections.abc import Callable
 from importlib.metadata import version
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
+
+from pydantic import Field
 
 from deploy.drive.link import Link
 from deploy.drive.measurements import Measurements
+from deploy.drive.result import INTERRUPTED, RecordingResult
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.keyboard import HELP, STANDSTILL, Keyboard, KeyReader, Press
@@ -32,17 +35,28 @@ from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.console import Output, printable
 from rover_ncp.core.errors import SafetyStop, UsageError
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
-from rover_ncp.core.process import Interrupts
+from rover_ncp.core.process import Clock, Interrupts
 from rover_ncp.wire.protocol import in_words
 
 PERIOD_S = 0.05
 LONGEST_LOOP_S = 0.25
-INTERRUPTED = 130
 TELEOP_FILE = "teleop.yaml"
 READ_BYTES = 1024
 BRACKETED_PASTE, NO_BRACKETED_PASTE = b"\x1b[?2004h", b"\x1b[?2004l"
 """Makes a terminal mark the beginning and the end of pasted text."""
 _INPUT, _LOCAL, _CHARACTERS = 0, 3, 6
+
+
+class TeleopResult(RecordingResult):
+    """Result of a person's drive."""
+
+    seconds: float = Field(description="of driving")
+    driven_m: float = Field(description="by odometry")
+    turned_rad: float = Field(description="by odometry, to both sides")
+    keys: int = Field(description="that were pressed and drove")
+    commands: int = Field(description="that were sent")
+    stopped_by: str | None = Field(description="the safety rule")
+    exit_code: int = Field(description="of the command")
 
 
 class Terminal:
@@ -109,10 +123,12 @@ class Terminal:
 class Teleop:
     """One person's drive over an open link; the attributes hold the result."""
 
-    def __init__(self, link: Link, terminal: Terminal, interrupted: Callable[[], bool]) -> None:
-        self._link, self._terminal = link, terminal
+    def __init__(
+        self, link: Link, terminal: Terminal, interrupted: Callable[[], bool], clock: Clock = time
+    ) -> None:
+        self._link, self._terminal, self._clock = link, terminal, clock
         self._measurements = Measurements(link)
-        self._monitor = SafetyMonitor(link, self._measurements, interrupted)
+        self._monitor = SafetyMonitor(link, self._measurements, interrupted, clock=clock)
         self.keyboard = Keyboard()
         self._reader = KeyReader()
         self.seconds = self.driven_m = self.turned_rad = 0.0
@@ -149,10 +165,10 @@ class Teleop:
             self._link.release()
 
     def _drive(self) -> None:
-        began = due = read = time.monotonic()
+        began = due = read = self._clock.monotonic()
         while True:
-            text = self._terminal.read(max(0.0, due - time.monotonic()))
-            now = time.monotonic()
+            text = self._terminal.read(max(0.0, due - self._clock.monotonic()))
+            now = self._clock.monotonic()
             if now - read > LONGEST_LOOP_S:
                 self._terminal.discard()
                 self.keyboard.release()
@@ -208,16 +224,16 @@ def run(address: BridgeAddress, recorder: Recorder, output: Output) -> int:
             stop, code, ending = error, error.exit_code, str(error)
         except KeyboardInterrupt:
             code, ending = INTERRUPTED, "interrupted; the rover was stopped"
-    fields: dict[str, Any] = {
-        "seconds": teleop.seconds,  #: of driving
-        "driven_m": teleop.driven_m,  #: by odometry, as the next
-        "turned_rad": teleop.turned_rad,
-        "keys": teleop.keyboard.count,  #: that were pressed
-        "commands": teleop.commands,  #: that were sent
-        "stopped_by": stop.rule if stop else None,  #: the safety rule
+    result = TeleopResult(
+        seconds=teleop.seconds,
+        driven_m=teleop.driven_m,
+        turned_rad=teleop.turned_rad,
+        keys=teleop.keyboard.count,
+        commands=teleop.commands,
+        stopped_by=stop.rule if stop else None,
+        exit_code=code,
         **recorder.fields,
-        "exit_code": code,
-    }
+    )
     if output.as_json and code:
         output.say(ending)
     driven = f"{teleop.driven_m:.2f} m and {teleop.turned_rad:.2f} rad driven in {teleop.seconds:.0f} s"
@@ -226,5 +242,5 @@ def run(address: BridgeAddress, recorder: Recorder, output: Output) -> int:
         lines.append(f"recording: {recorder.path}")
     if recorder.failure:
         lines.append(f"the recording failed: {recorder.failure}")
-    output.result(fields, "\n".join(lines))
+    output.result(result.model_dump(), "\n".join(lines))
     return code

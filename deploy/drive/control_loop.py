@@ -26,7 +26,6 @@ from deploy.drive.records import StartRecord, TickRecord, numbers
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.start import StartDetector
 from deploy.estimator.estimator import Estimate
-from deploy.estimator.settings import Outcome
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, wrap_angle
 from rover_ncp.core.process import Clock
@@ -73,13 +72,13 @@ class Drive:
         period_s: float = TICK_S,
     ) -> None:
         self._period_ns = round(period_s * NS)
-        self._link, self._controller, self._publisher = link, controller, publisher
-        self._config, self._clock = config, clock
+        self._link, self.controller, self._publisher = link, controller, publisher
+        self.config, self._clock = config, clock
         self._used: list[SampleRef] = []
         """Samples that the estimator got since the last tick."""
         self.measurements = Measurements(link)
         self._monitor = SafetyMonitor(link, self.measurements, interrupted, config, clock)
-        self._placed = False
+        self.placed = False
         """Whether external poses gave the start pose."""
         self._warned = ""
         self.keeper = RateKeeper(self._period_ns, 0)
@@ -112,40 +111,9 @@ class Drive:
         where = "odometry x {:.3f} y {:.3f} θ {:.3f}".format(*newest.sample.pose) if newest else ""
         return f"{self.phase.value}  t {keeper.index * TICK_S:.1f} s  {where}  overruns {keeper.overruns}"
 
-    @property
-    def measurements_used(self) -> dict[str, dict[str, Any]]:
-        """Counts of odometry, gyro readings and external poses by their outcome, as the result has them."""
-        taken, unreadable = self.measurements.taken, self.measurements.unreadable
-        doubtful = self.measurements.doubtful
-        estimator = self._controller.estimator
-        outcomes, nis = estimator.poses, estimator.nis
-        return {
-            "odometry": {  #: samples
-                "taken": taken["odom"],
-                "unreadable": unreadable["odom"],
-                "doubtful": doubtful["odom"],  #: not used: their stamps contradict those around them
-                "rejected": estimator.rejected,  #: by the filter
-            },
-            "gyro": {  #: readings
-                "taken": taken["imu"],
-                "unreadable": unreadable["imu"],
-                "rejected": estimator.gyro_rejected,  #: by the filter
-            },
-            "pose": {  #: external poses
-                "placed": self._placed,  #: whether they gave the start
-                "taken": taken["pose"],
-                "unreadable": unreadable["pose"],
-                "doubtful": doubtful["pose"],  #: not used: their stamps contradict those around them
-                "used": outcomes[Outcome.ACCEPTED],  #: by the filter
-                "refused": outcomes[Outcome.OUTLIER] + outcomes[Outcome.NOT_FINITE],
-                "too_late": outcomes[Outcome.TOO_OLD],  #: older than the filter's history
-                "nis": nis,  #: normalised innovation squared while standing, moving; 3 if all is as assumed
-            },
-        }
-
     def wait(self) -> None:
         """Wait for bridge, permission and odometry. Raises as `SafetyMonitor.wait`."""
-        self._monitor.wait(drives=not self._config.dry_run)
+        self._monitor.wait(drives=not self.config.dry_run)
 
     def run(self, attachments: dict[str, int]) -> None:
         """Drive, after `wait`. ``attachments`` are the checksums of the recording's files.
@@ -165,16 +133,16 @@ class Drive:
         except KeyboardInterrupt:
             self._enter(Phase.ENDED, "interrupted")
         else:
-            self.verdict = self._controller.verdict().with_contact(self._monitor.contact)
+            self.verdict = self.controller.verdict().with_contact(self._monitor.contact)
             self._enter(Phase.PARKED if self.verdict.parked else Phase.ENDED, self.verdict.reason)
         self._publisher.finish()
 
     def _arm(self, attachments: dict[str, int]) -> None:
-        detector = StartDetector(self._link, self.measurements, self._config, self._clock)
+        detector = StartDetector(self._link, self.measurements, self.config, self._clock)
         start = detector.wait(self._monitor)
         self._enter(Phase.ARMED)
         pose, covariance = detector.pose()
-        self._placed = covariance is not None
+        self.placed = covariance is not None
         self._check_start(pose)
         self._start = start.ref
         """The controller's time is in seconds from this sample."""
@@ -184,17 +152,17 @@ class Drive:
             covariance=None if covariance is None else tuple(covariance.ravel().tolist()),
             attachments=attachments,
         )
-        self._controller.start(start.sample.pose, 0.0, pose, covariance)
+        self.controller.start(start.sample.pose, 0.0, pose, covariance)
         self._publisher.start(record, start.sample.pose)
         self._predict_accuracy()
-        if not self._config.dry_run:
-            self._link.request_motors(f"policy {self._config.policy}")
+        if not self.config.dry_run:
+            self._link.request_motors(f"policy {self.config.policy}")
             self._monitor.granted()
         self._enter(Phase.DRIVING)
 
     def _check_start(self, pose: Pose) -> None:
         """Raise SafetyStop if the rover is where no rate of parking is known."""
-        (x, y, theta), config = pose, self._config
+        (x, y, theta), config = pose, self.config
         far = round(max(abs(x), abs(y)), 3) > config.start_m
         if far or abs(wrap_angle(theta)) > config.start_rad:
             found = f"x {x:.2f} m, y {y:.2f} m and {math.degrees(theta):.0f}°"
@@ -207,16 +175,16 @@ class Drive:
 
     def _predict_accuracy(self) -> None:
         """Predict the error at the goal. Raises SafetyStop when it is more than required."""
-        required = self._config.require_accuracy_m
-        if required is None and not self._controller.plans:
+        required = self.config.require_accuracy_m
+        if required is None and not self.controller.plans:
             return
         readings = self.measurements.gyro()
         self._apply(readings)
-        error = self.predicted_error_m = self._controller.predicted_error_m(gyro=bool(readings))
-        if self._placed:
+        error = self.predicted_error_m = self.controller.predicted_error_m(gyro=bool(readings))
+        if self.placed:
             return
         words = f"predicted position error of the estimate at the goal: {error:.2f} m in 95 % of drives"
-        absent = {"a gyro": not readings, "a profile of 'identify'": self._config.rover is None}
+        absent = {"a gyro": not readings, "a profile of 'identify'": self.config.rover is None}
         remedies = ["external poses", *(remedy for remedy, missing in absent.items() if missing)]
         advice = f"{' or '.join(remedies)} would reduce it"
         if required is not None and error > required:
@@ -235,10 +203,10 @@ class Drive:
         while True:
             now_ns = self._clock.monotonic_ns()
             if now_ns >= keeper.deadline_ns:
-                keeper.skip_missed(now_ns, self._config.ticks)
+                keeper.skip_missed(now_ns, self.config.ticks)
             fresh = newest.ref.measured_ns >= keeper.opens_ns
             if fresh or now_ns >= keeper.deadline_ns:
-                last = keeper.index >= self._config.ticks
+                last = keeper.index >= self.config.ticks
                 self._tick(newest, now_ns, predicted=not fresh, last=last)
                 if last:
                     return
@@ -246,12 +214,12 @@ class Drive:
             self._check()
 
     def _tick(self, newest: Measurement[OdometrySample], now_ns: int, predicted: bool, last: bool) -> None:
-        controller, t = self._controller, self._start.seconds_to(now_ns)
-        index = self._config.ticks if last else self.keeper.index
+        controller, t = self.controller, self._start.seconds_to(now_ns)
+        index = self.config.ticks if last else self.keeper.index
         tick = None if last else controller.tick(index, t)
         estimate = self.estimate = tick.estimate if tick else controller.record_estimate(index, t)
         sequence = None
-        if tick is not None and not self._config.dry_run:
+        if tick is not None and not self.config.dry_run:
             self._monitor.check_command(tick.command, estimate.velocity)
             sequence = self._link.command(tick.command)
         if not predicted:
@@ -278,7 +246,7 @@ class Drive:
         # A gyro reading is published before the odometry of its cycle.
         measured: list[Measurement[Any]] = [*self.measurements.gyro(), *([odometry] if odometry else [])]
         poses = self.measurements.poses()
-        if self._placed:
+        if self.placed:
             measured += sorted(poses, key=lambda pose: pose.ref.measured_ns)
         self._apply(measured)
         return odometry
@@ -286,13 +254,13 @@ class Drive:
     def _apply(self, measured: Sequence[Measurement[Any]]) -> None:
         """Give measurements to the estimator, in this order."""
         for sample, ref, _ in measured:
-            self._controller.take(sample, self._start.seconds_to(ref.measured_ns))
+            self.controller.take(sample, self._start.seconds_to(ref.measured_ns))
             self._used.append(ref)
 
     def _check(self) -> None:
         """Raise SafetyStop if a safety rule is broken, KeyboardInterrupt after a termination signal."""
         self._monitor.check()
-        estimator = self._controller.estimator
+        estimator = self.controller.estimator
         if estimator.fault:
             raise SafetyStop(estimator.fault_rule, estimator.fault)
 
@@ -309,8 +277,8 @@ class Drive:
             DriverStatus(
                 state=self.phase.value,
                 reason=self.reason,
-                policy=self._config.policy,
-                course=self._config.course,
+                policy=self.config.policy,
+                course=self.config.course,
                 tick=keeper.index,
                 t_s=keeper.index * TICK_S,
                 overruns=keeper.overruns,

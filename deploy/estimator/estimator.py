@@ -188,11 +188,11 @@ class Estimator:
 
         ``covariance`` (3, 3) is that of (x, y, θ); a variance of 0 means unknown.
         """
-        noise = completed(covariance, self._settings)
-        if noise is None or not all(map(math.isfinite, (*pose, t))):
+        known = completed(covariance, self._settings)
+        if known is None or not all(map(math.isfinite, (*pose, t))):
             outcome = Outcome.NOT_FINITE
         else:
-            outcome = self._history.pose(np.array(pose), noise, t)
+            outcome = self._history.pose(np.array(pose), known, t)
         self._count(outcome)
         return outcome
 

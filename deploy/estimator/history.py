@@ -6,9 +6,9 @@ Rules of this file:
    history, and later measurements are applied again. A pose that is newer than odometry waits.
 2. A measurement is accepted or rejected once, when it is first evaluated, by its normalised innovation
    squared (NIS).
-3. A pose is rejected while the rover moves: if a disturbance explains it, such as a cable that the rover
-   drove over, the covariance grows by one, once until a pose is accepted. The estimate does not change, and
-   the next pose can correct it.
+3. A pose may fail its gate while the rover moves. If the covariance of a disturbance explains it, such as a
+   cable under the wheels, that covariance is added once until a pose is accepted. The pose is rejected all
+   the same: it does not move the estimate, and the next pose can correct it.
 4. The rover stands between two odometry samples that report no motion and the same place, both within their
    declared noise. Its pose then stays the same, and noise does not move the estimate.
 5. A gyro's turn that does not fit is a disturbance, if one explains it, and otherwise rejected. The heading
@@ -49,8 +49,8 @@ WAITING_MAX = 100
 """Maximum number of poses that wait for odometry."""
 REST_M_S, REST_RAD_S = 0.0005, 0.001
 """Slower motion counts as none: less than half a step of a Pioneer's rounding."""
-SAME_PLACE = 5.0
-"""Limit for the same place, or for no motion, in standard deviations of odometry's noise."""
+STILL_SIGMAS = 5.0
+"""Limit for no motion between two samples, in standard deviations of odometry's noise."""
 TURN_S = 0.08
 """Minimum time over which a gyro's turn is compared with odometry's."""
 MAX_DISTURBANCE_RAD = 0.2
@@ -72,8 +72,8 @@ class Turn(NamedTuple):
 
     angle: float
     seconds: float
-    noise: float
-    disturbance: float = 0.0
+    variance: float
+    disturbance_variance: float = 0.0
 
 
 class Odometry(NamedTuple):
@@ -96,14 +96,14 @@ class PoseMeasurement(NamedTuple):
     """An external pose (x, y, θ) with its covariance (3, 3), and its stamp minus the entry's time in s."""
 
     z: Array
-    noise: Array
-    delay_s: float
+    covariance: Array
+    assumed_delay_s: float
 
 
 class Disturbance(NamedTuple):
     """A motion that no sensor of the base reports, by its covariance (3, 3) in x, y, θ."""
 
-    noise: Array
+    covariance: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,10 +139,10 @@ class History:
         x, P = initial(s, own, pose)
         P[POSE, POSE] = covariance
         deviations = [s.position_m, s.position_m, s.heading_rad, s.speed_m_s, s.turn_rad_s]
-        self._noise = np.diag(np.square(deviations))
+        self._odometry_covariance = np.diag(np.square(deviations))
         default = EstimatorSettings()
         noisier = np.square(deviations[3:]) - np.square([default.speed_m_s, default.turn_rad_s])
-        self._rest = np.array([REST_M_S, REST_RAD_S]) + SAME_PLACE * np.sqrt(np.maximum(noisier, 0.0))
+        self._rest = np.array([REST_M_S, REST_RAD_S]) + STILL_SIGMAS * np.sqrt(np.maximum(noisier, 0.0))
         z = np.array([*own, 0.0, 0.0])
         self._entries = [_Entry(t, True, Odometry(z), x, P)]
         self._valid = 1
@@ -183,7 +183,7 @@ class History:
         if ends_turn:
             self._turn_began = t, angle
         if ends_turn and math.isfinite(turned):
-            turn = self._explained(turned, seconds)
+            turn = self._apply_turn(turned, seconds)
             turn_outcome = Outcome.ACCEPTED if turn else Outcome.OUTLIER
         self._entries.append(self._entry(t, stood, Odometry(z, ends_turn, turn)))
         self._last = t, z
@@ -210,20 +210,20 @@ class History:
         """Predict the filter to ``t``; return the NIS of odometry there, and its covariance (5, 5)."""
         self._apply_again(len(self._entries))
         self._predict(self._entries[-1], t, self._stands(z))
-        covariance = self._ekf.P[REPORTED, REPORTED] + self._noise
+        covariance = self._ekf.P[REPORTED, REPORTED] + self._odometry_covariance
         return _nis(_residual(z, self._ekf.x[REPORTED]), covariance), covariance
 
-    def pose(self, z: Array, noise: Array, t: float) -> Outcome:
+    def pose(self, z: Array, covariance: Array, t: float) -> Outcome:
         """Apply an external pose of stamp ``t`` at its moment, unless it is rejected."""
         begin = self._entries[0].t
         if t < begin:
             return Outcome.TOO_OLD
         at = max(t - max(float(self._entries[self._valid - 1].x[DELAY]), 0.0), begin)
-        measured = PoseMeasurement(z, noise, t - at)
+        measured = PoseMeasurement(z, covariance, t - at)
         if at <= self.t:
             return self._insert(at, measured)
         if len(self._waiting) >= WAITING_MAX:
-            return Outcome.TOO_OLD
+            return Outcome.DROPPED
         insort(self._waiting, (at, measured), key=lambda waiting: waiting[0])
         return Outcome.WAITING
 
@@ -239,13 +239,13 @@ class History:
         before, dt = self._entries[place - 1], max(t - self._entries[place - 1].t, 0.0)
         stood = place < len(self._entries) and self._entries[place].stood
         step = standing if stood else moving
-        x, jacobian, noise = step(before.x, dt, self._settings, new_turn=True)
-        return x, jacobian @ before.P @ jacobian.T + noise
+        x, jacobian, Q = step(before.x, dt, self._settings, new_turn=True)
+        return x, jacobian @ before.P @ jacobian.T + Q
 
     def _stands(self, z: Array) -> bool:
         """Return whether a sample and the one before report no motion, and the same place."""
         before = self._last[1]
-        limits = SAME_PLACE * math.sqrt(2.0) * np.sqrt(np.diag(self._noise)[:3])
+        limits = STILL_SIGMAS * math.sqrt(2.0) * np.sqrt(np.diag(self._odometry_covariance)[:3])
         moved = np.abs(_residual(z[:3], before[:3]))
         still = np.abs([z[3:], before[3:]]).max(axis=0) < self._rest
         return bool(still.all() and (moved < limits).all())
@@ -256,14 +256,14 @@ class History:
         stood = self._entries[min(place, len(self._entries) - 1)].stood
         self._predict(self._entries[place - 1], t, stood)
         innovation, H = self._innovation(measured)
-        covariance = H @ self._ekf.P @ H.T + measured.noise
+        covariance = H @ self._ekf.P @ H.T + measured.covariance
         nis = _nis(innovation, covariance)
         accepted = nis <= self._settings.pose_gate
         if accepted:
             count, total = self.nis[stood]
             self.nis[stood] = count + 1, total + nis
         disturbed = not (accepted or stood or self._disturbed) and (
-            _nis(innovation, covariance + self._disturbance.noise) <= self._settings.pose_gate
+            _nis(innovation, covariance + self._disturbance.covariance) <= self._settings.pose_gate
         )
         if accepted or disturbed:
             self._entries.insert(place, self._updated(t, stood, measured if accepted else self._disturbance))
@@ -293,9 +293,9 @@ class History:
         ekf = self._ekf
         if isinstance(measured, PoseMeasurement):
             innovation, H = self._innovation(measured)
-            self._correct(innovation, H, measured.noise)
+            self._correct(innovation, H, measured.covariance)
         elif isinstance(measured, Disturbance):
-            ekf.P[POSE, POSE] += measured.noise
+            ekf.P[POSE, POSE] += measured.covariance
         else:
             self._correct_by_odometry(measured.z, stood)
             if measured.turn is not None:
@@ -312,19 +312,21 @@ class History:
         for rows in _BLOCKS:
             part = slice(rows.start - OWN.start, rows.stop - OWN.start)
             if not (stood and rows is MOTION):
-                self._correct(_residual(z[part], self._ekf.x[rows]), _ALL[rows], self._noise[part, part])
+                self._correct(
+                    _residual(z[part], self._ekf.x[rows]), _ALL[rows], self._odometry_covariance[part, part]
+                )
 
     def _correct_by_turn(self, turn: Turn) -> None:
-        self._ekf.P[np.ix_((THETA, TURN), (THETA, TURN))] += turn.disturbance
+        self._ekf.P[np.ix_((THETA, TURN), (THETA, TURN))] += turn.disturbance_variance
         H = _turn_row(turn.seconds)
-        self._correct(turn.angle - H @ self._ekf.x, H, np.array([[turn.noise]]))
+        self._correct(turn.angle - H @ self._ekf.x, H, np.array([[turn.variance]]))
 
-    def _explained(self, angle: float, seconds: float) -> Turn | None:
-        """Apply a gyro's turn as what explains it, and return it so; None if nothing does."""
+    def _apply_turn(self, angle: float, seconds: float) -> Turn | None:
+        """Apply a gyro's turn, as a disturbance if it does not fit; return it, None if it is rejected."""
         s, x, P = self._settings, self._ekf.x, self._ekf.P
         turn = Turn(angle, seconds, s.gyro_rad**2 * seconds / GYRO_S)
         row = _turn_row(seconds)[0]
-        variance = float(row @ P @ row) + turn.noise
+        variance = float(row @ P @ row) + turn.variance
         missing = angle - float(row @ x)
         gain = float(x[GAIN] + P[GAIN] @ row / variance * missing)
         minimum, maximum = (limit * s.turn_gain for limit in TURN_GAINS)
@@ -336,18 +338,18 @@ class History:
         else:
             self._disturbance_rad += abs(missing)
             turn = turn._replace(
-                noise=turn.noise + (DISTURBANCE_STD_SHARE * missing) ** 2,
-                disturbance=(s.gyro_disturbance_rad_s * seconds) ** 2,
+                variance=turn.variance + (DISTURBANCE_STD_SHARE * missing) ** 2,
+                disturbance_variance=(s.gyro_disturbance_rad_s * seconds) ** 2,
             )
             if self._disturbance_rad > MAX_DISTURBANCE_RAD or missing**2 > s.gyro_gate * (
-                variance + turn.disturbance
+                variance + turn.disturbance_variance
             ):
                 return None
         self._correct_by_turn(turn)
         return turn
 
-    def _correct(self, innovation: Array, H: Array, noise: Array) -> None:
-        self._ekf.update(innovation, lambda _: H, lambda _: 0.0, R=noise)
+    def _correct(self, innovation: Array, H: Array, covariance: Array) -> None:
+        self._ekf.update(innovation, lambda _: H, lambda _: 0.0, R=covariance)
 
     def _innovation(self, measured: PoseMeasurement) -> tuple[Array, Array]:
         """Return an external pose's innovation (3,) and its Jacobian (3, 18).
@@ -360,7 +362,7 @@ class History:
         velocity = np.array([cos * ahead - sin * left, sin * ahead + cos * left, turn])
         H = _ALL[POSE].copy()
         H[:, DELAY] = -velocity
-        return _residual(measured.z - (measured.delay_s - x[DELAY]) * velocity, x[POSE]), H
+        return _residual(measured.z - (measured.assumed_delay_s - x[DELAY]) * velocity, x[POSE]), H
 
 
 def _turn_row(seconds: float) -> Array:

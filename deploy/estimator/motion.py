@@ -42,11 +42,11 @@ STANDING_SHARE = 0.01
 
 
 class Step(NamedTuple):
-    """The state after a step (18,), its Jacobian and its process noise (18, 18)."""
+    """The state after a step (18,), its Jacobian and the covariance of its process noise (18, 18)."""
 
     x: Array
     jacobian: Array
-    noise: Array
+    covariance: Array
 
 
 def initial(settings: EstimatorSettings, own: Pose, pose: Pose) -> tuple[Array, Array]:
@@ -91,15 +91,15 @@ def true_motion(x: Array, settings: EstimatorSettings) -> tuple[float, float, fl
 
 def standing(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) -> Step:
     """Return the step of a rover that stands for ``dt`` s; a ``new_turn`` begins at 0."""
-    moved, jacobian, noise = x.copy(), np.eye(SIZE), np.zeros((SIZE, SIZE))
+    moved, jacobian, covariance = x.copy(), np.eye(SIZE), np.zeros((SIZE, SIZE))
     for row in (V, OMEGA, TURN) if new_turn else (V, OMEGA):
         moved[row] = jacobian[row, row] = 0.0
     moved[OWN_THETA] = wrap_angle(x[OWN_THETA] + x[DRIFT] * dt)
     jacobian[OWN_THETA, DRIFT] = dt
-    noise[OWN, OWN] = STANDING_SHARE * settings.slip * dt * np.eye(3)
-    noise[POSE, POSE] = dt * np.diag(np.square([settings.creep_m, settings.creep_m, settings.creep_rad]))
-    noise[TURN, TURN] = noise[TURN, THETA] = noise[THETA, TURN] = noise[THETA, THETA]
-    return Step(moved, jacobian, noise)
+    covariance[OWN, OWN] = STANDING_SHARE * settings.slip * dt * np.eye(3)
+    covariance[POSE, POSE] = dt * np.diag(np.square([settings.creep_m, settings.creep_m, settings.creep_rad]))
+    covariance[TURN, TURN] = covariance[TURN, THETA] = covariance[THETA, TURN] = covariance[THETA, THETA]
+    return Step(moved, jacobian, covariance)
 
 
 def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) -> Step:

@@ -78,3 +78,4 @@ class Outcome(Enum):
     OUT_OF_ORDER = "out of order"
     WAITING = "newer than odometry, which it waits for"
     TOO_OLD = "too old"
+    DROPPED = "too many poses wait for odometry"

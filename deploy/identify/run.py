@@ -5,6 +5,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from pydantic import Field
+
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.zenoh_link import ZenohLink
@@ -45,6 +47,12 @@ _WORDS: dict[str, tuple[str, float, str]] = {
     "slip_s": ("share of a turn that slips away", 1.0, "per rad/s"),
 }
 """Of each value of a profile: its name, unit and factor for people."""
+
+
+class IdentifyResult(RoverProfile):
+    """The profile, and its file."""
+
+    out: str = Field(description="the file")
 
 
 def identify_recording(path: Path, out: Path, output: Output) -> int:
@@ -101,8 +109,8 @@ def _write_profile(
     made = {"from": origin, "version": version("rover-ncp")} | ({"model": robot.name} if robot else {})
     profile = profile.model_copy(update={"measured": made | profile.measured})
     write_atomic(out, dump_yaml(profile.model_dump(mode="json", exclude_none=True)))
-    fields = profile.model_dump(mode="json")
-    output.result(fields | {"out": str(out)}, "\n".join([*_lines(profile), str(out)]))
+    result = IdentifyResult(**profile.model_dump(), out=str(out))
+    output.result(result.model_dump(mode="json"), "\n".join([*_lines(profile), str(out)]))
     needed = (profile.delay_v_s, profile.delay_omega_s, profile.gain_v, profile.gain_omega)
     return 0 if None not in needed else 1
 

@@ -37,7 +37,7 @@ def belief_of(drive: Drive, pose: Pose) -> Belief:
         error_m = distance(estimate.pose, pose)
         squared = float(error @ np.linalg.solve(estimate.covariance[:2, :2], error))
     predicted_m = math.nan if drive.predicted_error_m is None else drive.predicted_error_m
-    nis = drive.measurements_used["pose"]["nis"]
+    nis = drive.controller.estimator.nis
     return Belief(drive.phase is Phase.PARKED, error_m, squared, predicted_m, nis)
 
 

@@ -85,17 +85,17 @@ class VirtualBridge:
     def wait(self, seconds: float, condition: Callable[[], bool]) -> None:
         """Let time pass until ``condition`` holds, for so long at most."""
         until_ns = self.now_ns + max(math.ceil(seconds * NS), 0)
-        self._turn()
+        self._run_node()
         while not condition() and self.now_ns < until_ns:
             due_s = min(self.line.due_s, self._node.due_s)
             due_ns = until_ns if math.isinf(due_s) else math.ceil(due_s * NS) + _LATE_NS
             self.now_ns = min(max(due_ns, self.now_ns), until_ns)
             self.line.advance(self.monotonic())
-            self._turn()
+            self._run_node()
 
-    def _turn(self) -> None:
+    def _run_node(self) -> None:
         while self.line.arrivals or self._inbox or self._node.due_s * NS + _LATE_NS <= self.now_ns:
-            self._node.turn()
+            self._node.run_once()
 
     # What the driver sends.
 
@@ -107,7 +107,7 @@ class VirtualBridge:
         """Return the bridge's reply to a query. Raises RuntimeError when it cannot read the query."""
         replies: list[bytes] = []
         self._inbox.append(Query(name, payload, attachment, replies.append, lambda reason: None))
-        self._turn()
+        self._run_node()
         if not replies:
             raise RuntimeError(f"the bridge does not answer {name}")
         return replies[0]

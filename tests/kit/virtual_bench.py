@@ -79,7 +79,7 @@ class VirtualDriver:
         answers = []
         payload = payload[: spec(name).max_bytes + 1]
         self.rig._inbox.append(Query(name, payload, attachment, answers.append, answers.append))
-        self.rig._turn()
+        self.rig._run_node()
         (answer,) = answers
         return answer
 

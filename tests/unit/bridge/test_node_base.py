@@ -107,7 +107,7 @@ class Loop:
     def turn(self, times=1):
         for _ in range(times):
             self.now_ns += 20_000_000
-            self.node.turn()
+            self.node.run_once()
 
     def query(self, name, payload, tag=None):
         replies = []

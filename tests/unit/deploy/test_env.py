@@ -1,18 +1,26 @@
 """The Gymnasium environment of a robot: its thread, exceptions and end, without a robot."""
 
 import atexit
+import contextlib
+import functools
 import threading
 from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
 import pytest
+from kit.virtual_drive import ChangedLink, VirtualDrive
 
+import deploy.env
+from deploy.drive import control_loop
+from deploy.drive.publisher import Publisher
 from deploy.drive.rate_keeper import RateKeeper
 from deploy.env import RoverEnv
+from rover_ncp.core.config import parse_yaml
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.geometry import Pose
-from rover_ncp.course.course import TICK_S, reward
+from rover_ncp.course.course import TICK_S, Course, reward
+from sim.world.env import RoverParkingEnv
 
 
 class Drive:
@@ -71,7 +79,7 @@ def test_exception_of_the_drive_is_one_of_reset_or_step_and_no_horizon(error):
 
 @pytest.mark.parametrize("action", [np.zeros(3), 0.1, "left", {}])
 def test_action_that_is_none_stops_the_rover_at_once(action):
-    env = Env(2)
+    env = Env(1)
     env.reset()
     with pytest.raises((ValueError, TypeError)):
         env.step(action)
@@ -80,7 +88,7 @@ def test_action_that_is_none_stops_the_rover_at_once(action):
 
 
 def test_open_drive_is_closed_at_the_end_of_the_program_and_a_closed_one_is_forgotten(registered):
-    env = Env(2)
+    env = Env(1)
     assert registered == []
     env.reset()
     assert registered == [env.close]
@@ -95,7 +103,7 @@ def test_open_drive_is_closed_at_the_end_of_the_program_and_a_closed_one_is_forg
 
 
 def test_close_that_is_interrupted_can_be_repeated(monkeypatch):
-    env = Env(2)
+    env = Env(1)
     env.reset()
 
     def interrupted(thread, timeout=None):
@@ -117,3 +125,94 @@ def test_reward_is_that_of_the_estimate_and_not_of_the_pose_that_is_steered():
     _, gain, *_ = env.step(np.zeros(2))
     env.close()
     assert gain == sum(reward(pose, checkpoint.pose) for checkpoint in env.course.checkpoints)
+
+
+COURSE = """
+name: short
+start_signal_s: 0.5
+horizon_s: 4.0
+checkpoints:
+- {t: 1.0, x: 0.0, y: 0.0, theta: 0.0}
+- {t: 4.0, x: 0.2, y: 0.0, theta: 0.0}
+"""
+AHEAD = np.array([0.1, 0.0])
+
+
+@pytest.fixture
+def virtual(monkeypatch):
+    """Have every environment drive the rover of one virtual bridge."""
+    virtual = VirtualDrive()
+
+    @contextlib.contextmanager
+    def link(address, record):
+        virtual.link = ChangedLink(virtual.bridge, record)
+        yield virtual.link
+
+    monkeypatch.setattr(deploy.env, "ZenohLink", link)
+    monkeypatch.setattr(deploy.env, "Drive", functools.partial(control_loop.Drive, clock=virtual.bridge))
+    monkeypatch.setattr(deploy.env, "Publisher", functools.partial(Publisher, clock=virtual.bridge))
+    monkeypatch.setattr(deploy.env, "prepare_for_real_time", lambda: None)
+    return virtual
+
+
+def environment(**options):
+    course = parse_yaml(COURSE, Course, "short")
+    return gymnasium.make("deploy.env:rover_ncp/Rover-v0", robot="virtual", course=course, **options)
+
+
+def test_policy_of_ones_own_drives_the_rover_to_the_horizon(virtual):
+    env = environment()
+    observation, _ = env.reset()
+    assert observation.shape == (4,)
+    assert env.observation_space.contains(observation)
+    rewards, ended = [], False
+    while not ended:
+        action = AHEAD if observation[0] < 0.15 else np.zeros(2)
+        observation, gain, terminated, truncated, info = env.step(action)
+        rewards.append(gain)
+        ended = terminated or truncated
+    assert (terminated, info["stopped_by"]) == (True, None)
+    assert len(rewards) == 40
+    assert info["time_s"] == pytest.approx(4.0)
+    assert sum(gain != 0.0 for gain in rewards) == 2
+    assert -0.1 < sum(rewards) < 0.0
+    assert 0.1 < virtual.rover.pose.x < 0.25
+    assert virtual.stands()
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(np.zeros(2))
+    env.close()
+
+
+def test_observations_are_the_signals_by_name(virtual):
+    env = environment(signals=("longitudinal", "speed"))
+    observation, _ = env.reset()
+    assert observation.shape == (2,)
+    env.close()
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_close_and_missing_actions_stop_the_rover_and_release_the_lease(virtual, closed):
+    env = environment()
+    env.reset()
+    for _ in range(8):
+        env.step(AHEAD)
+    assert virtual.rover.velocity.v > 0.05
+    if closed:
+        env.close()
+    else:
+        env.unwrapped._thread.join(5.0)
+        assert virtual.stands()
+        _, _, terminated, truncated, info = env.step(np.zeros(2))
+        assert (terminated, truncated, info["stopped_by"]) == (False, True, "action-late")
+    assert virtual.stands()
+    assert virtual.link.gate.lease == 0
+    env.close()
+    again = environment()
+    again.reset()  # another driver would be refused as long as the lease is held
+    again.close()
+
+
+def test_spaces_are_those_of_the_simulator():
+    robot, simulated = RoverEnv("tcp/127.0.0.1:9"), RoverParkingEnv()
+    assert robot.observation_space == simulated.observation_space
+    assert robot.action_space == simulated.action_space

@@ -1,4 +1,4 @@
-"""What the pre-flight says of a robot that did not move as commanded."""
+"""The check of robots that are well and of others, on the virtual clock."""
 
 import math
 import time
@@ -6,13 +6,22 @@ from datetime import date
 from types import SimpleNamespace
 
 import pytest
+from kit.virtual_drive import ChangedLink
 
+from bridge.gate.limits import Limits
 from deploy.check import Battery, Preflight
 from deploy.drive.lease import NOT_ACCEPTED
-from deploy.drive.measurements import NS
+from deploy.drive.measurements import NS, Measurements
+from deploy.drive.safety_monitor import SafetyMonitor
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.protocol import BaseReply, GateStatus
+from sim.pioneer.faults import Faults, parse_fault
+from sim.pioneer.firmware import Firmware
+from sim.pioneer.ros2_robot import Ros2Robot
+from sim.stack.virtual import VirtualBridge
+from sim.world.described import described_rover
+from sim.world.pymunk_rover import Ground, PymunkRover
 
 
 def said(after):
@@ -99,5 +108,102 @@ def test_a_robot_may_brake_as_slowly_as_its_description_says(monkeypatch, decel,
     stood = SimpleNamespace(ref=SimpleNamespace(measured_ns=time.monotonic_ns() + round(1.4 * NS)))
     monkeypatch.setattr(Preflight, "_move", lambda self, velocity: None)
     monkeypatch.setattr(Preflight, "_until", lambda self, condition, timeout_s: True)
-    found, words = Preflight(None, SimpleNamespace(newest=stood), None, None, robot)._check_silence()
+    found, words = Preflight(None, SimpleNamespace(newest=stood), None, None, robot=robot)._check_silence()
     assert found is ok, words
+
+
+def check(*faults, limits=None, while_turning="", model=None, robot="p3at-sh"):
+    """Check a robot on the virtual clock; return the findings, the link and the rover."""
+    described = load_description(robot)
+    rover = PymunkRover(described_rover(described), Ground(()))
+    if described.arcos:
+        base = Firmware(robot, rover, faults=Faults([parse_fault(fault) for fault in faults]))
+    else:
+        base = Ros2Robot(described, rover)
+    bridge, battery = VirtualBridge(base, limits), Battery()
+    bridge.sleep(3.0)
+    link = ChangedLink(bridge, battery.record)
+    measurements = Measurements(link)
+
+    def press_bumper(data):
+        if while_turning and rover.velocity.omega > 0.05:
+            base.inject(parse_fault(while_turning))
+        return data
+
+    link.change["odom"] = press_bumper
+    monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
+    monitor.wait()
+    expected = load_description(model) if model else None
+    preflight = Preflight(link, measurements, monitor, battery, robot=expected, clock=bridge)
+    return preflight.run(), link, rover
+
+
+NAMES = ["odometry", "battery", "stop", "motors", "forward", "left", "silence", "bridge"]
+
+
+@pytest.mark.parametrize("robot", ["p3at-sh", "turtlebot4"])
+def test_robot_that_is_well_passes_all_checks_and_stands(robot):
+    findings, link, rover = check(robot=robot, model=robot)
+    assert [finding for finding in findings if not finding.ok] == []
+    assert [finding.name for finding in findings] == ["model", *NAMES]
+    link.bridge.sleep(0.5)
+    assert max(map(abs, rover.velocity)) < 1e-3
+    assert link.gate.lease == 0
+    assert {"silence"} <= link.gate.stops.keys() <= {"silence", "odometry"}
+
+
+@pytest.mark.parametrize(
+    ("options", "name", "words"),
+    [
+        ({"model": "turtlebot4"}, "model", "the bridge drives p3at-sh, expected turtlebot4"),
+        ({"faults": ["low-battery=11.2"]}, "battery", "11.2 V (at least 11.5 V)"),
+        ({"faults": ["stop-button"]}, "stop", "held by stop-button"),
+        (
+            {"faults": ["freeze-odometry@0"]},
+            *("forward", "reports 0.00 m/s and 0.00 m: the gate passed all commands on"),
+        ),
+        ({"faults": ["bumper@0.5"]}, "forward", "the gate stopped the robot: bumper"),
+        ({"while_turning": "bumper@0-5"}, "left", "the gate stopped the robot: bumper"),
+        ({"limits": Limits(v_max=0.03)}, "forward", "the gate limited commands: speed"),
+    ],
+)
+def test_robot_that_is_not_well_fails_the_check_that_finds_it(options, name, words):
+    findings, link, rover = check(*options.pop("faults", []), **options)
+    assert (findings[-1].name, findings[-1].ok) == (name, False)
+    assert all(finding.ok for finding in findings[:-1])
+    assert words in findings[-1].detail
+    link.bridge.sleep(1.0)
+    assert max(map(abs, rover.velocity)) < 1e-3
+    assert link.gate.lease == 0
+
+
+@pytest.mark.parametrize(("reports", "ok"), [([10, 20], True), ([10, 15], False)])
+def test_rare_odometry_is_listened_to_once_more(reports, ok):
+    counts, taken = iter(reports), {"odom": 0}
+
+    def listen(condition, timeout_s):
+        taken["odom"] += next(counts)
+
+    measurements, monitor = SimpleNamespace(taken=taken), SimpleNamespace(until=listen)
+    found, words = Preflight(None, measurements, monitor, Battery())._check_odometry()
+    assert found is ok
+    assert words == f"{reports[-1] / 2:.1f} reports a second (at least 8)"
+
+
+@pytest.mark.parametrize(
+    ("state", "words"),
+    [
+        ("unknown", "the timeout was not measured: a stop"),
+        ("none", "if the bridge dies, the base does not"),
+    ],
+)
+def test_a_measurement_that_a_stop_ended_is_not_called_a_missing_timeout(monkeypatch, state, words):
+    replies = (BaseReply(model="husky-a200", state=state) for state in ("unknown", "running", state))
+    link = SimpleNamespace(
+        about_base=lambda measure=False: next(replies), request_motors=lambda name, unchecked: None
+    )
+    monkeypatch.setattr(Preflight, "_move", lambda self, velocity: None)
+    monitor, measurements = SimpleNamespace(until=lambda condition, timeout_s: False), SimpleNamespace()
+    found, detail = Preflight(link, measurements, monitor, Battery())._check_base_timeout()
+    assert found is False
+    assert detail.startswith(words)

@@ -1,0 +1,180 @@
+"""Result of a drive, as JSON and in words."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from deploy.drive.control_loop import Drive, Phase
+from deploy.estimator.settings import Outcome
+from rover_ncp.core.console import printable
+
+INTERRUPTED = 130
+
+
+class RecordingResult(BaseModel):
+    """The recording in a command's result."""
+
+    recording: str | None = Field(description="its file")
+    recording_failure: str | None = Field(description="why it is not whole")
+
+
+class Samples(BaseModel):
+    """Counts of one kind of measurement."""
+
+    taken: int = Field(description="received and decoded")
+    unreadable: int = Field(description="that could not be decoded")
+    doubtful: int = Field(description="not used: their stamps contradict those around them")
+
+
+class Odometry(Samples):
+    """Counts of odometry or of gyro readings."""
+
+    rejected: int = Field(description="by the filter")
+
+
+class Nis(BaseModel):
+    """Mean normalised innovation squared of external poses; 3 if all is as assumed."""
+
+    standing: float | None = Field(description="of external poses while the rover stood")
+    moving: float | None = Field(description="of external poses while it moved")
+
+
+class ExternalPoses(Samples):
+    """Counts of external poses."""
+
+    placed: bool = Field(description="whether they gave the start")
+    used: int = Field(description="by the filter")
+    refused: int = Field(description="outliers and values that are not finite")
+    too_late: int = Field(description="older than the filter's history")
+    dropped: int = Field(description="newer than odometry, when too many waited for it")
+    nis: Nis = Field(description="normalised innovation squared; 3 if all is as assumed")
+
+
+class Lateness(BaseModel):
+    """How long after their due time ticks ran."""
+
+    p50: float = Field(description="median")
+    max: float = Field(description="largest")
+
+
+class Latency(BaseModel):
+    """Time from the arrival of a sample to its command."""
+
+    p50: float = Field(description="median")
+    p99: float = Field(description="99th percentile")
+
+
+class DriveResult(RecordingResult):
+    """Result of a drive."""
+
+    parked: bool = Field(description="by the estimate")
+    state: str = Field(description="in which the drive ended")
+    reason: str = Field(description="in words")
+    stopped_by: str | None = Field(description="the safety rule")
+    warning: str | None = Field(description="a second publisher of odom, imu or pose")
+    contact: str | None = Field(description="that the base reported: a pressed bumper or a stall")
+    predicted_error_m: float | None = Field(
+        description="in 95 % of drives, by the filter's covariance, if no external pose comes after the start"
+    )
+    estimate_error_m: float | None = Field(description="of the estimate to the goal, at the end")
+    estimate_error_rad: float | None = Field(description="of its heading")
+    ticks: int = Field(description="steps of control, 0.1 s each")
+    overruns: int = Field(description="predicted and missed ticks")
+    predicted: int = Field(description="ticks without fresh odometry")
+    missed: int = Field(description="ticks that did not run")
+    tick_rate_hz: float = Field(description="reached over the whole drive")
+    lateness_ms: Lateness = Field(description="of ticks")
+    odometry_to_command_ms: Latency = Field(description="from a sample's arrival to its command")
+    odometry: Odometry = Field(description="samples")
+    gyro: Odometry = Field(description="readings")
+    pose: ExternalPoses = Field(description="external poses")
+    policy: str = Field(description="its name")
+    course: str = Field(description="its name")
+    dry_run: bool = Field(description="whether no command was sent")
+    recording_dropped: int = Field(description="messages that the recording lacks")
+    exit_code: int = Field(description="of the command")
+
+    @property
+    def words(self) -> str:
+        """The result for people."""
+        if self.stopped_by:
+            first = printable(self.reason)
+        elif self.estimate_error_m is None or self.estimate_error_rad is None:
+            first = "interrupted; the rover was stopped"
+        else:
+            ending = "parked" if self.parked else f"not parked: {self.reason}"
+            first = (
+                f"{ending}; by the estimate {1000 * self.estimate_error_m:.0f} mm and "
+                f"{1000 * self.estimate_error_rad:.0f} mrad from the goal"
+            )
+        latency = self.odometry_to_command_ms
+        lines = [
+            ("dry run, " if self.dry_run else "") + first,
+            f"{self.ticks} ticks at {self.tick_rate_hz:.2f} Hz, {self.overruns} overruns; "
+            f"odometry to command {latency.p50:.1f} ms (median), {latency.p99:.1f} ms (99 %)",
+        ]
+        if self.warning:
+            lines.append(f"warning: {self.warning}")
+        if self.pose.taken and not self.pose.placed:
+            lines.append("external poses came, but none while the rover stood at the start: none was used")
+        if self.recording:
+            lines.append(f"recording: {self.recording}")
+        if self.recording_failure:
+            lines.append(f"the recording failed, the drive went on without it: {self.recording_failure}")
+        return "\n".join(lines)
+
+
+def result_of(drive: Drive, recording: Mapping[str, Any]) -> DriveResult:
+    """Return the result of a drive that is over; ``recording`` are the fields of its recording."""
+    report, verdict, config = drive.keeper.report(), drive.verdict, drive.config
+    parked = drive.phase is Phase.PARKED
+    if drive.stop is not None:
+        code = drive.stop.exit_code
+    elif verdict is None:
+        code = INTERRUPTED
+    else:
+        code = 0 if parked or config.dry_run else 1
+    latencies_ms = np.array(drive.latencies_ns or [0]) / 1e6
+    estimator, outcomes = drive.controller.estimator, drive.controller.estimator.poses
+    odometry, gyro, pose = (
+        {name: getattr(drive.measurements, name)[topic] for name in ("taken", "unreadable", "doubtful")}
+        for topic in ("odom", "imu", "pose")
+    )
+    return DriveResult(
+        parked=parked,
+        state=drive.phase.value,
+        reason=drive.reason,
+        stopped_by=drive.stop.rule if drive.stop else None,
+        warning=drive.warning or None,
+        contact=drive.contact or None,
+        predicted_error_m=drive.predicted_error_m,
+        estimate_error_m=verdict.error_m if verdict else None,
+        estimate_error_rad=verdict.error_rad if verdict else None,
+        ticks=report.ticks,
+        overruns=report.overruns,
+        predicted=report.predicted,
+        missed=report.missed,
+        tick_rate_hz=report.rate_hz,
+        lateness_ms=Lateness(p50=report.lateness_p50_ms, max=report.lateness_max_ms),
+        odometry_to_command_ms=Latency(
+            p50=float(np.percentile(latencies_ms, 50)), p99=float(np.percentile(latencies_ms, 99))
+        ),
+        odometry=Odometry(**odometry, rejected=estimator.rejected),
+        gyro=Odometry(**gyro, rejected=estimator.gyro_rejected),
+        pose=ExternalPoses(
+            **pose,
+            placed=drive.placed,
+            used=outcomes[Outcome.ACCEPTED],
+            refused=outcomes[Outcome.OUTLIER] + outcomes[Outcome.NOT_FINITE],
+            too_late=outcomes[Outcome.TOO_OLD],
+            dropped=outcomes[Outcome.DROPPED],
+            nis=Nis(**estimator.nis),
+        ),
+        policy=config.policy,
+        course=config.course,
+        dry_run=config.dry_run,
+        exit_code=code,
+        **recording,
+    )

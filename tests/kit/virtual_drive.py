@@ -1,0 +1,172 @@
+"""A drive on the virtual clock before a real bridge and base; what the driver receives can be changed."""
+
+import zlib
+
+from deploy.drive.config import DriveConfig
+from deploy.drive.control_loop import Drive
+from deploy.drive.controller import Controller
+from deploy.drive.link import Arrival
+from deploy.drive.publisher import Publisher
+from deploy.drive.records import TICKS_TOPIC, attachments
+from deploy.drive.result import result_of
+from kit.paths import DATA
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.course.course import Course
+from rover_ncp.recording.recording import Recorded, RecordingWriter
+from rover_ncp.wire.key_table import spec
+from rover_ncp.wire.messages import odometry, read_odometry, read_text, text, twist_stamped
+from rover_ncp.wire.protocol import (
+    BaseReply,
+    BaseRequest,
+    DriverStatus,
+    GateStatus,
+    Signed,
+    dump_json,
+    parse_json,
+)
+from sim.pioneer.firmware import Firmware
+from sim.stack.virtual import VirtualBridge, VirtualLink
+from sim.world.described import default_rover
+from sim.world.pymunk_rover import Ground, PymunkRover
+
+STILL = Velocity(0.0, 0.0)
+AHEAD = load_policy(DATA / "golden/parking.bnn")
+"""A circuit that drives straight ahead at full speed after the start signal."""
+COURSE = Course.model_validate(
+    {
+        "name": "short",
+        "start_signal_s": 0.3,
+        "horizon_s": 2.0,
+        "checkpoints": [{"t": 2.0, "x": 5.0, "y": 5.0, "theta": 0.0}],
+    }
+)
+"""Its goal is far from where any rover comes."""
+
+
+class ChangedLink(VirtualLink):
+    """Records in both directions, as the link of a process.
+
+    ``change`` has a function for messages of a name, which returns what arrives instead of a message, or None
+    if nothing does. ``harm`` is called once, with the command of number ``after``.
+    """
+
+    def __init__(self, bridge, record):
+        super().__init__(bridge, Pose(0.0, 0.0, 0.0), record)
+        self.bridge, self.change = bridge, {}
+        self.tag = lambda data, sequence: None
+        self.sent, self.sent_ns, self.statuses = [], [], []
+        self.after, self.harm = 6, lambda: None
+        self.released_ns, self.requests = None, 0
+
+    def put(self, name, data):
+        """Deliver a message, as a peer does that is not the bridge."""
+        wall_ns = self.bridge.time_ns()
+        self._record(Recorded(name, spec(name).type, data, wall_ns, wall_ns))
+        self.receive(name, Arrival(data, self.bridge.now_ns))
+
+    def change_odometry(self, change):
+        """Have ``change`` return pose and velocity of each sample of odometry, or None."""
+
+        def changed(data):
+            found = change(sample := read_odometry(data))
+            return found and odometry(*found, sample.stamp_ns)
+
+        self.change["odom"] = changed
+
+    def change_gate(self, **fields):
+        """Change fields of each status of the gate."""
+
+        def changed(data):
+            status = parse_json(GateStatus, read_text(data))
+            return text(dump_json(status.model_copy(update=fields)).decode())
+
+        self.change["rover/gate"] = changed
+
+    def publish(self, name, data, wall_ns):
+        if name == "rover/status":
+            self.statuses.append(parse_json(DriverStatus, read_text(data)))
+        self._record(Recorded(name, spec(name).type, data, wall_ns, wall_ns))
+
+    def command(self, velocity):
+        wall_ns = self.bridge.time_ns()
+        data = twist_stamped(velocity, wall_ns)
+        tag = self.lease.sign(Signed.COMMAND, "cmd_vel", data, self.bridge.now_ns)
+        changed = self.tag(data, tag.sequence) or tag
+        if changed is not LOST:
+            self.bridge.command(data, changed.pack())
+        self._record(Recorded("cmd_vel", spec("cmd_vel").type, data, wall_ns, wall_ns, tag.sequence))
+        self.sent.append(velocity)
+        self.sent_ns.append(self.bridge.now_ns)
+        if len(self.sent) == self.after:
+            self.harm()
+        return tag.sequence
+
+    def request_motors(self, name, unchecked=False):
+        self.requests += 1
+        return super().request_motors(name, unchecked)
+
+    def about_base(self, measure=False):
+        payload = dump_json(BaseRequest(measure=measure, sent_ns=self.bridge.now_ns))
+        tag = self.lease.sign(Signed.MOTORS, "rover/base", payload, self.bridge.now_ns)
+        return parse_json(BaseReply, self.bridge.query("rover/base", payload, tag.pack()))
+
+    def release(self):
+        self.released_ns = self.bridge.now_ns
+        super().release()
+
+    def _receive(self, name, data):
+        data = self.change.get(name, lambda data: data)(data)
+        if data is not None:
+            self.put(name, data)
+
+
+LOST = object()
+"""A tag of `ChangedLink.tag`: the command does not arrive."""
+
+
+class VirtualDrive:
+    """One drive; ``path`` is its recording, and other arguments are those of its settings."""
+
+    def __init__(self, policy=AHEAD, course=COURSE, path=None, **settings):
+        defaults = {"robot": "virtual", "policy": "p", "course": "c", "pose": "none", "ticks": course.ticks}
+        self.config = DriveConfig(**defaults | settings)
+        self.policy, self.course, self.path = policy, course, path
+        self.rover = PymunkRover(default_rover(), Ground(()))
+        self.bridge = VirtualBridge(Firmware("p3at-sh", self.rover))
+        self.recorded = []
+        self.link = ChangedLink(self.bridge, self.recorded.append)
+        self.interrupted = lambda: False
+
+    def run(self):
+        """Drive; return the result as JSON has it."""
+        files = attachments(self.policy, self.course, self.config)
+        publisher = Publisher(self.link, self.recorded.append, self.policy.circuit.neurons, self.bridge)
+        controller = Controller(self.policy, self.course, self.config.estimator, self.config.rover)
+        drive = Drive(self.link, controller, publisher, self.config, self.interrupted, clock=self.bridge)
+        try:
+            drive.wait()
+            drive.run({name: zlib.crc32(content) for name, content in files.items()})
+        finally:
+            if self.path:
+                self._write(files)
+        self.result = result_of(drive, {"recording": None, "recording_failure": None, "recording_dropped": 0})
+        return self.result
+
+    def _write(self, files):
+        with RecordingWriter(self.path) as writer:
+            for name, content in files.items():
+                writer.attach(name, content)
+            for message in self.recorded:
+                writer.write(message)
+                if message.topic == TICKS_TOPIC:
+                    writer.flush()
+
+    def messages(self, topic):
+        """Return the data of the recorded messages of a topic."""
+        return [message.data for message in self.recorded if message.topic == topic]
+
+    def stands(self):
+        """Return whether the rover stands still, after the time that braking takes."""
+        self.bridge.sleep(1.0)
+        return max(map(abs, self.rover.velocity)) < 1e-3

@@ -1,0 +1,225 @@
+"""Start, measurements and result of a drive, on the virtual clock before a real bridge and base."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from kit.virtual_drive import COURSE, STILL, VirtualDrive
+
+from deploy.drive.records import TICKS_TOPIC, TickRecord
+from deploy.replay import replay
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.errors import NoBridge, NoPose, NoRobot
+from rover_ncp.core.geometry import Pose, compose, distance, wrap_angle
+from rover_ncp.course.course import load_course
+from rover_ncp.recording.recording import read_recording, rewrite
+from rover_ncp.robot.profile import RoverProfile
+from rover_ncp.wire.messages import imu, pose_with_covariance, read_odometry, read_pose, read_text
+from rover_ncp.wire.protocol import StopRequest, dump_json, parse_json
+
+ORIGIN = Pose(0.0, 0.0, 0.0)
+COVARIANCE = np.diag([1e-4, 1e-4, 3e-4])
+
+
+def localised(link, start=ORIGIN, frame="course"):
+    """Have each odometry bring the external pose of the one before; the rover began at ``start``."""
+    waiting = []
+
+    def change(data):
+        sample = read_odometry(data)
+        seen = compose(start, sample.pose)
+        waiting.append(pose_with_covariance(seen, COVARIANCE, sample.stamp_ns, frame))
+        if len(waiting) > 1:
+            link.put("pose", waiting.pop(0))
+        return data
+
+    link.change["odom"] = change
+
+
+def short_drive(pose="auto", ticks=5, **settings):
+    return VirtualDrive(pose=pose, ticks=ticks, **settings)
+
+
+def estimates(virtual):
+    return [read_pose(data).pose for data in virtual.messages("rover/estimate")]
+
+
+def test_external_pose_places_the_rover_on_the_course(tmp_path):
+    there = Pose(0.2, 0.1, 0.3)
+    virtual = short_drive("required", path=tmp_path / "run.mcap")
+    localised(virtual.link, there)
+    result = virtual.run()
+    assert result.exit_code == 1
+    assert result.pose.placed
+    assert result.pose.used >= 3
+    assert result.pose.refused == result.pose.unreadable == 0
+    assert estimates(virtual)[0] == pytest.approx(there)
+    assert replay(virtual.path).difference is None
+
+
+@pytest.mark.parametrize(
+    "there", [Pose(-3.25, 0.0, 2.48), Pose(0.0, 0.0, math.pi), Pose(0.1, -0.21, 0.0), Pose(0.5, 0.1, 0.3)]
+)
+@pytest.mark.parametrize("pose", ["required", "auto"])
+def test_start_for_which_no_rate_is_known_is_refused_before_the_motors(there, pose):
+    virtual = short_drive(pose)
+    localised(virtual.link, there)
+    result = virtual.run()
+    assert (result.exit_code, result.stopped_by, virtual.link.requests) == (4, "start-pose", 0)
+    assert f"x {there.x:.2f} m, y {there.y:.2f} m" in result.reason
+    assert "(limit ±0.2 m and ±20°)" in result.reason
+
+
+def test_readings_of_a_gyro_count_are_recorded_and_recomputed(tmp_path):
+    virtual = VirtualDrive(path=tmp_path / "run.mcap")
+
+    def change(data):
+        sample = read_odometry(data)
+        virtual.link.put("imu", imu(sample.velocity.omega + 0.3, 1e-6, sample.stamp_ns))
+        return data
+
+    virtual.link.change["odom"] = change
+    result = virtual.run()
+    assert (result.exit_code, result.odometry.rejected) == (1, 0)
+    records = [parse_json(TickRecord, read_text(data)) for data in virtual.messages(TICKS_TOPIC)]
+    taken = [ref for record in records for ref in record.samples if ref.topic == "imu"]
+    assert len(taken) > 10
+    assert replay(virtual.path).difference is None
+
+    recording = read_recording(virtual.path)
+    silent = tuple(message for message in recording.messages if message.topic != "imu")
+    rewrite(dataclasses.replace(recording, messages=silent), tmp_path / "silent.mcap")
+    difference = replay(tmp_path / "silent.mcap").difference
+    assert difference.quantity.startswith("the gyro reading of stamp")
+
+
+def test_without_external_poses_the_start_is_an_error_or_the_origin():
+    virtual = short_drive("required", pose_wait_s=0.5)
+    with pytest.raises(NoPose, match="no external pose of the rover arrived on 'pose'") as caught:
+        virtual.run()
+    assert (caught.value.exit_code, virtual.link.requests) == (3, 0)
+    virtual = short_drive("none")
+    localised(virtual.link, Pose(9.0, 9.0, 1.0))
+    virtual.run()
+    assert distance(estimates(virtual)[0], ORIGIN) < 1e-6
+
+
+def test_poses_that_come_only_after_the_start_are_not_used_and_that_is_said():
+    virtual = short_drive(ticks=9)
+    virtual.link.harm = lambda: localised(virtual.link, Pose(9.0, 9.0, 1.0))
+    result = virtual.run()
+    assert result.exit_code == 1
+    assert "external poses came, but none while the rover stood at the start: none was used" in result.words
+
+
+def test_poses_in_another_frame_and_garbled_ones_count_for_nothing():
+    virtual = short_drive(ticks=9)
+    localised(virtual.link, Pose(9.0, 9.0, 1.0), frame="map")
+    virtual.link.harm = lambda: virtual.link.put("pose", b"nonsense")
+    result = virtual.run()
+    assert (result.exit_code, result.pose.taken) == (1, 0)
+    assert result.pose.unreadable > 3
+
+
+def test_rover_that_was_carried_away_is_stopped(tmp_path):
+    virtual = VirtualDrive(pose="auto", path=tmp_path / "run.mcap")
+    localised(virtual.link)
+    virtual.link.harm = lambda: localised(virtual.link, Pose(0.0, 0.4, 0.0))
+    result = virtual.run()
+    assert (result.exit_code, result.stopped_by) == (4, "external-pose")
+    assert "5 external poses rejected in a row" in result.reason
+    assert result.ticks < 16
+    assert virtual.link.sent[-1] == STILL
+    assert max(abs(pose.y) for pose in estimates(virtual)) < 0.05  # the estimate did not follow
+    assert replay(virtual.path).difference is None
+    assert virtual.stands()
+
+
+def test_without_the_required_accuracy_the_rover_is_not_driven():
+    def stopped(**settings):
+        virtual = short_drive(require_accuracy_m=0.01, **settings)
+        result = virtual.run()
+        assert (result.stopped_by, virtual.link.requests) == ("accuracy", 0)
+        assert result.predicted_error_m > 0.01
+        return result.reason
+
+    reason = stopped()
+    assert "expected 0.01 m at most" in reason
+    assert reason.endswith("external poses or a gyro or a profile of 'identify' would reduce it")
+    reason = stopped(rover=RoverProfile(name="mine", gain_v=1.0))
+    assert reason.endswith("external poses or a gyro would reduce it")
+    virtual = short_drive(require_accuracy_m=0.01)
+    localised(virtual.link)
+    assert virtual.run().stopped_by is None
+
+
+def test_refusal_moves_nothing_and_has_its_reason():
+    virtual = VirtualDrive()
+    virtual.bridge.sleep(3.0)
+    virtual.bridge.query("rover/stop", dump_json(StopRequest(reason="Anna")))
+    result = virtual.run()
+    assert (result.exit_code, result.stopped_by, virtual.link.sent) == (4, "stopped", [])
+
+
+def test_dry_run_commands_nothing_and_is_done_with_0(tmp_path):
+    virtual = VirtualDrive(dry_run=True, path=tmp_path / "run.mcap")
+    result = virtual.run()
+    assert (result.exit_code, result.dry_run, result.ticks) == (0, True, COURSE.ticks)
+    assert (virtual.link.sent, virtual.link.requests) == ([], 0)
+    assert replay(virtual.path).difference is None
+
+
+@pytest.mark.parametrize(
+    ("error", "words", "settings"),
+    [
+        (NoBridge, "no bridge is announced there within 0.3 s", {"bridge_wait_s": 0.3}),
+        (NoRobot, "sends no odometry", {"odometry_wait_s": 0.3}),
+        (KeyboardInterrupt, "^$", {}),
+    ],
+)
+def test_drive_that_cannot_start_requests_no_motors(error, words, settings):
+    virtual = VirtualDrive(**settings)
+    virtual.link.bridge_alive = error is not NoBridge
+    virtual.link.change["odom"] = lambda data: None
+    virtual.interrupted = lambda: error is KeyboardInterrupt and virtual.bridge.monotonic() > 1.0
+    with pytest.raises(error, match=words):
+        virtual.run()
+    assert virtual.link.requests == 0
+    assert virtual.bridge.monotonic() < 2.0
+
+
+def test_estimate_is_where_the_rover_is_and_the_drive_recomputes(tmp_path):
+    virtual = VirtualDrive(path=tmp_path / "run.mcap")
+    truth = []
+    observe = virtual.link.publish
+
+    def publish(name, data, wall_ns):
+        if name == "rover/estimate":
+            truth.append(virtual.rover.pose)
+        observe(name, data, wall_ns)
+
+    virtual.link.publish = publish
+    result = virtual.run()
+    assert len(truth) == result.ticks + 1
+    errors = [distance(estimate, pose) for estimate, pose in zip(estimates(virtual), truth, strict=True)]
+    assert np.median(errors) < 0.002
+    assert max(errors) < 0.004
+    assert truth[-1].x > 0.1
+    assert replay(virtual.path).difference is None
+
+
+def test_rover_with_an_external_start_pose_parks_on_the_true_pose(tmp_path):
+    start, course = Pose(0.07, -0.09, 0.15), load_course("parking")
+    policy = load_policy("course")
+    virtual = VirtualDrive(policy, course, tmp_path / "run.mcap", pose="required")
+    localised(virtual.link, start)
+    result = virtual.run()
+    assert (result.exit_code, result.parked) == (0, True)
+    assert result.pose.used > 50
+    assert result.pose.refused == 0
+    end = compose(start, virtual.rover.pose)
+    # Without external poses the final position error would be as large as that of the start.
+    assert distance(end, course.goal) < course.parked.position_m / 2 < distance(start, ORIGIN)
+    assert abs(wrap_angle(end.theta - course.goal.theta)) < course.parked.heading_rad
+    assert replay(virtual.path).difference is None

@@ -1,0 +1,213 @@
+"""Every reason for which a drive stops, on the virtual clock before a real bridge and base."""
+
+import collections
+import math
+
+import pytest
+from kit.virtual_drive import AHEAD, LOST, STILL, VirtualDrive
+
+from deploy.drive.link import STEPS_BACK
+from deploy.view.recorded_drive import read_drive
+from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.course.course import Course, load_course
+from rover_ncp.wire.messages import bumpers
+from rover_ncp.wire.protocol import CommandTag, Signed
+
+LONG = load_course("parking").model_copy(update={"start_signal_s": 0.3})
+
+
+@pytest.fixture
+def virtual():
+    return VirtualDrive()
+
+
+def late(bridge, by_s):
+    """Give odometry as a link that became slow does: in order, later than it was measured."""
+    held = collections.deque()
+
+    def change(data):
+        held.append((bridge.now_ns, data))
+        return held.popleft()[1] if bridge.now_ns - held[0][0] >= by_s * 1e9 else None
+
+    return change
+
+
+BAD_ODOMETRY = {
+    "silent": ("odometry-age", lambda sample: None),
+    "nan": ("estimator", lambda sample: (sample.pose, Velocity(math.nan, 0.0))),
+    "nowhere": ("estimator", lambda sample: (Pose(math.inf, 0.0, 0.0), sample.velocity)),
+    "kidnapped": ("estimator", lambda sample: (sample.pose._replace(x=sample.pose.x + 0.5), sample.velocity)),
+    "garbled": ("odometry-age", None),
+    "late": ("odometry-age", None),
+}
+
+
+@pytest.mark.parametrize("name", BAD_ODOMETRY)
+def test_bad_odometry_stops_the_rover_within_half_a_second(virtual, name):
+    rule, change = BAD_ODOMETRY[name]
+    link, began_ns = virtual.link, []
+
+    def harm():
+        began_ns.append(virtual.bridge.now_ns)
+        if name == "garbled":
+            link.change["odom"] = lambda data: b"\x00\x01\x00\x00nonsense"
+        elif name == "late":
+            link.change["odom"] = late(virtual.bridge, 0.5)
+        else:
+            link.change_odometry(change)
+
+    link.harm = harm
+    result = virtual.run()
+    assert (result.exit_code, result.state, result.stopped_by) == (4, "fault", rule)
+    assert rule in result.reason
+    assert link.sent[-1] == STILL
+    assert (link.released_ns - began_ns[0]) * 1e-9 < 0.5
+    assert virtual.stands()
+
+
+@pytest.mark.parametrize("rule", ["bridge-lost", "bumper", "lease"])
+def test_loss_of_the_bridge_or_of_the_lease_ends_the_drive_with_a_name(virtual, rule):
+    link = virtual.link
+    link.harm = {
+        "bridge-lost": lambda: setattr(link, "bridge_alive", False),
+        "bumper": lambda: link.change_gate(lease=0, ended="bumper"),
+        "lease": lambda: link.change_gate(lease=link.lease.number + 1),
+    }[rule]
+    result = virtual.run()
+    assert (result.exit_code, result.stopped_by) == (4, rule)
+    assert result.ticks < 10
+    assert virtual.stands()
+
+
+def old(link, data, sequence):
+    tag = CommandTag(link.lease.number, sequence, link.bridge.now_ns - 10**9)
+    return tag.sign(link.lease._secret, Signed.COMMAND, "cmd_vel", data)
+
+
+def foreign(link, data, sequence):
+    tag = CommandTag(link.lease.number + 1, sequence, link.bridge.now_ns)
+    return tag.sign(link.lease._secret, Signed.COMMAND, "cmd_vel", data)
+
+
+@pytest.mark.parametrize(
+    ("tag", "reason"),
+    [
+        (old, "dropped since then: stale "),
+        (foreign, "dropped since then: foreign "),
+        (lambda *_: LOST, "no dropped command"),
+        (None, "no dropped command"),  # the gate publishes no more
+    ],
+)
+def test_driver_whose_commands_are_not_accepted_stops_within_half_a_second(virtual, tag, reason):
+    link = virtual.link
+
+    def harm():
+        if tag is None:
+            link.change["rover/gate"] = lambda data: None
+        else:
+            link.tag = lambda data, sequence: tag(link, data, sequence)
+
+    link.harm = harm
+    result = virtual.run()
+    assert (result.exit_code, result.stopped_by) == (4, "not-accepted")
+    assert reason in result.reason
+    refused_ns = link.sent_ns[link.after]
+    assert (link.released_ns - refused_ns) * 1e-9 < 0.5
+    assert virtual.stands()
+
+
+def test_rover_that_does_not_follow_its_commands_is_stopped():
+    virtual = VirtualDrive(course=LONG)
+    virtual.link.change_odometry(lambda sample: (Pose(0.0, 0.0, 0.0), STILL))
+    result = virtual.run()
+    assert (result.exit_code, result.stopped_by) == (4, "no-response")
+    assert result.ticks < 60
+    assert virtual.stands()
+
+
+def test_interruption_stops_the_rover_first(virtual):
+    virtual.interrupted = lambda: len(virtual.link.sent) >= 6
+    result = virtual.run()
+    assert (result.exit_code, result.reason, result.words.splitlines()[0]) == (
+        *(130, "interrupted"),
+        "interrupted; the rover was stopped",
+    )
+    assert result.ticks == 6
+    assert virtual.link.sent[-1] == STILL
+    assert virtual.stands()
+
+
+ANYWHERE = Course.model_validate(
+    {
+        "name": "anywhere",
+        "start_signal_s": 0.3,
+        "horizon_s": 2.0,
+        "checkpoints": [{"t": 2.0, "x": 0.0, "y": 0.0, "theta": 0.0}],
+        "parked": {"position_m": 5.0, "heading_rad": 3.0, "still_m": 5.0, "still_rad": 3.0, "still_s": 0.1},
+    }
+)
+"""A rover parks wherever this course ends."""
+
+
+def hold_for_a_moment(link):
+    link.change_gate(held="stall")
+    link.after, link.harm = link.after + 4, lambda: link.change_gate(held="")
+
+
+@pytest.mark.parametrize(
+    ("harm", "contact"),
+    [
+        (lambda link: None, None),
+        (lambda link: link.change_gate(stops={"silence": 1}), None),
+        (lambda link: link.change_gate(stops={"stall": 1}), "a motor is stalled"),
+        (lambda link: link.change_gate(stops={"bumper": 1}), "a bumper is pressed"),
+        (lambda link: link.put("bumpers", bumpers(0, 4)), "a bumper is pressed"),
+        (hold_for_a_moment, "a motor is stalled"),
+    ],
+)
+def test_drive_with_a_contact_is_never_parked(tmp_path, harm, contact):
+    virtual = VirtualDrive(course=ANYWHERE, path=tmp_path / "run.mcap")
+    virtual.link.harm = lambda: harm(virtual.link)
+    result = virtual.run()
+    parked = contact is None
+    assert (result.exit_code, result.parked, result.contact) == (int(not parked), parked, contact)
+    if contact:
+        assert result.reason == f"touched an obstacle: {contact}"
+    assert read_drive(virtual.path).timeline.judge()["estimated"].parked is parked
+
+
+def test_bumper_that_was_pressed_before_the_lease_does_not_count():
+    virtual = VirtualDrive(course=ANYWHERE)
+    virtual.link.change_gate(stops={"bumper": 3})
+    virtual.link.put("bumpers", bumpers(0, 4))
+    assert virtual.run().parked
+
+
+def test_second_publisher_is_in_the_log_the_status_and_the_result(virtual, caplog):
+    link, words = virtual.link, "two publishers send odom, or one sends it out of order"
+
+    def harm():
+        for stamp_ns in (1, 0) * STEPS_BACK:
+            link.sources.note("odom", "", stamp_ns)
+
+    link.harm = harm
+    with caplog.at_level("INFO", "rover_ncp"):
+        result = virtual.run()
+    assert result.stopped_by is None
+    assert words in result.warning
+    assert result.warning in result.words
+    assert [message for message in caplog.messages if "warning" in message] == [f"warning: {result.warning}"]
+    warnings = [status.warning for status in link.statuses]
+    assert (warnings[0], warnings[-1]) == ("", result.warning)
+
+
+def test_drive_without_a_fault_ends_with_a_standing_rover(virtual):
+    result = virtual.run()
+    assert (result.exit_code, result.state, result.stopped_by) == (1, "ended", None)
+    assert (result.warning, result.contact, result.recording) == (None, None, None)
+    assert result.ticks == 20
+    assert result.estimate_error_m > 6
+    assert "from the goal" in result.reason
+    assert virtual.rover.pose.x > 0.1
+    assert virtual.policy is AHEAD
+    assert virtual.stands()

@@ -1,0 +1,327 @@
+"""Identified robot profiles against the true values of the mock."""
+
+import math
+
+import numpy as np
+import pytest
+from kit.identified import driven, errors, identified, robot, truth
+
+from deploy.drive.measurements import Measurements
+from deploy.drive.safety_monitor import SafetyMonitor
+from deploy.identify.axis_fit import OdometryErrors, identify_axis
+from deploy.identify.excitation import FENCE_M, excite, steps
+from deploy.identify.fit import identify
+from deploy.identify.motion_log import MotionLog, Track, motion_log
+from rover_ncp.cli import run
+from rover_ncp.core.errors import FileError, SafetyStop
+from rover_ncp.core.geometry import Pose, Velocity, distance
+from rover_ncp.recording.recording import Recorded, RecordingWriter
+from rover_ncp.robot.description import load_description
+from rover_ncp.robot.profile import load_profile
+from rover_ncp.wire.messages import odometry, twist_stamped
+from sim.pioneer.firmware import Firmware
+from sim.pioneer.trial import BaseTrial, rover_of
+from sim.stack.virtual import VirtualBridge, VirtualLink
+from sim.world.described import default_rover
+from sim.world.pymunk_rover import Ground
+from sim.world.randomization import load_randomization
+from sim.world.rover import toward
+
+
+@pytest.mark.parametrize("number", range(2))
+def test_random_robots_are_identified_from_their_bytes(number):
+    ranges = load_randomization("full")
+    trials = robot(ranges, 4711, number)
+    found = identified(trials)
+    off = errors(found, truth(ranges, trials))
+    assert abs(off["delay_v_s"].error) < 0.002
+    assert abs(off["delay_omega_s"].error) < 0.003
+    assert abs(off["gain_v"].error) < 0.003
+    assert abs(off["gain_omega"].error) < 0.01
+    # Without external poses an acceleration is known no better than odometry's scale, ±3 %.
+    assert 0.015 < found.std["accel"] / found.accel < 0.03
+    assert all(abs(error) < 3.0 * std for error, std in off.values())
+    assert found.noise_m == pytest.approx(0.005, rel=0.25)
+    assert found.noise_rad == pytest.approx(0.0087, rel=0.25)
+    assert (found.odometry_distance, found.slip_s) == (None, None)
+
+
+def test_external_poses_show_the_errors_of_odometry():
+    ranges = load_randomization("harsh")
+    trials = robot(ranges, 4711, 0)
+    found = identified(trials, outside=True)
+    off = errors(found, truth(ranges, trials))
+    assert {"odometry_distance", "imbalance_rad_m", "slip_s", "accel", "delay_v_s"} <= set(off)
+    assert all(abs(error) < 3.0 * std for error, std in off.values())
+    assert abs(off["delay_v_s"].error) < 0.003  # although every report is up to 50 ms late
+    assert found.odometry_distance == pytest.approx(trials.odometry[0, 0], abs=0.02)
+    assert found.imbalance_rad_m == pytest.approx(trials.imbalance[0], abs=0.03)
+    assert found.slip_s == pytest.approx(trials.slip[0], abs=0.15)
+
+
+def test_external_poses_show_how_a_robot_skids():
+    ranges = load_randomization("skid")
+    trials = robot(ranges, 4711, 0)
+    found = identified(trials, outside=True)
+    off = errors(found, truth(ranges, trials))
+    assert {"odometry_heading", "rotation_center_m", "alpha"} <= set(off)
+    assert all(abs(error) < 3.0 * std for error, std in off.values())
+    assert found.odometry_heading < 0.95  # this robot turns more than its wheels say
+    assert off["rotation_center_m"].std < 0.005
+
+
+STEPS = (0.001, math.radians(0.1))
+"""In which a Pioneer reports speed and turn rate."""
+
+
+def made(delay, gain, acceleration, deceleration=None, *, rounded=False):
+    """Return the record of a base that does exactly this on both axes, its odometry ten times a second."""
+    velocities = np.array([step.velocity for step in steps()])
+    ends = 0.4 + np.cumsum([step.seconds for step in steps()])
+    begins = np.concatenate([[0.4], ends[:-1]])
+    t = np.arange(0.037, ends[-1], 0.1)
+    motion = np.zeros((len(t), 2))
+    for axis in range(2):
+        before = gain * np.concatenate([[0.0], velocities[:-1, axis]])
+        after = gain * velocities[:, axis]
+        braking = np.abs(after) < np.abs(before)
+        limit = np.where(braking, deceleration or acceleration, acceleration)
+        reached = begins + delay + np.abs(after - before) / limit
+        knots = np.column_stack([begins + delay, reached]).ravel()
+        motion[:, axis] = np.interp(t, knots, np.column_stack([before, after]).ravel())
+        if rounded:
+            motion[:, axis] = np.rint(motion[:, axis] / STEPS[axis]) * STEPS[axis]
+    none = Track(t[:0], np.zeros((0, 3)))
+    return MotionLog(begins, velocities, Track(t, np.zeros((len(t), 3))), motion, none)
+
+
+@pytest.mark.parametrize(
+    ("delay", "gain", "acceleration"), [(0.0, 1.0, 0.3), (0.31, 0.9, 0.25), (0.57, 1.2, 1.5)]
+)
+def test_fit_finds_delay_gain_and_acceleration(delay, gain, acceleration):
+    found = identify(made(delay, gain, acceleration), "exact")
+    for seconds in (found.delay_v_s, found.delay_omega_s):
+        assert seconds == pytest.approx(delay, abs=0.004)
+    for factor in (found.gain_v, found.gain_omega):
+        assert factor == pytest.approx(gain, rel=0.003)
+    assert found.accel == pytest.approx(acceleration, rel=0.05)
+
+
+def followed(sent_s, sent, delay, accel, decel):
+    """Return the record of a base that moves as the simulators do: both axes alike, odometry at 10 Hz."""
+    at, speed = 0.001 * np.arange(round(1000 * (sent_s[-1] + 3.0))), [0.0]
+    for now in at[1:]:
+        due = np.searchsorted(sent_s + delay, now + 1e-9)
+        speed.append(toward(speed[-1], sent[due - 1] if due else 0.0, 0.001 * accel, 0.001 * decel))
+    t = np.arange(0.037, at[-1], 0.1)
+    motion = np.column_stack([np.interp(t, at, speed)] * 2)
+    still, none = Track(t, np.zeros((len(t), 3))), Track(t[:0], np.zeros((0, 3)))
+    return MotionLog(sent_s, np.column_stack([sent] * 2), still, motion, none)
+
+
+def test_a_command_that_reverses_first_brakes():
+    # No rest between forward and back: the base brakes to 0 and then speeds up.
+    log = followed(1.0 + 3.03 * np.arange(12), 0.2 * (-1.0) ** np.arange(12), 0.2, 0.3, 0.6)
+    found = identify_axis(log, 0, OdometryErrors(np.array([1.0, 0.0]), np.zeros((2, 2))))
+    assert found.gain == pytest.approx(1.0, abs=0.002)
+    assert (found.acceleration, found.deceleration) == pytest.approx((0.3, 0.6), rel=0.02)
+
+
+def test_an_acceleration_that_no_command_shows_leaves_the_rest_known():
+    # The gate raises the command by 0.02 m/s each 20 ms, which the base does at once, and brakes at once.
+    climb = np.append(0.02 * np.arange(1, 11), 0.0)
+    begins = 1.0 + 4.06 * np.arange(6)
+    sent_s = np.concatenate([begin + np.append(0.02 * np.arange(10), 2.1) for begin in begins])
+    found = identify(followed(sent_s, np.tile(climb, 6), 0.2, 4.0, 0.5), "burger")
+    assert found.delay_v_s == pytest.approx(0.2, abs=0.004)
+    assert found.gain_v == pytest.approx(1.0, abs=0.002)
+    assert found.decel == pytest.approx(0.5, rel=0.05)
+    assert found.accel is None
+
+
+def test_lost_command_does_not_disturb_the_fit():
+    log = made(0.2, 1.0, 0.4, rounded=True)
+    motion = log.motion.copy()
+    late = (log.odometry.t > 12.0) & (log.odometry.t < 12.4)
+    motion[late] = 0.0
+    found = identify(log._replace(motion=motion), "lost")
+    assert found.delay_v_s == pytest.approx(0.2, abs=0.005)
+    assert found.gain_v == pytest.approx(1.0, rel=0.005)
+    assert found.std["delay_v_s"] < 0.005
+
+
+def test_axis_without_commands_is_not_known():
+    log = made(0.2, 1.0, 0.4)
+    sent = log.sent.copy()
+    sent[:, 1] = 0.0
+    profile = identify(log._replace(sent=sent), "half")
+    assert profile.delay_v_s == pytest.approx(0.2, abs=0.01)
+    assert (profile.delay_omega_s, profile.gain_omega, profile.alpha) == (None, None, None)
+
+
+@pytest.mark.parametrize("bases", [10, pytest.param(40, marks=pytest.mark.long)])
+def test_intervals_cover_the_truth(bases):
+    """Intervals of 95 % of random bases, eight values each.
+
+    If those of 40 bases are exact, 85 % or fewer hold the truth with a probability below 1e-8 if all are
+    independent, and of 0.4 % if the eight of a base always miss together.
+    """
+    random = np.random.default_rng(20261122)
+    ratios = []
+    for _ in range(bases):
+        delay, gain, *limits = random.uniform([0.05, 0.9, 0.2, 0.2], [0.3, 1.1, 1.6, 1.6])
+        log = made(delay, gain, *limits, rounded=True)
+        known = OdometryErrors(np.array([1.0, 0.0]), np.zeros((2, 2)))
+        for axis in range(2):
+            found = identify_axis(log, axis, known)
+            ratios += [
+                (found.delay_s - delay) / found.delay_std,
+                (found.gain - gain) / found.gain_std,
+                (found.acceleration - limits[0]) / found.acceleration_std,
+                (found.deceleration - limits[1]) / found.deceleration_std,
+            ]
+    assert np.mean(np.abs(ratios) < 1.96) > 0.85
+    assert np.median(np.abs(ratios)) > 0.3  # 0.67 if exact: intervals are not wide for safety
+
+
+def test_acceleration_that_no_command_asks_for_is_left_out():
+    # The command changes so slowly that the base follows it with any acceleration beyond 0.1 m/s².
+    t = np.arange(0.037, 40.0, 0.1)
+    sent_s = np.arange(0.0, 40.0, 0.05)
+    sent = np.column_stack([0.1 - 0.1 * np.cos(0.8 * sent_s), 0.3 * np.sin(0.8 * sent_s)])
+    for seed in range(2):
+        noise = np.random.default_rng(seed).normal(size=(len(t), 2)) * [0.003, 0.01]
+        followed = [np.interp(t - 0.2, sent_s, sent[:, axis]) for axis in range(2)]
+        motion = np.column_stack(followed) + noise
+        still = Track(t, np.zeros((len(t), 3)))
+        log = MotionLog(sent_s, sent, still, motion, Track(t[:0], np.zeros((0, 3))))
+        found = identify(log, "slow")
+        assert (found.accel, found.alpha) == (None, None)
+
+
+@pytest.mark.parametrize("heading_scale", [1.0, 30.0])
+def test_heading_errors_are_left_out_when_the_rover_hardly_turned(heading_scale):
+    # Many stands, with straight ways between: headings differ by their noise alone.
+    log = made(0.2, 1.0, 0.4, rounded=True)
+    motion = log.motion.copy()
+    motion[:, 1] = 0.0
+    t = log.odometry.t
+    way = np.concatenate([[0.0], np.cumsum(motion[:-1, 0] * np.diff(t))])
+    truth = np.column_stack([way, 0.0 * way, 0.0 * way])
+    for seed in range(4):
+        noise = np.random.default_rng(seed).normal(size=(2, len(t), 3)) * [0.005, 0.005, 0.0087]
+        noise[0, :, 2] *= heading_scale
+        own, outside = Track(t, truth + noise[0]), Track(t, truth + noise[1])
+        found = identify(log._replace(motion=motion, odometry=own, external=outside), "straight")
+        assert found.odometry_distance == pytest.approx(1.0, abs=0.03)
+        assert (found.odometry_heading, found.slip_s) == (None, None)
+
+
+def test_slip_beyond_any_base_is_left_out():
+    # The heading that odometry reports turns further than the true one by more slip than a base can have.
+    log = made(0.2, 1.0, 2.0, rounded=True)
+    t, omega = log.odometry.t, log.motion[:, 1]
+    own = np.concatenate([[0.0], np.cumsum(omega[:-1] * np.diff(t))])
+    true = np.concatenate([[0.0], np.cumsum((omega - 4.0 * np.abs(omega) * omega)[:-1] * np.diff(t))])
+    tracks = [Track(t, np.column_stack([0.0 * t, 0.0 * t, heading])) for heading in (own, true)]
+    found = identify(log._replace(odometry=tracks[0], external=tracks[1]), "slips")
+    assert found.slip_s is None
+
+
+def test_late_reports_do_not_count_as_delay():
+    cycle = 0.1 * np.arange(300)
+    late = np.random.default_rng(3).uniform(0.0, 0.05, 300)
+    late[7] = late[191] = 0.0
+    stamps = np.round((1.0 + cycle + late) * 1e9).astype(np.int64)
+    messages = [
+        Recorded("odom", "", odometry(Pose(0, 0, 0), Velocity(0, 0), int(stamp)), int(stamp), int(stamp))
+        for stamp in stamps
+    ]
+    command = Recorded("rover/cmd_out", "", twist_stamped(Velocity(0.1, 0), 1_000_000_000), 1, 1)
+    times = motion_log([*messages, command]).odometry.t
+    assert times == pytest.approx(cycle - late[0], abs=0.002)
+
+
+def test_text_shows_a_standard_deviation_with_each_value(tmp_path, capsys):
+    messages = driven(robot(load_randomization("full"), 4711, 0))
+    with RecordingWriter(tmp_path / "run.mcap") as writer:
+        for message in messages:
+            writer.write(message)
+    assert run(["identify", str(tmp_path / "run.mcap"), "--out", str(tmp_path / "p.yaml")]) == 0
+    lines = [
+        line for line in capsys.readouterr().out.splitlines() if line.startswith(("delay", "gain", "accel"))
+    ]
+    assert lines
+    assert all("±" in line for line in lines)
+    assert load_profile(tmp_path / "p.yaml").std["delay_v_s"] < 0.002
+    long = tmp_path / f"großes Profil {'x' * 100}.yaml"  # its name is made from the file's
+    assert run(["identify", str(tmp_path / "run.mcap"), "--out", str(long)]) == 0
+    assert load_profile(long).name == f"groes-Profil-{'x' * 51}"
+
+
+def test_a_record_that_says_nothing_is_refused():
+    sample = odometry(Pose(0, 0, 0), Velocity(0, 0), 1_000)
+    few = [Recorded("odom", "nav_msgs/msg/Odometry", sample, 1_000, 1_000)] * 3
+    with pytest.raises(FileError, match="3 odometry samples and 0 commands"):
+        motion_log(few)
+    many = few * 30 + [Recorded("rover/cmd_out", "", twist_stamped(Velocity(0.1, 0), 2_000), 1, 1)]
+    garbled = [Recorded("odom", "", b"nonsense", 1, 1), Recorded("odom", "", sample[:30], 1, 1)]
+    assert len(motion_log(many + garbled).odometry.t) == 90
+
+
+def excited(trials, fence_m):
+    """Drive the steps on a virtual clock; return the farthest from the start, what stopped it, the base."""
+    rover = rover_of(trials, default_rover(), Ground(()))
+    start, farthest = rover.pose, [0.0]
+    firmware = Firmware(
+        "p3at-sh",
+        rover,
+        trial=BaseTrial(trials),
+        observe=lambda now: farthest.append(max(farthest[-1], distance(rover.pose, start))),
+    )
+    world = VirtualBridge(firmware)
+    air = VirtualLink(world, start)
+    measurements = Measurements(air)
+    monitor = SafetyMonitor(air, measurements, lambda: False, clock=world)
+    monitor.wait()
+    try:
+        excite(air, measurements, monitor, fence_m, world)
+        stopped = None
+    except SafetyStop as stop:
+        stopped = stop.rule
+    world.sleep(2.0)
+    return farthest[-1], stopped, firmware
+
+
+def test_the_steps_stay_within_their_fence_and_give_the_motors_back():
+    trials = robot(load_randomization("harsh"), 4711, 1)
+    farthest, stopped, firmware = excited(trials, FENCE_M)
+    assert stopped is None
+    assert 0.3 < farthest < FENCE_M
+    assert not firmware.drive.enabled
+    assert not firmware.drive.moving
+
+
+def test_a_rover_that_would_leave_the_fence_is_stopped_before_it_does():
+    trials = robot(load_randomization("full"), 4711, 1)
+    farthest, stopped, firmware = excited(trials, 0.25)
+    assert stopped == "geofence"
+    assert farthest < 0.27  # a decimetre a second of odometry, 3 % off, and its noise
+    assert not firmware.drive.enabled
+    assert not firmware.drive.moving
+
+
+def test_steps_are_what_the_base_takes_as_it_is():
+    for velocity, seconds in steps():
+        assert velocity.v * 1000 == pytest.approx(round(velocity.v * 1000))
+        assert math.degrees(velocity.omega) == pytest.approx(round(math.degrees(velocity.omega)))
+        assert seconds > 0
+
+
+def test_a_slow_robot_is_driven_within_its_limits():
+    burger = load_description("turtlebot3-burger")
+    motion = burger.motion.model_copy(update={"v_max": 0.1, "omega_max": 0.2})
+    slow = burger.model_copy(update={"motion": motion})
+    velocities = np.abs([step.velocity for step in steps(slow)])
+    assert velocities.max(axis=0) == pytest.approx([0.1, 0.2])
+    assert steps(burger) == steps()

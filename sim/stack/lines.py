@@ -4,9 +4,7 @@ A line carries the bytes or messages of the real one. Time is that of the last `
 """
 
 from dataclasses import replace
-from typing import Protocol
 
-from bridge.base import Base
 from bridge.bases import gate_limits
 from bridge.gate.limits import Limits
 from bridge.inbox import RobotMessage
@@ -41,24 +39,7 @@ def simulated_base(
     return Ros2Robot(known, rover, trial=trial, seed=seed)
 
 
-class VirtualLine(Protocol):
-    """A robot's line; ``arrivals`` is what its base has not taken yet."""
-
-    base: Base
-    limits: Limits
-    arrivals: list[object]
-    bytes_to_base: int
-    bytes_from_base: int
-
-    @property
-    def due_s(self) -> float:
-        """When the robot next sends something by itself."""
-
-    def advance(self, now: float) -> None:
-        """Let time pass until ``now`` s."""
-
-
-def virtual_line(robot: Firmware | Ros2Robot, limits: Limits | None = None) -> VirtualLine:
+def virtual_line(robot: Firmware | Ros2Robot, limits: Limits | None = None) -> "ArcosLine | Ros2Line":
     """Return the line to a robot whose clock begins at 0."""
     return ArcosLine(robot, limits) if isinstance(robot, Firmware) else Ros2Line(robot, limits)
 
@@ -73,16 +54,17 @@ class ArcosLine:
         self.limits = limits or Limits()
         self.bytes_to_base = self.bytes_from_base = 0
         self.arrivals: list[object] = [Opened()]
+        """What the base has not taken yet, as in `Ros2Line`."""
         most = MotionLimits(v=self.limits.v_max, omega=self.limits.omega_max)
-        self.base: Base = ArcosBase(self, Session(firmware.robot, most))
+        self.base = ArcosBase(self, Session(firmware.robot, most))
 
     @property
     def due_s(self) -> float:
-        """See VirtualLine."""
+        """When the robot next sends something by itself."""
         return self._firmware.due_s
 
     def advance(self, now: float) -> None:
-        """See VirtualLine."""
+        """Let time pass until ``now`` s."""
         self._now = now
         self._firmware.advance(now)
         self._collect()
@@ -127,15 +109,15 @@ class Ros2Line:
         self.bytes_to_base = self.bytes_from_base = 0
         self.arrivals: list[object] = []
         # Every driver may drive: a bridge on a virtual clock does not die.
-        self.base: Base = Ros2Base(self, robot.description, unsafe=True)
+        self.base = Ros2Base(self, robot.description, unsafe=True)
 
     @property
     def due_s(self) -> float:
-        """See VirtualLine."""
+        """When the robot next sends something by itself."""
         return self._robot.due_s
 
     def advance(self, now: float) -> None:
-        """See VirtualLine."""
+        """Let time pass until ``now`` s."""
         self._now = now
         self._robot.advance(now)
         for topic, payload in self._robot.messages():

@@ -13,13 +13,20 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.train import TICKS, median_cpu_s, tick_alone
+from benchmarks.train import median_cpu_s
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.runner import Runner
 from sim.learn.random_circuit import random_circuit
 
+TICKS = 40
 SIZES = tuple((neurons, synapses) for neurons in (24, 48, 96, 192) for synapses in (60, 120, 240, 480))
+
+
+def tick_alone(runner: Runner) -> None:
+    """Run a circuit for some ticks."""
+    for _ in range(TICKS):
+        runner.tick([0.3, 0.3, 0.3, 1.0])
 
 
 def bench_circuit() -> dict[str, Any]:

@@ -1,28 +1,25 @@
 """Two drivers on the same trials: does one park where the other does not more often than by chance?
 
-    python -m benchmarks.paired FIRST SECOND --randomize harsh --trials 1000 --seed 1 [--unseen COURSES]
+    python -m benchmarks.paired FIRST SECOND --body mujoco --randomize slope --trials 300 --seed 1
 
-prints one JSON object. Drivers are those of ``rover-ncp eval``. --unseen drives on so many courses outside
-the training set instead of the paper's. With --body or --sensors, as ``eval`` has them, the trials are driven
-through the stack, else in plain simulation.
+prints one JSON object. The options, --sensors too, are those of ``rover-ncp eval --stack``.
 """
 
 import argparse
 import json
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from rover_ncp.course.course import Course, load_course
-from sim.evaluate.evaluate import drive_trials, unseen_courses
+from rover_ncp.course.course import load_course
+from sim.evaluate.commands import Sensors
 from sim.learn.engine.driver import load_driver
 from sim.stack.camera import Camera
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
-from sim.world.randomization import Randomization, load_randomization
+from sim.world.randomization import load_randomization
 
 
 class Paired(NamedTuple):
@@ -38,19 +35,6 @@ class Paired(NamedTuple):
         """McNemar's exact test, two-sided: the chance of so uneven a split if both were equally good."""
         differing = self.first_only + self.second_only
         return float(binomtest(self.first_only, differing).pvalue) if differing else 1.0
-
-
-def parked(
-    driver: str, courses: Sequence[Course], ranges: Randomization, *, trials: int, seed: int
-) -> NDArray[np.bool_]:
-    """Return in which trials of a seed (trials,) a law, or a policy by name or file, parked."""
-    found = drive_trials(load_driver(driver), courses, ranges, trials=trials, seed=seed)
-    return np.array([not trial.reason for trial in found])
-
-
-def parked_in_stack(stack: Stack, trials: int) -> NDArray[np.bool_]:
-    """Return in which trials (trials,) a stack's driver parked."""
-    return np.array([trial.parked for trial in drive_all(stack, trials, None)])
 
 
 def paired(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> Paired:
@@ -70,25 +54,21 @@ def main() -> None:
     options.add_argument("--randomize", required=True)
     options.add_argument("--trials", type=int, required=True)
     options.add_argument("--seed", type=int, required=True)
-    options.add_argument("--unseen", type=int, help="number of courses")
-    options.add_argument("--body", type=Body, choices=list(Body))
-    options.add_argument("--sensors", choices=["encoders", "gyro", "camera", "both"])
+    options.add_argument("--body", type=Body, choices=list(Body), default=Body.PYMUNK)
+    options.add_argument("--sensors", choices=list(Sensors), default=Sensors.ENCODERS)
     given = options.parse_args()
-    courses = unseen_courses(given.seed, given.unseen) if given.unseen else [load_course("parking")]
-    ranges = load_randomization(given.randomize, given.body or Body.PYMUNK)
+    ranges = load_randomization(given.randomize, given.body)
 
     def run(name: str) -> NDArray[np.bool_]:
-        if not (given.body or given.sensors):
-            return parked(name, courses, ranges, trials=given.trials, seed=given.seed)
         stack = Stack(
             load_driver(name),
-            tuple(courses),
+            (load_course("parking"),),
             ranges,
             given.seed,
-            gyro=given.sensors in {"gyro", "both"},
-            camera=Camera() if given.sensors in {"camera", "both"} else None,
+            gyro=given.sensors in {Sensors.GYRO, Sensors.BOTH},
+            camera=Camera() if given.sensors in {Sensors.CAMERA, Sensors.BOTH} else None,
         )
-        return parked_in_stack(stack, given.trials)
+        return np.array([trial.parked for trial in drive_all(stack, given.trials, None)])
 
     runs = [run(name) for name in given.drivers]
     counts = paired(*runs)

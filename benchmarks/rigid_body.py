@@ -19,7 +19,6 @@ from kit.rigid_body import (
     downhill_m,
     measure,
     shake_m_s2,
-    slope_effects,
     stopping_m,
 )
 
@@ -44,11 +43,6 @@ def main() -> None:
     print(
         f"slides downhill as it turns on 3 degrees: {100 * downhill_m(slope):.2f} cm/rad; Coulomb friction: "
         f"{100 * coulomb_downhill_m(slope):.2f}"
-    )
-    slide, gain = slope_effects(seed=1, count=100)
-    print(
-        f"Coulomb friction on slopes, rms, by slope / friction: slide {slide:.2f} m/rad, turn gain changes "
-        f"by {gain:.2f} per root of a radian"
     )
     print(f"\nturn on the spot at {OMEGA_RAD_S} rad/s, as turn gain and slide in cm")
     print(f"{'':26}" + "".join(f"{f'{100 * off:g} cm ahead':>18}" for off in OFF_CENTRE_M))

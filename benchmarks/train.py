@@ -2,21 +2,17 @@
 
     python -m benchmarks.train [--iterations 2500]
 
-prints one JSON object: episodes and iterations per second on one core and on all, against the plain
-environment of a single rover, what a substep costs alone and as a lane, and where the time goes.
+prints one JSON object: episodes and iterations per second on one core and on all, the evaluator's share of
+an iteration, and what a substep of a lane costs by the number of lanes.
 
-Speeds are counted in CPU time, so that what else the machine does shows as little as it can; where processes
-share the work, a round lasts as long as the slowest of them. The engine's worth is a ratio within the run.
+Speeds are counted in CPU time, so that the machine's other work shows as little as possible. Where processes
+share the work, a round lasts as long as the slowest of them.
 """
 
 import argparse
 import json
-import os
-import resource
 import statistics
-import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -27,21 +23,17 @@ import numpy as np
 
 from rover_ncp.circuit.compiled import allocate_lanes, make_program, resting_potentials
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.runner import Runner
 from rover_ncp.circuit.solver import tick_lanes
 from rover_ncp.core.streams import Domain, random_stream
-from rover_ncp.course.course import TICK_S
 from rover_ncp.kernels.jit import kernel
 from sim.learn.agents import AgentState, Batch, Plan, split
-from sim.learn.engine.evaluator import STREAM_LANES, Answer, Evaluator, Stream
-from sim.learn.engine.rollout import rollout
+from sim.learn.engine.evaluator import Answer, Evaluator, Stream
 from sim.learn.record import Task, TrainSettings, resolve_task
 from sim.learn.search.strategies import SearchName
 from sim.learn.train import training_plan
 from sim.learn.workers import ProcessPool, available_processes, made_in_each_process
 from sim.world.described import default_rover
 from sim.world.fleet import Fleet, advance, send
-from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.rover import SUBSTEPS
 
 LANES = tuple(2**n for n in range(13))
@@ -50,21 +42,8 @@ _REPEATS = 5
 _EPISODES = 72
 _AGENTS = 12
 _WARM_ITERATIONS = 100
-TICKS = 40
 _LANE_TICKS = 65_536
 _NS = 1e9
-
-_COMPILE_SCRIPT = """
-import time
-from sim.learn.agents import AgentState, Batch
-from sim.learn.record import TrainSettings, resolve_task
-from sim.learn.train import training_plan
-settings = TrainSettings()
-batch = Batch(training_plan(settings, resolve_task(settings)))
-began = time.process_time()
-batch.advance([AgentState(0)], [200])
-print(time.process_time() - began)
-"""
 
 
 def bench_train(iterations: int, say: Callable[[str], None]) -> dict[str, Any]:
@@ -75,46 +54,29 @@ def bench_train(iterations: int, say: Callable[[str], None]) -> dict[str, Any]:
     cores = available_processes()
     fields: dict[str, Any] = {"cores": cores}
     fields |= _parts(task)
-    say(
-        "{episodes_per_s:.0f} episodes/s; the plain environment {plain_episodes_per_s:.1f}: "
-        "{ratio_to_plain:.0f} times as fast".format(**fields)
-    )
+    say("{episodes_per_s:.0f} episodes/s".format(**fields))
     for row in fields["cost_by_lanes"]:
         say("{lanes} lanes: circuit {circuit_ns:.0f} ns, physics {physics_ns:.0f} ns a substep".format(**row))
     speeds: dict[str, Any] = {}
-    in_engine = {}
     for name, plan in plans.items():
-        one, in_engine[name] = _iterations_per_cpu_s(plan, task, iterations)
+        one, in_evaluator = _iterations_per_cpu_s(plan, task, iterations)
         every, wall = _iterations_on_all_cores(plan, iterations, cores)
         speeds[name] = {
             "one_core": one,  #: per second of CPU time
             "all_cores": every,  #: the same; all last as long as the slowest process
             "ratio": every / one,  #: of the two
             "all_cores_wall": wall,  #: per second of wall time
+            "evaluator_share": in_evaluator,  #: of an iteration's CPU time
         }
         say(f"{name}: {one:.0f} iterations/s and core, {every / one:.2f} times that on {cores} cores")
     fields["iterations_per_s"] = speeds
-    fields["share"] = _shares(fields, in_engine["gauss-newton"])
-    fields["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    cold, cached = _compile_times()
-    fields["compile_s"] = {"cold": cold, "cached": cached}
-    say(f"compiling takes {cold:.1f} s, loading what was compiled {cached:.1f} s")
     return fields
 
 
 def _parts(task: Task) -> dict[str, Any]:
     """Measure whole episodes and their parts, so that they can be compared: all in turn, again and again."""
     engine, vectors = Evaluator(task.policy, task.course), _candidates(task.policy, _EPISODES)
-    alone = [task.policy.with_parameters(vector) for vector in vectors[:2]]
-    runner = Runner(task.policy)
-    rover = PymunkRover(default_rover(), Ground(()), task.course.checkpoints[0].pose)
-    rover.command(0.1, 0.1)
-    calls: dict[str, Callable[[], object]] = {
-        "episodes": lambda: engine.returns(vectors),
-        "plain": lambda: [rollout(policy, task.course) for policy in alone],
-        "circuit": partial(tick_alone, runner),
-        "physics": lambda: _substep(rover, TICKS * SUBSTEPS),
-    }
+    calls: dict[str, Callable[[], object]] = {"episodes": lambda: engine.returns(vectors)}
     fleets = [Fleet([default_rover()] * lanes) for lanes in LANES]  # kept: their arrays hold but addresses
     for lanes, fleet in zip(LANES, fleets, strict=True):
         commands = np.full((2, len(fleet.bodies)), 0.1)
@@ -130,24 +92,10 @@ def _parts(task: Task) -> dict[str, Any]:
         }
         for lanes in LANES
     ]
-    lane = next(row for row in by_lanes if row["lanes"] == STREAM_LANES)
-    in_lanes, plain = len(vectors) / cpu_s["episodes"], len(alone) / cpu_s["plain"]
     return {
-        "episodes_per_s": in_lanes,  #: of one core, per second of CPU time, as the next two
-        "plain_episodes_per_s": plain,  #: of the single-rover environment on the same circuits
-        "ratio_to_plain": in_lanes / plain,  #: of the two
+        "episodes_per_s": len(vectors) / cpu_s["episodes"],  #: of one core, per second of CPU time
         "cost_by_lanes": by_lanes,  #: for 1 to 4096 lanes
-        "substep_ns": {  #: alone and called from Python (scalar), and as wide as in training (lane)
-            name: {"scalar": cpu_s[name] * _NS / (TICKS * SUBSTEPS), "lane": lane[f"{name}_ns"]}
-            for name in ("circuit", "physics")
-        },
     }
-
-
-def tick_alone(runner: Runner) -> None:
-    """Run a circuit for some ticks."""
-    for _ in range(TICKS):
-        runner.tick([0.3, 0.3, 0.3, 1.0])
 
 
 def _candidates(policy: Policy, count: int) -> np.ndarray:
@@ -258,43 +206,6 @@ def _tick_rovers(fleet, commands, ticks):  # numba's own types
     for _ in range(ticks):
         send(fleet, commands)
         advance(fleet)
-
-
-def _substep(rover: PymunkRover, times: int) -> None:
-    for _ in range(times):
-        rover.substep()
-
-
-def _shares(fields: dict[str, Any], in_engine: float) -> dict[str, float]:
-    """Return the parts of a gauss-newton iteration's time; they sum up to 1. Within the engine, as in whole
-    episodes."""
-    substeps = 32.0 / TICK_S * SUBSTEPS
-    physics, circuit = (
-        fields["substep_ns"][name]["lane"] * substeps / _NS * fields["episodes_per_s"]
-        for name in ("physics", "circuit")
-    )
-    return {
-        "physics": physics * in_engine,  #: share of a gauss-newton iteration, as the next three
-        "circuit": circuit * in_engine,
-        "other_engine": (1.0 - physics - circuit) * in_engine,
-        "search": 1.0 - in_engine,
-    }
-
-
-def _compile_times() -> tuple[float, float]:
-    """Return the CPU seconds until the first episode has run: with an empty cache, and with a full one."""
-    with tempfile.TemporaryDirectory() as folder:
-        times = [
-            subprocess.run(
-                [sys.executable, "-P", "-c", _COMPILE_SCRIPT],
-                env=os.environ | {"NUMBA_CACHE_DIR": folder},
-                capture_output=True,
-                text=True,
-                check=True,
-            ).stdout
-            for _ in range(2)
-        ]
-    return float(times[0]), float(times[1])
 
 
 def main() -> None:

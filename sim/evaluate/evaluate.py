@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ from sim.world.described import default_rover
 from sim.world.random_course import random_course
 from sim.world.randomization import Randomization, Trials, draw_trials
 from sim.world.rover import RoverModel
+
+if TYPE_CHECKING:
+    from sim.stack.trials import Driven
 
 _BATCH = 500
 """Trials at a time, so that drawn noise takes some 10 MB whatever is asked for."""
@@ -42,24 +45,8 @@ class Spread(NamedTuple):
         return cls(p50, p95, float(errors.max()))
 
 
-class Outcome(Protocol):
-    """End of a trial: errors in m and rad, and why it did not park ("" if it did)."""
-
-    @property
-    def error_m(self) -> float:
-        """Final position error."""
-
-    @property
-    def error_rad(self) -> float:
-        """Final heading error."""
-
-    @property
-    def reason(self) -> str:
-        """A `Failure`, or the safety rule that stopped the drive."""
-
-
 class Ended(NamedTuple):
-    """The `Outcome` of a trial in plain simulation."""
+    """End of a trial in plain simulation: errors in m and rad, and why it did not park ("" if it did)."""
 
     error_m: float
     error_rad: float
@@ -174,25 +161,21 @@ def _drive_runner(
     return drive
 
 
-def tally(ended: Sequence[Outcome]) -> Evaluation:
+def tally(ended: "Sequence[Ended | Driven]") -> Evaluation:
     """Sum up trials."""
+    from scipy.stats import binomtest  # slow to load
+
     count, failures = len(ended), Counter(str(trial.reason) for trial in ended if trial.reason)
     successes = count - failures.total()
+    low, high = binomtest(successes, count).proportion_ci(method="wilson")
     return Evaluation(
         trials=count,
         success_rate=successes / count,
-        success_ci95=_wilson(successes, count),
+        success_ci95=(float(low), float(high)),
         error_m=Spread.of(np.array([trial.error_m for trial in ended])),
         error_rad=Spread.of(np.array([trial.error_rad for trial in ended])),
         failures=dict(failures.most_common()),
     )
-
-
-def _wilson(successes: int, count: int) -> tuple[float, float]:
-    from scipy.stats import binomtest
-
-    low, high = binomtest(successes, count).proportion_ci(method="wilson")
-    return float(low), float(high)
 
 
 def unseen_courses(seed: int, count: int) -> list[Course]:

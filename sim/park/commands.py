@@ -47,12 +47,4 @@ def park(options: ParkOptions) -> int:
     """
     from sim.park.park import run_park
 
-    return run_park(
-        Output(options.json),
-        policy=options.policy,
-        course=options.course,
-        model=options.model,
-        seed=options.seed,
-        out=options.out,
-        overwrite=options.overwrite,
-    )
+    return run_park(Output(options.json), options)

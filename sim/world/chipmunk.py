@@ -149,59 +149,50 @@ def _contacts_offset(space: pymunk.Space, body: pymunk.Body) -> int:
     return found[0]
 
 
-@intrinsic
-def call_with_number(_context: Any, function: Any, thing: Any, number: Any) -> Any:
-    """Within a kernel: call a C function of a pointer and a double; it returns nothing."""
-
-    def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-        pointer, double = ir.IntType(8).as_pointer(), ir.DoubleType()
-        kind = ir.FunctionType(ir.VoidType(), [pointer, double]).as_pointer()
-        callee = builder.inttoptr(arguments[0], kind)
-        builder.call(callee, [builder.inttoptr(arguments[1], pointer), arguments[2]])
-        return context.get_dummy_value()
-
-    return types.void(types.int64, types.int64, types.float64), generate
+_POINTER, _DOUBLE, _WORD = ir.IntType(8).as_pointer(), ir.DoubleType(), ir.IntType(64)
 
 
-def _call_with_two(result: ir.Type) -> Any:
-    """Return a function for kernels that calls a C function of two pointers; its result is not wanted."""
+def _call_with(last: ir.Type, result: ir.Type) -> Any:
+    """Return a function for kernels that calls a C function of a pointer and ``last``, a pointer or a double.
+
+    Its result is not wanted.
+    """
 
     @intrinsic
     def call(_context: Any, function: Any, thing: Any, other: Any) -> Any:
         def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-            pointer = ir.IntType(8).as_pointer()
-            callee = builder.inttoptr(arguments[0], ir.FunctionType(result, [pointer, pointer]).as_pointer())
-            builder.call(callee, [builder.inttoptr(argument, pointer) for argument in arguments[1:]])
+            callee = builder.inttoptr(arguments[0], ir.FunctionType(result, [_POINTER, last]).as_pointer())
+            second = arguments[2] if last is _DOUBLE else builder.inttoptr(arguments[2], last)
+            builder.call(callee, [builder.inttoptr(arguments[1], _POINTER), second])
             return context.get_dummy_value()
 
-        return types.void(types.int64, types.int64, types.int64), generate
+        given = types.float64 if last is _DOUBLE else types.int64
+        return types.void(types.int64, types.int64, given), generate
 
     return call
 
 
-call_with_thing = _call_with_two(ir.VoidType())
-add_thing = _call_with_two(ir.IntType(8).as_pointer())
+call_with_number = _call_with(_DOUBLE, ir.VoidType())
+call_with_thing = _call_with(_POINTER, ir.VoidType())
+add_thing = _call_with(_POINTER, _POINTER)
 """As ``call_with_thing``, for a C function that returns what was added."""
 
 
-@intrinsic
-def load(_context: Any, address: Any) -> Any:
-    """Within a kernel: read the double at an address."""
+def _load(kind: ir.Type, number: Any) -> Any:
+    """Return a function for kernels that reads the number at an address."""
 
-    def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-        return builder.load(builder.inttoptr(arguments[0], ir.DoubleType().as_pointer()))
+    @intrinsic
+    def load_at(_context: Any, address: Any) -> Any:
+        def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+            return builder.load(builder.inttoptr(arguments[0], kind.as_pointer()))
 
-    return types.float64(types.int64), generate
+        return number(types.int64), generate
+
+    return load_at
 
 
-@intrinsic
-def load_word(_context: Any, address: Any) -> Any:
-    """Within a kernel: read the 64-bit word at an address."""
-
-    def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-        return builder.load(builder.inttoptr(arguments[0], ir.IntType(64).as_pointer()))
-
-    return types.int64(types.int64), generate
+load = _load(_DOUBLE, types.float64)
+load_word = _load(_WORD, types.int64)
 
 
 @intrinsic
@@ -209,7 +200,7 @@ def store(_context: Any, address: Any, value: Any) -> Any:
     """Within a kernel: write a double to an address."""
 
     def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-        builder.store(arguments[1], builder.inttoptr(arguments[0], ir.DoubleType().as_pointer()))
+        builder.store(arguments[1], builder.inttoptr(arguments[0], _DOUBLE.as_pointer()))
         return context.get_dummy_value()
 
     return types.void(types.int64, types.float64), generate

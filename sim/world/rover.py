@@ -17,7 +17,6 @@
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
 from typing import Protocol
 
 from pydantic import Field
@@ -68,26 +67,12 @@ class RoverModel(StrictModel):
         return round(self.delay_omega_s / SUBSTEP_S)
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Limits that a user can change while the base runs; same units as RoverModel."""
-
-    accel: float
-    decel: float
-    alpha: float
-    alpha_decel: float
-    v_max: float
-    omega_max: float
-
-
 class CommandQueue:
-    """The commands of one rover, each obeyed after the model's delays, and the limits in force."""
+    """The commands of one rover, each obeyed after the model's delays; ``limits`` are those in force."""
 
     def __init__(self, model: RoverModel) -> None:
         self._model, self._substep = model, 0
-        self.limits = Limits(
-            model.accel, model.decel, model.alpha, model.alpha_decel, model.v_max, model.omega_max
-        )
+        self.limits = model
         # (first substep that obeys it, value)
         self._v: deque[tuple[int, float]] = deque()
         self._omega: deque[tuple[int, float]] = deque()
@@ -107,8 +92,8 @@ class CommandQueue:
         self._v_target = self._omega_target = 0.0
 
     def change_limits(self, **limits: float) -> None:
-        """Replace some of the limits, by name."""
-        self.limits = replace(self.limits, **limits)
+        """Replace some limits of speeds and accelerations, by name."""
+        self.limits = self.limits.model_copy(update=limits)
 
     def begin_substep(self) -> Velocity:
         """Return the target of the substep that begins."""
@@ -137,7 +122,7 @@ class Rover(Protocol):
         """Ask for a forward speed (m/s) and a rate of turn (rad/s), obeyed after the model's delays."""
 
     def change_limits(self, **limits: float) -> None:
-        """Replace some of the ``Limits``, by name."""
+        """Replace some limits of speeds and accelerations, by name."""
 
     def set_pose(self, pose: Pose) -> None:
         """Put the rover somewhere, standing still, all commands forgotten."""

@@ -14,7 +14,10 @@ Fault and standstill are timed on one clock, the machine's monotonic clock:
   counts as in time.
 """
 
+import json
+import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,6 +29,8 @@ from faults.scripted_driver import ScriptedDriver
 from sim.live.processes import TimedOut, wait_for
 from sim.live.truth import SAMPLE_S
 
+ROWS_FILE = os.environ.get("ROVER_NCP_SAFETY_ROWS")
+"""Set by tests/tools/safety_table.py, which writes all rows into the page."""
 MAX_LATE_S = 0.1
 """The longest delay of mock and line in a measurement that counts."""
 TRIES = 5
@@ -37,41 +42,53 @@ CIRCUIT_WAIT_S, SCRIPTED_WAIT_S = 4.0, 1.0
 
 
 class Measured(NamedTuple):
-    """Result of a row: times in s, ``began_ns`` since the epoch; ``v`` and ``omega`` are the fastest since.
+    """A measured stop: times in s, and ``began_ns`` since the epoch.
 
+    The rover has to stand within ``bound_s`` and ``braking_s``, from its greatest speeds since the fault.
     ``seconds`` may be too long by one sample and by ``late_s``, the longest time for which the machine kept
     mock and line from running.
     """
 
     row: Row
-    driver: str
     began_ns: int
     seconds: float
+    bound_s: float
+    braking_s: float
     late_s: float
-    v: float
-    omega: float
-    note: str
-    stopped_by: str
+    stopped_by: str = ""
     """The reason for the driver's stop, as the driver or the gate reported it."""
-
-    @property
-    def braking_s(self) -> float:
-        """The time in s for braking from that speed."""
-        return braking_s(self.v, self.omega)
+    note: str = ""
 
     @property
     def in_time(self) -> bool:
-        """Whether the rover stood in time, by the shortest time consistent with the measurement."""
-        return in_time(self.row, self.seconds, self.braking_s, self.late_s)
+        """Whether the rover stood in time, by the shortest time consistent with the measurement.
+
+        A measurement with a ``late_s`` above `MAX_LATE_S` is never in time.
+        """
+        allowed_s = self.bound_s + self.braking_s + SAMPLE_S + self.late_s
+        return self.late_s <= MAX_LATE_S and self.seconds <= allowed_s
 
 
-def in_time(row: Row, seconds: float, braking_s: float, late_s: float) -> bool:
-    """Whether a measured time fits the requirement: the row's bound, braking, and the resolution.
+def time_stop(rig: Rig, row: Row, act: Callable[[], int | None]) -> Measured:
+    """Cause a fault, and time the rover's stop from then. ``act`` returns what a row's act returns."""
+    rig.late_s()
+    called_ns = time.monotonic_ns()
+    began_ns = act() or called_ns
+    seconds = rig.stood(began_ns)
+    late_s = rig.late_s()
+    states, bound_s = rig.truth.since(began_ns), row.bound_s(rig.description)
+    velocities = [s.velocity for s in states if s.clock_ns <= began_ns + bound_s * 1e9]
+    v, omega = np.abs(velocities).max(axis=0).tolist()
+    return Measured(row, states[0].wall_ns, seconds, bound_s, braking_s(rig.description, v, omega), late_s)
 
-    The resolution is one sample, in which the rover stopped, and ``late_s`` (see `Measured`). A time
-    with a ``late_s`` above `MAX_LATE_S` fits no requirement.
-    """
-    return late_s <= MAX_LATE_S and seconds <= row.bound_s + braking_s + SAMPLE_S + late_s
+
+def require_in_time(measured: Measured, form: str = "") -> None:
+    """Save a measured row for the page if it is being written, and assert that the rover stood in time."""
+    found = measured._asdict() | {"row": measured.row.key, "form": form}
+    if ROWS_FILE:
+        with Path(ROWS_FILE).open("a") as file:
+            file.write(json.dumps(found) + "\n")
+    assert measured.in_time, found
 
 
 def measure(
@@ -106,8 +123,8 @@ def _start_driver(rig: Rig, row: Row, driver: str, record: Path | None) -> Scene
 
 
 def _measure(scene: Scene, row: Row, driver: str, moments: np.random.Generator | None) -> Measured:
-    assert row.act is not None  # the caller chose a row that can be injected
-    rig = scene.rig
+    rig, act = scene.rig, row.act
+    assert act is not None  # the caller chose a row that can be injected
     if driver == CIRCUIT:
         rig.driven(scene.process)
     elif row.from_rest:
@@ -119,13 +136,7 @@ def _measure(scene: Scene, row: Row, driver: str, moments: np.random.Generator |
         wait_for(lambda: abs(rig.truth.speed()) > CREEP_M_S, what="the rover to move")
     if driver != CIRCUIT:
         scene.scripted.requests_lease = row.requests_lease
-    rig.late_s()
-    called_ns = time.monotonic_ns()
-    began_ns = row.act(scene) or called_ns
-    seconds = rig.stood(began_ns)
-    late_s = rig.late_s()
-    states = rig.truth.since(began_ns)
-    velocities = [s.velocity for s in states if s.clock_ns <= began_ns + row.bound_s * 1e9]
+    measured = time_stop(rig, row, lambda: act(scene))
     scene.request_no_lease()
     if row.ended and driver != CIRCUIT:
         wait_for(lambda: rig.watcher.gate.ended == row.ended, what=f"the gate to report {row.ended}")
@@ -134,17 +145,7 @@ def _measure(scene: Scene, row: Row, driver: str, moments: np.random.Generator |
     stopped_by = _stopped_by(scene)
     if rig.stood(mended_ns) > 0.0:
         raise Unsafe("the rover moved again after the fault was removed")
-    return Measured(
-        row,
-        driver,
-        states[0].wall_ns,
-        seconds,
-        late_s,
-        max((abs(v) for v, _ in velocities), default=0.0),
-        max((abs(omega) for _, omega in velocities), default=0.0),
-        scene.note,
-        stopped_by,
-    )
+    return measured._replace(stopped_by=stopped_by, note=scene.note)
 
 
 def _stopped_by(scene: Scene) -> str:

@@ -13,7 +13,9 @@ from faults.outlet import OutletProcess
 from faults.proxy import Proxy
 from faults.scripted_driver import ScriptedDriver
 from rover_ncp.core.errors import RoverNcpError
-from sim.live.live_run import PIONEER, LiveRun
+from rover_ncp.core.files import DEFAULT_ROBOT
+from rover_ncp.robot.description import load_description
+from sim.live.live_run import PIONEER, RMW_ZENOH, LiveRun
 from sim.live.processes import Process, wait_for
 
 SPEED_M_S = 0.12
@@ -33,8 +35,9 @@ class Rig(LiveRun):
     """A live run with two proxies and scripted drivers.
 
     ``robot`` is the bridge's address; ``through_proxy`` is its address by way of the proxy ``link``. The
-    bridge reaches the base through the proxy ``line``. ``course`` is the course of circuits. ``outlet`` is
-    the kind of `Outlet` that takes the bridge's output.
+    bridge reaches the base through the proxy ``line``. ``course`` is the course of circuits. ``model`` is the
+    robot's, which speaks ROS 2 unless ``base_form`` is that of a Pioneer. ``outlet`` is the kind of `Outlet`
+    that takes the bridge's output.
     """
 
     module = hang.__file__
@@ -48,7 +51,13 @@ class Rig(LiveRun):
         bridge: Sequence[str] = (),
         outlet: str = "",
         base_form: str = PIONEER,
+        model: str = DEFAULT_ROBOT,
     ) -> None:
+        self.description = load_description(model)
+        if base_form != PIONEER:
+            form = "rmw-zenoh" if base_form == RMW_ZENOH else "ros2dds"
+            mock = ["--ros2", "--model", model, "--ros", form, *mock]
+            bridge = ["--model", model, *bridge]
         super().__init__(folder, mock=mock, bridge=bridge, base_form=base_form)
         self.course, self._outlet = course, outlet
         self._scripted: list[ScriptedDriver] = []

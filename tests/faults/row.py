@@ -1,17 +1,20 @@
 """A row of the safety matrix: a fault, how it is injected, and how soon the rover must stand."""
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 from faults.rig import Scene
 from faults.scripted_driver import NAME
+from rover_ncp.robot.description import RobotDescription
+from sim.pioneer.ros2_robot import BATTERY_S
 
 STOP_S, WATCHDOG_S = 0.5, 2.0
-"""The first safety requirement, and the base's own watchdog."""
+"""The first safety requirement, and a Pioneer's own watchdog."""
 LOW_BATTERY_S = 2.0
 """How long the voltage must be low before it counts: it sags when the motors start."""
-BRAKING_M_S2, ALPHA_RAD_S2, DELAY_S = 0.31, 1.25, 0.15
-"""The mock's, as a Pioneer's: what "plus braking" means."""
+LEASE_S = 1.05
+"""How long a lease lasts that a killed program no longer renews, with a turn of the bridge's loop."""
 CIRCUIT, SCRIPTED = "circuit", NAME
 """The drivers."""
 
@@ -58,19 +61,17 @@ class Row(NamedTuple):
         """Whether the driver may miss messages once the fault has begun."""
         return self.layer in {"deploy", "link", "bridge"}
 
-    @property
-    def bound_s(self) -> float:
-        """The rover stands within this time plus braking."""
+    def bound_s(self, robot: RobotDescription) -> float:
+        """Return the time in s, plus braking, within which the robot stands."""
         if self.layer in {"line", "bridge"}:
-            return WATCHDOG_S
-        return STOP_S + (LOW_BATTERY_S if self.key == "low-battery" else 0.0)
-
-    @property
-    def allowed(self) -> str:
-        """The bound in words."""
-        return f"{WATCHDOG_S:g} s + {STOP_S:g} s" if self.bound_s > WATCHDOG_S else f"{self.bound_s:g} s"
+            return WATCHDOG_S if robot.topics is None else robot.topics.cmd_vel_timeout_s or math.inf
+        if self.key == "low-battery":
+            # The bridge gets a ROS 2 robot's voltage with the next report of its battery.
+            return STOP_S + LOW_BATTERY_S + (BATTERY_S if robot.topics else 0.0)
+        return LEASE_S if self.key == "check-killed" else STOP_S
 
 
-def braking_s(v: float, omega: float = 0.0) -> float:
-    """Return how long the base takes to stand, in s, from a speed in m/s and a turn rate in rad/s."""
-    return DELAY_S + max(abs(v) / BRAKING_M_S2, abs(omega) / ALPHA_RAD_S2)
+def braking_s(robot: RobotDescription, v: float, omega: float = 0.0) -> float:
+    """Return how long a robot takes to stand, in s, from a speed in m/s and a turn rate in rad/s."""
+    motion, delays = robot.motion, robot.delays
+    return max(delays.v_s, delays.omega_s) + max(abs(v) / motion.decel, abs(omega) / motion.alpha_decel)

@@ -7,13 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from rover_ncp.core.streams import Domain, random_stream
-from sim.world.bodies import Body
 from sim.world.described import default_rover
 from sim.world.mujoco_rover import MujocoRover
-from sim.world.randomization import load_randomization
 from sim.world.rover import SUBSTEP_S
-from sim.world.skid_robot import Contact, SkidRobot, draw_robot
+from sim.world.skid_robot import Contact, SkidRobot
 
 V_M_S, OMEGA_RAD_S = 0.16, 0.18
 """The fastest that a policy drives."""
@@ -129,31 +126,6 @@ def coulomb_downhill_m(robot: SkidRobot) -> float:
         ahead_m = motion.forward_m_s / (motion.turn_gain * OMEGA_RAD_S)
         slides.append(math.cos(downhill) * ahead_m + math.sin(downhill) * motion.slide_m)
     return float(np.mean(slides))
-
-
-def slope_effects(seed: int, count: int) -> tuple[float, float]:
-    """Return the effects of slopes on random robots by dry friction, over the slope's tangent by friction.
-
-    They are rms: the slide in m/rad in one direction; the change of turn gain as a random walk, per root of a
-    radian. A turn of 2 rad that changes its direction once has it.
-    """
-    slides, gains, slopes = list[float](), list[float](), list[float]()
-    ranges, stream = load_randomization("slope", Body.MUJOCO).skid_steer, random_stream(seed, Domain.STUDY)
-    assert ranges is not None
-    for number in range(count):
-        robot, heading = draw_robot(ranges, seed, number), float(stream.uniform(-math.pi, math.pi))
-        level = coulomb(robot.model_copy(update={"slope_rad": 0.0}), 0.0, OMEGA_RAD_S)
-        here = coulomb(robot, 0.0, OMEGA_RAD_S, heading)
-        ahead_m = [motion.forward_m_s / (motion.turn_gain * OMEGA_RAD_S) for motion in (here, level)]
-        slides += ahead_m[0] - ahead_m[1], here.slide_m - level.slide_m
-        first, second, third = (
-            coulomb(robot, 0.1, omega, heading + turned).turn_gain
-            for turned, omega in ((0.0, OMEGA_RAD_S), (1.0, OMEGA_RAD_S), (1.0, -OMEGA_RAD_S))
-        )
-        gains.append((second - first) ** 2 + 0.5 * (third - second) ** 2)
-        slopes.append(math.tan(robot.slope_rad) / robot.friction)
-    slope = math.sqrt(np.mean(np.square(slopes)))
-    return math.sqrt(np.mean(np.square(slides))) / slope, math.sqrt(np.mean(gains)) / slope
 
 
 def shake_m_s2(robot: SkidRobot, omega: float) -> float:

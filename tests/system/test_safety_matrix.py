@@ -6,22 +6,19 @@ in; what it adds to the mock and the line to it is the measurement's (`faults.me
 """
 
 import functools
-import json
 import math
-import os
 import signal
 import threading
 import time
 from contextlib import ExitStack
-from pathlib import Path
 
 import numpy as np
 import pytest
 from faults.going_on import GOES_ON_S
 from faults.hang import CLOCK_STEPS_S
-from faults.measure import in_time, measure
+from faults.measure import ROWS_FILE, measure, require_in_time, time_stop
 from faults.rig import CREEP_M_S, SPEED_M_S, Rig
-from faults.row import SCRIPTED, braking_s
+from faults.row import SCRIPTED
 from faults.table import MATRIX, ROWS
 from kit.paths import DATA, ROOT
 
@@ -36,18 +33,6 @@ pytestmark = [pytest.mark.timed, pytest.mark.xdist_group("matrix")]
 
 PAGE = ROOT / "docs" / "safety.md"
 COURSE, WALL = DATA / "prompt_course.yaml", DATA / "wall_course.yaml"
-ROWS_FILE = os.environ.get("ROVER_NCP_SAFETY_ROWS")
-"""Set by tests/tools/safety_table.py, which writes all rows into the page."""
-
-
-def record(row, seconds, braking_s, late_s, note=""):
-    """Compare a measured time to standstill with its row's bound, and save it for the page."""
-    found = {"row": row.key, "seconds": round(seconds, 2), "braking_s": round(braking_s, 2)}
-    found |= {"late_s": round(late_s, 3), "note": note}
-    if ROWS_FILE:
-        with Path(ROWS_FILE).open("a") as file:
-            file.write(json.dumps(found) + "\n")
-    assert in_time(row, seconds, braking_s, late_s), found
 
 
 @pytest.fixture(scope="module")
@@ -65,18 +50,18 @@ def rig_with(tmp_path_factory):
         )
 
 
-# One row of each layer is in the short set.
-SHORT = {"bumper", "deploy-killed", "link-cut", "infinite", "bridge-killed"}
+# `make test` measures one row here, and two in tests/process/test_safety_rows.py.
+SHORT = "deploy-killed"
 KEYS = [each.key for each in MATRIX if each.act and not each.outlet]
 
 
 # A scripted driver never stops by itself, so where one can drive, the gate stops the rover.
 @pytest.mark.parametrize(
-    "key", [pytest.param(key, marks=[pytest.mark.short] if key in SHORT else []) for key in KEYS]
+    "key", [pytest.param(key, marks=[pytest.mark.short] if key == SHORT else []) for key in KEYS]
 )
 def test_the_rover_stands_in_time_and_stays(rig, key):
     measured = measure(rig, ROWS[key], ROWS[key].drivers[0])
-    record(measured.row, measured.seconds, measured.braking_s, measured.late_s, measured.note)
+    require_in_time(measured)
     if key in {"odometry-jumps", "odometry-nan"}:  # which the gate lets pass
         assert measured.stopped_by == "estimator"
 
@@ -144,8 +129,7 @@ def test_a_wall_in_the_way(tmp_path):
     with Rig(tmp_path, WALL, **options) as rig:
         driver = rig.under_way(rig.scripted_driver())
         near = wait_for(lambda: next((state for state in rig.truth.read() if state.pose.x >= near_m), None))
-        stood_s = rig.stood(near.clock_ns)
-        record(ROWS["wall"], stood_s, braking_s(near.velocity.v), rig.late_s())
+        require_in_time(time_stop(rig, ROWS["wall"], lambda: near.clock_ns))
         assert (driver.gate.held, driver.gate.stops["sonar"]) == ("sonar", 1)
         assert driver.driving
         rig.under_way(driver, -SPEED_M_S)  # and back is free
@@ -156,10 +140,7 @@ def test_fence_is_lost_when_the_base_restarts(tmp_path):
     limits.write_text("fence: {x_min: -5, x_max: 5, y_min: -5, y_max: 5}\n")
     with Rig(tmp_path, COURSE, bridge=["--limits", str(limits)]) as rig:
         driver = rig.under_way(rig.scripted_driver())
-        rig.late_s()
-        began_ns = rig.mock.tell("reset@0-0.05").t_ns
-        v = rig.truth.speed()
-        record(ROWS["fence-lost"], rig.stood(began_ns), braking_s(v), rig.late_s())
+        require_in_time(time_stop(rig, ROWS["fence-lost"], lambda: rig.mock.tell("reset@0-0.05").t_ns))
         wait_for(lambda: driver.gate.held == "fence-lost", 10.0, "the base to be connected again")
         reconnected_ns = time.monotonic_ns()
         time.sleep(1.0)  # the driver asks for the lease all the time
@@ -174,11 +155,8 @@ def gyro_rig(tmp_path_factory):
 
 
 def ended(rig, key, deploy):
-    """End a driver and record how soon the rover stands; return its result."""
-    rig.late_s()
-    ended_ns, motion = time.monotonic_ns(), rig.truth.read()[-1].velocity
-    deploy.send_signal(signal.SIGTERM)
-    record(ROWS[key], rig.stood(ended_ns), braking_s(*motion), rig.late_s())
+    """End a driver and measure how soon the rover stands; return its result."""
+    require_in_time(time_stop(rig, ROWS[key], lambda: deploy.send_signal(signal.SIGTERM)))
     return deploy.wait(15.0).result
 
 

@@ -159,7 +159,7 @@ def test_cut_off_recording_is_repaired_and_a_lost_command_is_found(tmp_path):
 
 
 def test_report_lists_every_failed_check():
-    late = Measured(ROWS["bumper"], "hand", 0, 1.2, 0.0, 0.12, 0.0, "", "bumper")
+    late = Measured(ROWS["bumper"], 0, 1.2, 0.5, 0.5, 0.0, "bumper")
     soaked = Soaked(rounds=[Round(5.0, late.row, "hand", late)], still=False)
     soaked.rounds.append(Round(9.0, ROWS["stall"], "hand", None, "timed out"))
     soaked.usage["bridge"] = samples(100, sockets=1)

@@ -25,7 +25,7 @@ def pioneer_table(lines):
         note = f" ({measured['note']})" if measured["note"] else ""
         yield (
             f"| {row.layer} | {row.fault}{note} | {measured['seconds']:.2f} s | "
-            f"{row.allowed} + {measured['braking_s']:.2f} s braking |"
+            f"{measured['bound_s']:g} s + {measured['braking_s']:.2f} s braking |"
         )
 
 
@@ -37,7 +37,8 @@ def ros2_table(lines):
     for key in dict.fromkeys(row.key for row in (*MATRIX, *ROS2_ROWS) if (row.key, "ros2dds") in found):
         row, times = ROWS[key], [found.get((key, form)) for form in ("ros2dds", "rmw_zenoh")]
         words = " | ".join(f"{time['seconds']:.2f} s" if time else "" for time in times)
-        yield f"| {row.layer} | {row.fault} | {words} | {times[0]['allowed_s']:.2f} s |"
+        allowed_s = times[0]["bound_s"] + times[0]["braking_s"]
+        yield f"| {row.layer} | {row.fault} | {words} | {allowed_s:.2f} s |"
 
 
 def main():

@@ -273,12 +273,8 @@ def excited(trials, fence_m):
     """Drive the steps on a virtual clock; return the farthest from the start, what stopped it, the base."""
     rover = rover_of(trials, default_rover(), Ground(()))
     start, farthest = rover.pose, [0.0]
-    firmware = Firmware(
-        "p3at-sh",
-        rover,
-        trial=BaseTrial(trials),
-        observe=lambda now: farthest.append(max(farthest[-1], distance(rover.pose, start))),
-    )
+    firmware = Firmware("p3at-sh", rover, trial=BaseTrial(trials))
+    firmware.observe = lambda now: farthest.append(max(farthest[-1], distance(rover.pose, start)))
     world = VirtualBridge(firmware)
     air = VirtualLink(world, start)
     measurements = Measurements(air)
@@ -299,7 +295,7 @@ def test_the_steps_stay_within_their_fence_and_give_the_motors_back():
     assert stopped is None
     assert 0.3 < farthest < FENCE_M
     assert not firmware.drive.enabled
-    assert not firmware.drive.moving
+    assert not firmware.drive.rover.moving
 
 
 def test_a_rover_that_would_leave_the_fence_is_stopped_before_it_does():
@@ -308,7 +304,7 @@ def test_a_rover_that_would_leave_the_fence_is_stopped_before_it_does():
     assert stopped == "geofence"
     assert farthest < 0.27  # a decimetre a second of odometry, 3 % off, and its noise
     assert not firmware.drive.enabled
-    assert not firmware.drive.moving
+    assert not firmware.drive.rover.moving
 
 
 def test_steps_are_what_the_base_takes_as_it_is():

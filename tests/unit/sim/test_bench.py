@@ -1,7 +1,6 @@
 """The benchmarks at a size that takes seconds: what they count must be what happened."""
 
 import csv
-import io
 import json
 import time
 
@@ -14,37 +13,25 @@ from sim.benchmarks import deploy as bench_deploy
 from sim.learn.agents import AgentState, Batch
 from sim.learn.record import TrainSettings, resolve_task
 from sim.learn.search import descent
-from sim.learn.search.strategies import SearchName
 from sim.learn.train import training_plan
 from sim.live.processes import ProcessError
-
-ITERATIONS = 60
 
 
 def test_the_searches_are_compared_by_what_training_gives(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench_search, "available_processes", lambda: 1)
     monkeypatch.setattr(bench_search, "MARKS", (20, 40))
     monkeypatch.setattr(bench_search, "PASSED", (-30.0, -8.0))
-    found, trained = bench_search.bench_search(4, 3, ITERATIONS, lambda _: None)
-    assert found["iterations"] == [20, 40, ITERATIONS]
-    assert list(found["strategies"]) == list(SearchName)
-    table = bench_search.returns_table(trained, 4, ITERATIONS)
-    rows = list(csv.DictReader(io.StringIO(table)))
-    for strategy, summary in found["strategies"].items():
-        settings = TrainSettings.model_validate({"seed": 4, "search": strategy})
-        batch = Batch(training_plan(settings, resolve_task(settings)))
-        done = batch.advance([AgentState(number) for number in range(3)], [ITERATIONS])
-        agents = [states[-1] for states in done]
-        for mark in found["iterations"]:
-            expected = [agent.value_at(mark) for agent in agents]
-            assert summary["returns"][mark] == expected
-            assert summary["median"][mark] == sorted(expected)[1]
-            in_table = [float(row[f"after_{mark}"]) for row in rows if row["strategy"] == strategy]
-            assert in_table == expected
-        last = [agent.value for agent in agents]
-        assert summary["passed"]["-30"] == sum(value > -30 for value in last)
-        assert summary["passed"]["-8"] == sum(value > -8 for value in last)
-    assert len(rows) == 3 * len(SearchName)
+    said: list[str] = []
+    rows = csv.DictReader(bench_search.returns_table(4, 3, 60, said.append, ["published"]))
+    settings = TrainSettings.model_validate({"seed": 4, "search": "published"})
+    batch = Batch(training_plan(settings, resolve_task(settings)))
+    agents = [states[-1] for states in batch.advance([AgentState(number) for number in range(3)], [60])]
+    for row, agent in zip(rows, agents, strict=True):
+        assert row["agent"] == str(agent.number)
+        for mark in (20, 40, 60):
+            assert float(row[f"after_{mark}"]) == agent.value_at(mark)
+    past = [sum(agent.value > level for agent in agents) for level in (-30.0, -8.0)]
+    assert said[0].endswith(f"{past[0]} past -30, {past[1]} past -8 of 3")
 
 
 @pytest.mark.long
@@ -52,7 +39,6 @@ def test_the_speeds_and_their_shares(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench_train, "LANES", (1, 6, 8))
     monkeypatch.setattr(bench_train, "_REPEATS", 1)
     monkeypatch.setattr(bench_train, "_EPISODES", 36)
-    monkeypatch.setattr(bench_train, "_COMPILE_SCRIPT", "print(0.5)")
     monkeypatch.setattr(bench_train, "_WARM_ITERATIONS", 2)
     monkeypatch.setattr(bench_train, "_LANE_TICKS", 8192)
     # Each strategy starts processes.
@@ -60,16 +46,12 @@ def test_the_speeds_and_their_shares(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench_train, "SearchName", timed)
     found = bench_train.bench_train(6, lambda _: None)
     assert set(found["iterations_per_s"]) == set(timed)
+    assert found["episodes_per_s"] > 0
     assert all(value > 0 for speeds in found["iterations_per_s"].values() for value in speeds.values())
     assert [row["lanes"] for row in found["cost_by_lanes"]] == [1, 6, 8]
     # How fast anything was says more about the machine; benchmarks compare it, tests do not.
     for row in found["cost_by_lanes"]:
         assert row["circuit_ns"] > 0 and row["physics_ns"] > 0
-    for part in ("circuit", "physics"):
-        assert found["substep_ns"][part].keys() == {"scalar", "lane"}
-    assert sum(found["share"].values()) == pytest.approx(1.0)
-    assert found["compile_s"] == {"cold": 0.5, "cached": 0.5}
-    assert 50 < found["peak_memory_mb"] < 5000
     assert found["cores"] >= 1
 
 

@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.compare import find_agent
-from benchmarks.paired import Paired, paired, parked
-from rover_ncp.course.course import load_course
-from sim.evaluate.evaluate import evaluate
-from sim.learn.engine.driver import load_driver
-from sim.world.randomization import load_randomization
+from benchmarks.paired import Paired, paired
 
 
 @pytest.mark.parametrize(
@@ -44,10 +40,3 @@ def test_trials_are_counted_pair_by_pair():
     one = np.array([True, True, True, False, False])
     other = np.array([True, False, False, True, False])
     assert paired(one, other) == Paired(both=1, first_only=2, second_only=1, neither=1)
-
-
-@pytest.mark.parametrize("driver", ["course", "kanayama"])
-def test_the_trials_are_those_of_an_evaluation(driver):
-    course, ranges = load_course("parking"), load_randomization("harsh")
-    found = parked(driver, [course], ranges, trials=100, seed=9)
-    assert found.mean() == evaluate(load_driver(driver), [course], ranges, trials=100, seed=9).success_rate

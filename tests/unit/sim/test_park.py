@@ -12,6 +12,7 @@ from rover_ncp.course.fit import slowed
 from rover_ncp.robot.description import load_description
 from sim.learn.record import course_of
 from sim.park import park
+from sim.park.commands import ParkOptions
 from sim.world.described import default_rover, described_rover
 
 SLOW = """\
@@ -58,9 +59,7 @@ def asked(monkeypatch):
 
 def run_park(tmp_path, model="p3at-sh"):
     out = tmp_path / "park"
-    return park.run_park(
-        Output(False), policy=None, course="parking", model=model, seed=0, out=out, overwrite=False
-    )
+    return park.run_park(Output(False), ParkOptions(model=model, out=out))
 
 
 def begin(asked, tmp_path, **options):

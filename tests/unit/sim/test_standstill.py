@@ -1,10 +1,11 @@
 """The time from a fault to standstill, from a truth file."""
 
 import pytest
-from faults.measure import in_time
+from faults.measure import Measured
 from faults.row import braking_s
 from faults.table import ROWS
 
+from rover_ncp.robot.description import load_description
 from sim.live.processes import TimedOut
 from sim.live.truth import SAMPLE_S, TruthReader
 from sim.pioneer.real_time import TRUTH_COLUMNS
@@ -39,14 +40,29 @@ def test_standing_rover_takes_no_time_and_moving_rover_times_out(tmp_path):
     assert reader.stood_after(5 * STEP_NS, 0.5) == 0.0
 
 
+PIONEER, HUSKY = load_description("p3at-sh"), load_description("husky-a200")
+
+
 @pytest.mark.parametrize("late_s", [0.0, 0.02])
-def test_bound_is_the_requirement_plus_the_resolution_and_no_more(late_s):
-    bridge_hung, braking = ROWS["bridge-hung"], braking_s(0.12)
-    allowed = 2.0 + 0.15 + 0.12 / 0.31 + SAMPLE_S + late_s
-    assert in_time(bridge_hung, allowed - 0.001, braking, late_s)
-    assert not in_time(bridge_hung, allowed + 0.001, braking, late_s)
+@pytest.mark.parametrize(
+    ("key", "robot", "allowed_s"),
+    [
+        ("bridge-hung", PIONEER, 2.0 + 0.15 + 0.12 / 0.31),
+        ("bumper", PIONEER, 0.5 + 0.15 + 0.12 / 0.31),
+        ("low-battery", PIONEER, 0.5 + 2.0 + 0.15 + 0.12 / 0.31),
+        ("bridge-hung", HUSKY, 0.5 + 0.1 + 0.12 / 1.0),
+        ("low-battery", HUSKY, 0.5 + 2.0 + 1.0 + 0.1 + 0.12 / 1.0),
+    ],
+)
+def test_bound_is_the_requirement_plus_the_resolution_and_no_more(key, robot, allowed_s, late_s):
+    def stop(seconds):
+        bound_s = ROWS[key].bound_s(robot)
+        return Measured(ROWS[key], 0, seconds, bound_s, braking_s(robot, 0.12), late_s)
+
+    assert stop(allowed_s + SAMPLE_S + late_s - 0.001).in_time
+    assert not stop(allowed_s + SAMPLE_S + late_s + 0.001).in_time
 
 
 def test_no_time_passes_with_a_resolution_above_a_tenth_of_a_second():
-    assert in_time(ROWS["bridge-hung"], 0.0, braking_s(0.12), 0.1)
-    assert not in_time(ROWS["bridge-hung"], 0.0, braking_s(0.12), 0.11)
+    assert Measured(ROWS["bumper"], 0, 0.0, 0.5, 0.5, late_s=0.1).in_time
+    assert not Measured(ROWS["bumper"], 0, 0.0, 0.5, 0.5, late_s=0.11).in_time

@@ -1,0 +1,19 @@
+"""One live row of the safety matrix for each kind of base. `make test-timed` measures all rows."""
+
+import pytest
+from faults.measure import measure, require_in_time
+from faults.rig import Rig
+from faults.table import ROWS
+from kit.paths import DATA
+
+from sim.live.live_run import ROS2DDS
+
+HUSKY = {"base_form": ROS2DDS, "model": "husky-a200", "bridge": ["--no-base-watchdog"]}
+
+
+@pytest.mark.parametrize(
+    ("options", "key"), [({}, "link-cut"), (HUSKY, "bridge-killed")], ids=["pioneer", "ros2"]
+)
+def test_the_rover_stands_in_time_and_stays(options, key, tmp_path):
+    with Rig(tmp_path, DATA / "prompt_course.yaml", **options) as rig:
+        require_in_time(measure(rig, ROWS[key], ROWS[key].drivers[0]))

@@ -19,9 +19,7 @@ def sentence(explained: Explanation, labels: Mapping[str, str], sensory: Collect
         return f"{neuron} [{labels[neuron]}]" if neuron in labels else neuron
 
     def listed(pulls: Sequence[Mean]) -> str:
-        return " and ".join(
-            f"{named(pull.neuron)} ({_mv(pull.mean_mV, sign=True)})" for pull in pulls[:NAMED]
-        )
+        return " and ".join(f"{named(pull.neuron)} ({_mv(pull.mean_mV, '+.0f')})" for pull in pulls[:NAMED])
 
     motor = f"{named(explained.motor.neuron)} at {_mv(explained.motor.mean_mV)}"
     text = f"{_head(explained.phase)}: "
@@ -47,7 +45,7 @@ def sentence(explained: Explanation, labels: Mapping[str, str], sensory: Collect
         verb = "grew" if abs(change.now_mV) > abs(change.before_mV) else "fell"
         text += (
             f" What changed: the pull of {named(change.neuron)} on {explained.behind.neuron} {verb} "
-            f"from {_mv(change.before_mV, sign=True)} to {_mv(change.now_mV, sign=True)}."
+            f"from {_mv(change.before_mV, '+.0f')} to {_mv(change.now_mV, '+.0f')}."
         )
     if explained.swinging:
         swings = [f"{row.neuron} (by {_mv(row.mean_mV)})" for row in explained.swinging[:NAMED]]
@@ -59,15 +57,15 @@ def _head(phase: Phase) -> str:
     head = f"{phase.label.capitalize()} {phase.start_s:.1f} to {phase.end_s:.1f} s"
     moved = [f"{phase.driven_m:.2f} m"] if phase.driven_m >= 0.005 else []
     if abs(degrees := float(np.degrees(phase.turned_rad))) >= 0.5:
-        moved.append(f"{number(degrees, signed=True)}°")
+        moved.append(f"{number(degrees, '+.0f')}°")
     return f"{head} ({', '.join(moved)})" if moved else head
 
 
-def number(value: float, digits: int = 0, signed: bool = False) -> str:
-    """Return a number with a typographic minus; zero has no sign."""
-    text = f"{value:{'+' if signed else ''}.{digits}f}"
+def number(value: float, spec: str = ".4g") -> str:
+    """Return a number in a format, with a typographic minus; zero has no sign."""
+    text = f"{value:{spec}}"
     return text.lstrip("+-") if float(text) == 0 else text.replace("-", "−")
 
 
-def _mv(value: float, sign: bool = False) -> str:
-    return f"{number(value, signed=sign)} mV"
+def _mv(value: float, spec: str = ".0f") -> str:
+    return f"{number(value, spec)} mV"

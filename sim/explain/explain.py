@@ -62,9 +62,9 @@ class Explanation:
     def ending(self) -> str:
         """The run's end in words."""
         if self.verdict is None:
-            return f"mean return {self.intact.total:.4g} of {len(self.returns)} episodes"
+            return f"mean return {number(self.intact.total)} of {len(self.returns)} episodes"
         how = "parked" if self.verdict.parked else f"not parked: {self.verdict.reason}"
-        return f"{how}; return in simulation {number(self.intact.total, 4)}"
+        return f"{how}; return in simulation {number(self.intact.total)}"
 
     def fields(self) -> dict[str, Any]:
         """Return everything but the potentials as plain values."""

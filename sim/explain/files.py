@@ -120,7 +120,7 @@ def page(found: Explanation) -> str:
 
     verdict = found.verdict
     if verdict is None:
-        headline = f"mean return {found.intact.total:.4g}", "", f"of {len(found.returns)} episodes"
+        headline = f"mean return {number(found.intact.total)}", "", f"of {len(found.returns)} episodes"
     elif verdict.parked:
         headline = "Parked", "good", ""
     else:
@@ -137,7 +137,7 @@ def page(found: Explanation) -> str:
             Table(
                 "Without a part",
                 f"The simulation without each neuron and each synapse. The return of the whole circuit is "
-                f"{number(found.intact.total, 3)}.",
+                f"{number(found.intact.total)}.",
                 ["without", "return", *(["m from the goal", "parks"] if drives else [])],
                 [(_part(row), -row.change) for row in parts],
             ),
@@ -152,8 +152,9 @@ def page(found: Explanation) -> str:
 
 
 def _part(row: Knockout) -> list[str]:
-    cells = [row.title, number(row.total, 2)]
-    return cells if row.error_m is None else [*cells, f"{row.error_m:.2f}", "yes" if row.parked else "no"]
+    if row.error_m is None:
+        return [row.title, number(row.total)]
+    return [row.title, number(row.total, ".2f"), f"{row.error_m:.2f}", "yes" if row.parked else "no"]
 
 
 def _deepest(found: Explanation, count: int) -> list[Sensitivity]:
@@ -161,8 +162,8 @@ def _deepest(found: Explanation, count: int) -> list[Sensitivity]:
 
 
 def _sensitivity(row: Sensitivity) -> list[str]:
-    changes = [number(change, 3, signed=True) for change in (row.change_down, row.change_up)]
-    return [row.title, f"{row.value:.4g} {row.unit}".replace("-", "−"), *changes]
+    changes = [number(change, "+.3g") for change in (row.change_down, row.change_up)]
+    return [row.title, f"{number(row.value)} {row.unit}".strip(), *changes]
 
 
 def _without(found: Explanation) -> Section:
@@ -173,8 +174,8 @@ def _without(found: Explanation) -> Section:
     before = (
         f"Without any of these {len(needed)} it does not park:"
         if parks
-        else f"The whole circuit does not park in simulation; its return is {number(found.intact.total, 2)}. "
-        f"Without any of these {len(needed)} the return is lower:"
+        else "The whole circuit does not park in simulation; its return is "
+        f"{number(found.intact.total, '.2f')}. Without any of these {len(needed)} the return is lower:"
     )
     return Section(
         "Without a part",
@@ -190,9 +191,9 @@ def _without_in_task(found: Explanation) -> Section:
     rows = sorted((row for row in found.knock_outs if abs(row.change) >= least), key=lambda row: row.total)
     return Section(
         "Without a part",
-        f"Mean return of {len(found.returns)} episodes; {found.intact.total:.4g} with all parts.",
+        f"Mean return of {len(found.returns)} episodes; {number(found.intact.total)} with all parts.",
         ["without", "return"],
-        [[row.title, f"{row.total:.4g}".replace("-", "−")] for row in rows],
+        [_part(row) for row in rows],
         _spared([row.title for row in found.knock_outs if abs(row.change) < least]),
     )
 

@@ -6,7 +6,7 @@ import pytest
 from kit.bridge_bench import Rig, client, wait_for
 
 from deploy.drive.zenoh_link import ZenohLink
-from deploy.view.viewer import Viewer
+from deploy.view.server import Viewer
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.wire.protocol import BaseReply, StopReply, TimeoutState, dump_json
 

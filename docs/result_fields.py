@@ -43,13 +43,8 @@ RESULTS = {
     "check": "deploy.check:CheckResult",
     "keys": "bridge.commands:keys",
     "recover": "rover_ncp.recording.recording:Recovery",
-    "explain": "sim.explain.explain:Explanation.fields run=rover_ncp.course.course:Verdict "
-    "knock_outs=sim.explain.what_if:Knockout sensitivities=:Sensitivity sim.explain.commands:explain",
-    "explain of a run": "deploy.view.findings:Findings.fields phases=:_phase "
-    "phases.motor=deploy.view.phases:Mean phases.rival=:Mean phases.behind=:Mean phases.pulls=:Mean "
-    "phases.change=:Change contributions=deploy.view.interpretation:Contribution "
-    "time_constants=:TimeConstant",
-    "report": "deploy.view.commands:report",
+    "explain": "sim.explain.explain:Result run=rover_ncp.course.course:Verdict",
+    "report": "deploy.view.page:Report",
     "watch": "deploy.view.server:run",
 }
 """By command: the code of its fields as ``module:name``, of those of an object ``a`` as ``a=module:name``.
@@ -79,31 +74,15 @@ COMMON = {
     "missed": "ticks that did not run",
     "mean": "mean return, with the bonus where the task has one",
     "plain_mean": "mean return without bonus",
-    "source": "the neuron that acts",
-    "destination": "the neuron that it acts on",
-    "sign": "of the contribution, by Definition 1 of the paper",
     "agent": "circuit, network or search of the paper",
     "budget": "how long a run may take: quick, default or published",
-    "change_down": "change of the return after the step down",
     "circuit": "its name",
     "cores": "that the process may use",
     "course": "its name",
-    "down": "size of the step down; 0 at a bound",
-    "driving.negative": "Q, without the rest",
-    "driving.positive": "P, without the rest",
     "ended": "why the run ended",
     "episodes": "how many",
     "files": "the files that were written",
-    "kind": "of parameter, or of part",
-    "knock_outs": "drives or episodes without a neuron or a synapse",
-    "knock_outs.name": "of the neuron or synapse",
-    "sensitivities.name": "of the neuron or synapse",
-    "neuron": "its name",
     "robot": "the bridge's Zenoh address",
-    "sensitivities": "of the return to each parameter",
-    "sensitivities.slope": "change of the return per unit",
-    "sensitivities.unit": "of the value and its steps",
-    "sensitivities.value": "the parameter's",
     "steps": "of the environment, in all episodes",
     "success": "whether the mean return is past the task's threshold",
     "success_rate": "share of trials that parked, or of runs past the task's threshold",
@@ -117,8 +96,6 @@ COMMON = {
     "address": "to open in a browser",
     "bad_arguments": "known commands with an argument of a wrong kind or size",
     "bad_checksums": "packets that were dropped for it",
-    "behind.mean_mV": "its potential",
-    "before_mV": "the pull in the phase before",
     "cause": "what makes it undrivable",
     "checkpoint": "counted from 1",
     "claims": "one row each",
@@ -137,30 +114,22 @@ COMMON = {
     "format": "version of the profile's format",
     "found": "how many runs existed already",
     "groups": "the runs of a task and an agent each",
-    "highest_s": "its largest time constant in the run",
     "horizon_s": "how long the course lasts",
     "hosts": "names and addresses of the bridge in its certificate",
     "ignored": "commands that were not applied",
     "load_before": "load average of a minute",
-    "lowest_s": "its smallest time constant in the run",
     "made": "runs that were made now",
-    "motor.mean_mV": "its potential",
     "namespace": "before all keys",
     "nis.moving": "normalised innovation squared of external poses while moving",
     "nis.standing": "the same while standing",
-    "now_mV": "the pull in this phase",
     "packets": "that were received whole",
-    "paper_s": "the paper's range",
     "pose.theta": "its heading in rad",
     "pose.x": "in m",
     "pose.y": "in m",
-    "pulls.mean_mV": "its pull on the neuron behind",
     "randomize": "the ranges of the rovers",
     "differ.replayed": "the mean return now",
     "replayed": "how many runs",
     "return": "of the drive, or the mean of the episodes",
-    "rival": "motor neuron that acts against the output, or null",
-    "rival.mean_mV": "its potential",
     "skipped_bytes": "between packets",
     "stored": "the mean return in the file",
     "t": "time on the course in s",
@@ -168,9 +137,6 @@ COMMON = {
     "unknown_commands": "commands that a Pioneer does not have",
     "urdf": "its text",
     "worst_miss_rad": "largest difference of heading at a checkpoint",
-    "start_s": "time at its beginning",
-    "end_s": "time at its end",
-    "label": "what the rover does",
     "exact": "of them to the last bit",
     "differ": "runs whose verdict or return differs",
 }
@@ -227,8 +193,11 @@ def model_fields(model: type[BaseModel]) -> Iterator[tuple[str, str]]:
     texts = {}
     for base in model.__mro__[-3::-1]:  # behind object and BaseModel
         texts |= noted(ast.parse(textwrap.dedent(inspect.getsource(base))).body[0])
-    for name, field in model.model_fields.items():
-        yield name, field.description or texts.get(name, "")
+    for field_name, field in model.model_fields.items():
+        if field.exclude:
+            continue
+        name = field.serialization_alias or field_name
+        yield name, field.description or texts.get(field_name, "")
         for part in models_in(field.annotation):
             for path, meaning in model_fields(part):
                 yield f"{name}.{path}", meaning

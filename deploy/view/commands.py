@@ -114,18 +114,11 @@ def report(
     time slider, with a sentence for each phase of the manoeuvre. It holds all its data and loads nothing from
     the network.
     """
-    from deploy.view.page import drive_page
-    from deploy.view.recorded_drive import read_drive
-    from rover_ncp.core.files import existing_file, require_writable, write_atomic
+    from deploy.view.page import write_report
+    from rover_ncp.core.files import existing_file
 
-    page = out or existing_file(source).with_suffix(".html")
-    require_writable(page)
-    write_atomic(page, drive_page(read_drive(source)))
-    fields = {
-        "page": str(page),  #: its file
-        "bytes": page.stat().st_size,  #: its size
-    }
-    Output(json).result(fields, f"report: {page}")
+    found = write_report(source, out or existing_file(source).with_suffix(".html"))
+    Output(json).result(found.model_dump(), f"report: {found.page}")
 
 
 def _new(source: Path, out: Path | None, name: str | None) -> Any:

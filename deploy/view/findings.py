@@ -1,21 +1,19 @@
-"""Findings about one run of a circuit: phases, contributions and time constants."""
+"""Findings about one run of a circuit: phases with a sentence each, contributions and time constants."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from deploy.view.interpretation import (
-    PUBLISHED_SIGNS,
-    PUBLISHED_TIME_CONSTANTS_S,
-    Contribution,
-    TimeConstant,
-    contributions,
-    time_constant_ranges,
-)
+import numpy as np
+
+from deploy.view.interpretation import Contribution, TimeConstant, contributions, time_constant_ranges
 from deploy.view.layout import labels, layers
-from deploy.view.phases import Explanation, explain
-from deploy.view.sentences import sentence
+from deploy.view.phases import ExplainedPhase, Mean, Phase, explain
 from deploy.view.trace import Trace
+
+WEAK_MV, WEAK_SHARE = 1.0, 0.15
+"""A sentence omits pulls below either limit; the second is a share of the strongest pull."""
+NAMED = 2
+"""Most neurons that a sentence names on either side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,14 +21,10 @@ class Findings:
     """A run's circuit explained."""
 
     trace: Trace
+    phases: tuple[ExplainedPhase, ...]
     contributions: dict[tuple[str, str], Contribution]
-    """Definition 1 over the whole run, for all pairs."""
-    driving: dict[tuple[str, str], Contribution]
-    """The same without the rest at both ends of the run, where most potentials are constant."""
+    """Definition 1, for all pairs."""
     time_constants: tuple[TimeConstant, ...]
-    explanations: tuple[Explanation, ...]
-    sentences: tuple[str, ...]
-    """One for each explanation."""
 
     @property
     def motors(self) -> tuple[str, ...]:
@@ -42,27 +36,6 @@ class Findings:
         """Sensory, inter and command neurons, in this order."""
         return self._of("sensory") + self._of("inter") + self._of("command")
 
-    def fields(self, pairs: Iterable[tuple[str, str]]) -> dict[str, Any]:
-        """Return the findings as plain values, with the contributions of some pairs."""
-        return {
-            #: with --task by the signs of the outputs, and times are the circuit's
-            "phases": [_phase(*both) for both in zip(self.explanations, self.sentences, strict=True)],
-            "contributions": [  #: of sensory, inter and command neurons to motor neurons
-                {
-                    **vars(self.contributions[pair]),
-                    "driving": {  #: the same without the rest at both ends of the run
-                        name: getattr(self.driving[pair], name) for name in ("sign", "positive", "negative")
-                    },
-                    "paper": PUBLISHED_SIGNS.get(pair),  #: the paper's sign
-                }
-                for pair in pairs
-            ],
-            "time_constants": [  #: in the run; paper_s is the paper's range
-                {**row._asdict(), "paper_s": PUBLISHED_TIME_CONSTANTS_S.get(row.neuron)}
-                for row in self.time_constants
-            ],
-        }
-
     def _of(self, layer: str) -> tuple[str, ...]:
         own = layers(self.trace.policy)
         return tuple(name for name, is_in in zip(self.trace.neurons, own, strict=True) if is_in == layer)
@@ -70,10 +43,10 @@ class Findings:
 
 def analyse(trace: Trace) -> Findings:
     """Explain a run."""
-    explanations = explain(trace)
-    moving = [each.phase for each in explanations if any(each.phase.signs)]
+    phases = explain(trace)
+    moving = [phase for phase in phases if any(phase.signs)]
     potentials, sensing = trace.potentials, trace.policy.sensing.neurons
-    driving = potentials[moving[0].first : moving[-1].last] if moving else potentials[:1]
+    driving = slice(moving[0].first, moving[-1].last) if moving else slice(1)
     # Without an output layer, the phase's label says what its motor neuron does.
     named = {
         neuron: label
@@ -82,28 +55,68 @@ def analyse(trace: Trace) -> Findings:
     }
     return Findings(
         trace=trace,
-        contributions=contributions(trace.neurons, potentials),
-        driving=contributions(trace.neurons, driving),
+        phases=tuple(
+            phase.model_copy(update={"sentence": sentence(phase, named, sensing)}) for phase in phases
+        ),
+        contributions=contributions(trace.neurons, potentials, driving),
         time_constants=time_constant_ranges(trace.policy.circuit, potentials, sensing),
-        explanations=explanations,
-        sentences=tuple(sentence(each, named, sensing) for each in explanations),
     )
 
 
-def _phase(explained: Explanation, text: str) -> dict[str, Any]:
-    phase = explained.phase
-    return {
-        "label": phase.label,
-        "start_s": phase.start_s,
-        "end_s": phase.end_s,
-        "driven_m": phase.driven_m,  #: length of the path
-        "turned_rad": phase.turned_rad,  #: to the left
-        "motor": explained.motor._asdict(),  #: motor neuron with the largest share in the output
-        "rival": explained.rival._asdict() if explained.rival else None,
-        "behind": explained.behind._asdict() if explained.behind else None,  #: pulls most on it
-        "by_leak": explained.by_leak,  #: whether the leak alone determines the motor neuron's potential
-        "opening": explained.opening,  #: of the synapse of `behind`, 0 to 1; null for a gap junction
-        "pulls": [pull._asdict() for pull in explained.pulls],  #: on the neuron behind, the strongest first
-        "change": explained.change._asdict() if explained.change else None,  #: the pull that changed most
-        "sentence": text,  #: all this in words
-    }
+def sentence(explained: ExplainedPhase, labels: Mapping[str, str], sensory: Collection[str]) -> str:
+    """Describe a phase in one to three sentences; ``labels`` are inputs and outputs of neurons."""
+
+    def named(neuron: str) -> str:
+        return f"{neuron} [{labels[neuron]}]" if neuron in labels else neuron
+
+    def listed(pulls: Sequence[Mean]) -> str:
+        return " and ".join(f"{named(pull.neuron)} ({_mv(pull.mean_mV, '+.0f')})" for pull in pulls[:NAMED])
+
+    motor = f"{named(explained.motor.neuron)} at {_mv(explained.motor.mean_mV)}"
+    text = f"{_head(explained)}: "
+    if explained.by_leak:
+        text += f"{motor} by its own leak"
+    if explained.behind is not None:
+        text += ", " if explained.by_leak else ""
+        opening = "" if explained.opening is None else f"; its synapse {100 * explained.opening:.0f} % open"
+        text += f"{named(explained.behind.neuron)} ({_mv(explained.behind.mean_mV)}{opening}), "
+        strongest = max(abs(pull.mean_mV) for pull in explained.pulls) if explained.pulls else 0.0
+        strong = [p for p in explained.pulls if abs(p.mean_mV) >= max(WEAK_MV, WEAK_SHARE * strongest)]
+        up, down = [p for p in strong if p.mean_mV > 0], [p for p in strong if p.mean_mV < 0]
+        clauses = [f"driven by {listed(up)}"] if up else []
+        clauses += [f"{'against' if up else 'held down by'} {listed(down)}"] if down else []
+        alone = "set by its input" if explained.behind.neuron in sensory else "left to its leak"
+        text += " ".join(clauses) or alone
+    if not explained.by_leak:
+        text += f"; it puts {motor}"
+    if explained.rival is not None:
+        text += f"; against it {named(explained.rival.neuron)} at {_mv(explained.rival.mean_mV)}"
+    text += "."
+    if explained.behind is not None and (change := explained.change) is not None:
+        verb = "grew" if abs(change.now_mV) > abs(change.before_mV) else "fell"
+        text += (
+            f" What changed: the pull of {named(change.neuron)} on {explained.behind.neuron} {verb} "
+            f"from {_mv(change.before_mV, '+.0f')} to {_mv(change.now_mV, '+.0f')}."
+        )
+    if explained.swinging:
+        swings = [f"{row.neuron} (by {_mv(row.mean_mV)})" for row in explained.swinging[:NAMED]]
+        text += f" From tick to tick {' and '.join(swings)} {'swings' if len(swings) == 1 else 'swing'}."
+    return text
+
+
+def _head(phase: Phase) -> str:
+    head = f"{phase.label.capitalize()} {phase.start_s:.1f} to {phase.end_s:.1f} s"
+    moved = [f"{phase.driven_m:.2f} m"] if phase.driven_m >= 0.005 else []
+    if abs(degrees := float(np.degrees(phase.turned_rad))) >= 0.5:
+        moved.append(f"{number(degrees, '+.0f')}°")
+    return f"{head} ({', '.join(moved)})" if moved else head
+
+
+def number(value: float, spec: str = ".4g") -> str:
+    """Return a number in a format, with a typographic minus; zero has no sign."""
+    text = f"{value:{spec}}"
+    return text.lstrip("+-") if float(text) == 0 else text.replace("-", "−")
+
+
+def _mv(value: float, spec: str = ".0f") -> str:
+    return f"{number(value, spec)} mV"

@@ -7,14 +7,13 @@ slopes give little evidence of a's influence, so they are also counted separatel
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rover_ncp.circuit.circuit import Circuit, time_constants
+from rover_ncp.core.config import ResultModel
 
 FloatArray = NDArray[np.float64]
 
@@ -64,38 +63,54 @@ PUBLISHED_TIME_CONSTANTS_S: dict[str, tuple[float, float]] = {
 """Smallest and largest over the paper's parking run (Table S7)."""
 
 
-@dataclass(frozen=True)
-class Contribution:
+class Slopes(ResultModel):
+    """Counts of Definition 1 over some ticks."""
+
+    sign: Sign
+    """by Definition 1 of the paper"""
+    positive: int
+    """P, the number of points with Omega > 0"""
+    negative: int
+    """Q, the number of points with Omega < 0"""
+    flat: int
+    """number of points with Omega = 0: the source changed, the destination did not"""
+    vertical: int
+    """number of vertical slopes among P + Q: the destination changed, the source did not"""
+    bins: tuple[int, ...]
+    """histogram of all Omega in equal bins over -pi/2..pi/2; Omega = 0 is counted right of the middle"""
+
+
+class Contribution(Slopes):
     """Contribution of ``source`` to ``destination`` in a run."""
 
     source: str
+    """the neuron that acts"""
     destination: str
-    positive: int
-    """P, the number of points with Omega > 0."""
-    negative: int
-    """Q, the number of points with Omega < 0."""
-    flat: int
-    """Number of points with Omega = 0: the source changed, the destination did not."""
-    vertical: int
-    """Number of vertical slopes among P + Q: the destination changed, the source did not."""
-    bins: tuple[int, ...]
-    """Histogram of all Omega in equal bins over -pi/2..pi/2; Omega = 0 is counted right of the middle."""
-    sign: Sign
+    """the neuron that it acts on"""
+    driving: Slopes
+    """without the rest at both ends of the run, where most potentials are constant"""
+    paper: Sign | None
+    """the paper's sign"""
 
 
-class TimeConstant(NamedTuple):
-    """The smallest and the largest time constant of a neuron over a run, in s."""
+class TimeConstant(ResultModel):
+    """Range of a neuron's time constant over a run."""
 
     neuron: str
+    """its name"""
     lowest_s: float
+    """its smallest time constant"""
     highest_s: float
+    """its largest time constant"""
+    paper_s: tuple[float, float] | None
+    """the paper's range"""
 
 
-def contribution(source: str, destination: str, a: ArrayLike, b: ArrayLike) -> Contribution:
-    """Apply Definition 1 to the potentials ``a`` of the source and ``b`` of the destination, (T,) in mV.
+def slopes(a: ArrayLike, b: ArrayLike) -> Slopes:
+    """Apply Definition 1 to the potentials ``a`` of a source and ``b`` of a destination, (T,) in mV.
 
-    Positive if P > 1.5 Q, antagonistic if Q > 1.5 P, otherwise phase-switching. Points where
-    neither potential changes are not counted.
+    Positive if P > 1.5 Q, antagonistic if Q > 1.5 P, otherwise phase-switching. Points where neither
+    potential changes are not counted.
     """
     da, db = _steps(a), _steps(b)
     if da.shape != db.shape:
@@ -108,22 +123,31 @@ def contribution(source: str, destination: str, a: ArrayLike, b: ArrayLike) -> C
     omega = np.arctan2(np.where(da < 0, -db, db), np.abs(da))
     positive, negative = int(np.sum(omega > 0)), int(np.sum(omega < 0))
     histogram, _ = np.histogram(omega, BINS, (-np.pi / 2, np.pi / 2))
-    return Contribution(
-        source=source,
-        destination=destination,
+    return Slopes(
+        sign=_sign(positive, negative),
         positive=positive,
         negative=negative,
         flat=len(omega) - positive - negative,
         vertical=int(np.sum(da == 0)),
         bins=tuple(histogram.tolist()),
-        sign=_sign(positive, negative),
     )
 
 
-def contributions(names: Sequence[str], potentials: FloatArray) -> dict[tuple[str, str], Contribution]:
-    """Return the contributions of all ordered pairs of different neurons; potentials are (T, n) in mV."""
+def contributions(
+    names: Sequence[str], potentials: FloatArray, driving: slice = slice(None)
+) -> dict[tuple[str, str], Contribution]:
+    """Return the contributions of all ordered pairs of different neurons; potentials are (T, n) in mV.
+
+    ``driving`` are the ticks without the rest at both ends of the run.
+    """
     return {
-        (a, b): contribution(a, b, potentials[:, i], potentials[:, j])
+        (a, b): Contribution(
+            **dict(slopes(potentials[:, i], potentials[:, j])),
+            source=a,
+            destination=b,
+            driving=slopes(potentials[driving, i], potentials[driving, j]),
+            paper=PUBLISHED_SIGNS.get((a, b)),
+        )
         for i, a in enumerate(names)
         for j, b in enumerate(names)
         if i != j
@@ -139,7 +163,12 @@ def time_constant_ranges(
     """
     tau = np.array([time_constants(circuit, row) for row in potentials])
     return tuple(
-        TimeConstant(name, float(tau[:, i].min()), float(tau[:, i].max()))
+        TimeConstant(
+            neuron=name,
+            lowest_s=float(tau[:, i].min()),
+            highest_s=float(tau[:, i].max()),
+            paper_s=PUBLISHED_TIME_CONSTANTS_S.get(name),
+        )
         for i, name in enumerate(circuit.neurons)
         if name not in driven and i not in circuit.held
     )

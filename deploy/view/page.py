@@ -7,13 +7,14 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from importlib import resources
+from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup, escape
 
-from deploy.view.findings import Findings, analyse
+from deploy.view.findings import Findings, analyse, number
 from deploy.view.interpretation import SYMBOLS
 from deploy.view.page_data import (
     circuit_data,
@@ -24,10 +25,11 @@ from deploy.view.page_data import (
     rings,
     trace_columns,
 )
-from deploy.view.recorded_drive import Drive, summarise
-from deploy.view.sentences import number
+from deploy.view.recorded_drive import Drive, read_drive, summarise
 from deploy.view.shapes import OUTLINE, FloatArray
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.config import ResultModel
+from rover_ncp.core.files import require_writable, write_atomic
 from rover_ncp.course.course import Course
 
 
@@ -57,6 +59,22 @@ class Table(NamedTuple):
     note: str
     header: Sequence[str]
     rows: Sequence[tuple[Sequence[str], float]]
+
+
+class Report(ResultModel):
+    """What ``rover-ncp report`` prints."""
+
+    page: str
+    """its file"""
+    bytes: int
+    """its size"""
+
+
+def write_report(recording: Path, page: Path) -> Report:
+    """Write the report of a recorded drive. Raises FileError and ConfigError."""
+    require_writable(page)
+    write_atomic(page, drive_page(read_drive(recording)))
+    return Report(page=str(page), bytes=page.stat().st_size)
 
 
 def drive_page(drive: Drive) -> str:
@@ -149,14 +167,16 @@ def fragment(name: str, *arguments: Any) -> Markup:
 
 def findings_data(findings: Findings) -> dict[str, Any]:
     """Return the findings that a script shows: phases, and the contributions of all pairs."""
-    fields = findings.fields(findings.contributions)
-    return {name: fields[name] for name in ("phases", "contributions")}
+    return {
+        "phases": [phase.model_dump() for phase in findings.phases],
+        "contributions": [each.model_dump(exclude={"driving"}) for each in findings.contributions.values()],
+    }
 
 
 def findings_html(findings: Findings) -> dict[str, Markup]:
     """Return the findings as parts of a page, by id."""
     return {
-        "phases": fragment("phases", findings.sentences, findings.explanations),
+        "phases": fragment("phases", findings.phases),
         "rings": fragment("rings", rings(findings)),
         "signs": fragment("contributions", findings),
         "taus": fragment("time_constants", findings.time_constants),

@@ -93,12 +93,12 @@ def rings(findings: Findings) -> list[tuple[str, float, float, float, float]]:
     policy = findings.trace.policy
     places = dict(zip(policy.circuit.neurons, lay_out(policy).places, strict=True))
     found = []
-    for neuron, lowest, highest in findings.time_constants:
+    for row in findings.time_constants:
         inner, outer = (
             RADIUS + 4.0 + RING_PER_DECADE * math.log10(max(tau_s, RINGS_FROM_S) / RINGS_FROM_S)
-            for tau_s in (lowest, highest)
+            for tau_s in (row.lowest_s, row.highest_s)
         )
-        found.append((neuron, *places[neuron], inner, max(outer - inner, MIN_RING)))
+        found.append((row.neuron, *places[row.neuron], inner, max(outer - inner, MIN_RING)))
     return found
 
 

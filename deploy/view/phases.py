@@ -9,15 +9,16 @@ task that is no drive, the commands are the policy's outputs.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from deploy.view.trace import Currents, Trace, motor_shares, synapse_currents
 from rover_ncp.circuit.circuit import MIDPOINT_MV
+from rover_ncp.core.config import ResultModel
 from rover_ncp.core.geometry import Velocity, wrap_angle
 
 FloatArray = NDArray[np.float64]
@@ -52,21 +53,23 @@ LEAK_MV = 5.0
 """If no synapse pulls a motor neuron by more, its leak determines its potential."""
 
 
-@dataclass(frozen=True)
-class Phase:
+class Phase(ResultModel):
     """One phase: ticks ``first`` up to, not including, ``last``."""
 
     label: str
-    signs: tuple[int, ...]
-    """Of v and omega, or of each output of a task that is no drive."""
-    first: int
-    last: int
+    """what the rover does; with --task the signs of the outputs"""
+    signs: tuple[int, ...] = Field(exclude=True)
+    """of v and omega, or of each output of a task that is no drive"""
+    first: int = Field(exclude=True)
+    last: int = Field(exclude=True)
     start_s: float
+    """time at its beginning; with --task in the time of the circuit"""
     end_s: float
+    """time at its end"""
     driven_m: float
-    """Length of the path."""
+    """length of the path"""
     turned_rad: float
-    """Change of heading, left positive."""
+    """change of heading, left positive"""
 
     @property
     def ticks(self) -> slice:
@@ -74,42 +77,47 @@ class Phase:
         return slice(self.first, self.last)
 
 
-class Mean(NamedTuple):
-    """A neuron with a mean over a phase: of its potential, its pull or its swing."""
+class Mean(ResultModel):
+    """A neuron with a mean over a phase."""
 
     neuron: str
+    """its name"""
     mean_mV: float
+    """mean of its potential, its pull or its swing"""
 
 
-class Change(NamedTuple):
-    """A pull in the phase before and in this phase."""
+class Change(ResultModel):
+    """A pull in two phases."""
 
     neuron: str
+    """its name"""
     before_mV: float
+    """the pull in the phase before"""
     now_mV: float
+    """the pull in this phase"""
 
 
-@dataclass(frozen=True)
-class Explanation:
+class ExplainedPhase(Phase):
     """Explanation of the rover's motion in one phase."""
 
-    phase: Phase
     motor: Mean
-    """The motor neuron with the largest share in the phase's output."""
+    """motor neuron with the largest share in the output, and its potential"""
     rival: Mean | None
-    """The motor neuron that acts most against it, if any does."""
+    """motor neuron that acts most against the output, and its potential; null if none does"""
     behind: Mean | None = None
-    """The neuron that pulls most on the motor neuron; None if it has no synapse."""
+    """neuron that pulls most on the motor neuron, and its potential; null if it has no synapse"""
     by_leak: bool = True
-    """Whether the leak, not a synapse, determines the motor neuron's potential."""
+    """whether the leak alone determines the motor neuron's potential"""
     opening: float | None = None
-    """Mean opening of that neuron's synapse, 0 to 1; None for a gap junction."""
+    """mean opening of the synapse of `behind`, 0 to 1; null for a gap junction"""
     pulls: tuple[Mean, ...] = ()
-    """Pulls on the neuron behind, the strongest first; none on a sensory neuron, which its input drives."""
+    """pulls on the neuron behind, the strongest first; none on a sensory neuron, which its input drives"""
     change: Change | None = None
-    """The pull that changed most since the phase before."""
-    swinging: tuple[Mean, ...] = ()
-    """Neurons that alternate, with their mean change from tick to tick, the widest first."""
+    """the pull that changed most since the phase before"""
+    swinging: tuple[Mean, ...] = Field(default=(), exclude=True)
+    """neurons that alternate, with their mean change from tick to tick, the widest first"""
+    sentence: str = ""
+    """all this in words"""
 
 
 def phases(trace: Trace) -> tuple[Phase, ...]:
@@ -127,13 +135,11 @@ def phases(trace: Trace) -> tuple[Phase, ...]:
     return tuple(_phase(trace, run.signs, first, last) for run, first, last in _placed(runs))
 
 
-def explain(trace: Trace) -> tuple[Explanation, ...]:
+def explain(trace: Trace) -> tuple[ExplainedPhase, ...]:
     """Explain a run phase by phase."""
     currents = synapse_currents(trace.policy.circuit, trace.potentials)
-    found: list[Explanation] = []
-    for phase in phases(trace):
-        found.append(_explained(trace, currents, phase, found[-1].phase if found else None))
-    return tuple(found)
+    found = phases(trace)
+    return tuple(_explained(trace, currents, *both) for both in zip(found, (None, *found), strict=False))
 
 
 class _Run(NamedTuple):
@@ -192,14 +198,17 @@ def _phase(trace: Trace, signs: tuple[int, ...], first: int, last: int) -> Phase
     )
 
 
-def _explained(trace: Trace, currents: Currents, phase: Phase, before: Phase | None) -> Explanation:
+def _explained(trace: Trace, currents: Currents, phase: Phase, before: Phase | None) -> ExplainedPhase:
     def mean(neuron: str) -> Mean:
-        return Mean(neuron, float(trace.of(neuron)[phase.ticks].mean()))
+        return Mean(neuron=neuron, mean_mV=float(trace.of(neuron)[phase.ticks].mean()))
 
     circuit = trace.policy.circuit
     motor, rival = _motors(trace, phase)
-    found = Explanation(
-        phase, mean(motor), None if rival is None else mean(rival), swinging=_swinging(trace, phase)
+    found = ExplainedPhase(
+        **dict(phase),
+        motor=mean(motor),
+        rival=None if rival is None else mean(rival),
+        swinging=_swinging(trace, phase),
     )
     synapse = _strongest(trace, currents, motor, phase)
     if synapse is None:
@@ -208,14 +217,14 @@ def _explained(trace: Trace, currents: Currents, phase: Phase, before: Phase | N
     above = trace.of(behind)[phase.ticks] - MIDPOINT_MV
     opening = float((1.0 / (1.0 + np.exp(-circuit.sigma[synapse] * above))).mean())
     pulls = _pulls(trace, currents, behind, phase)
-    return replace(
-        found,
-        behind=mean(behind),
-        by_leak=bool(abs(currents.pull[phase.ticks, synapse].mean()) < LEAK_MV),
-        opening=opening if circuit.chemical[synapse] else None,
-        pulls=pulls,
-        change=_change(_pulls(trace, currents, behind, before), pulls) if before else None,
-    )
+    more = {
+        "behind": mean(behind),
+        "by_leak": bool(abs(currents.pull[phase.ticks, synapse].mean()) < LEAK_MV),
+        "opening": opening if circuit.chemical[synapse] else None,
+        "pulls": pulls,
+        "change": _change(_pulls(trace, currents, behind, before), pulls) if before else None,
+    }
+    return found.model_copy(update=more)
 
 
 def _motors(trace: Trace, phase: Phase) -> tuple[str, str | None]:
@@ -252,13 +261,16 @@ def _pulls(trace: Trace, currents: Currents, neuron: str, phase: Phase) -> tuple
         return ()
     synapses = np.flatnonzero(circuit.destination == circuit.index(neuron))
     means = currents.pull[phase.ticks, synapses].mean(axis=0)
-    rows = [Mean(circuit.neurons[circuit.source[s]], float(m)) for s, m in zip(synapses, means, strict=True)]
+    rows = [
+        Mean(neuron=circuit.neurons[circuit.source[s]], mean_mV=float(m))
+        for s, m in zip(synapses, means, strict=True)
+    ]
     return tuple(sorted(rows, key=lambda row: -abs(row.mean_mV)))
 
 
 def _change(before: Sequence[Mean], now: Sequence[Mean]) -> Change | None:
-    then = dict(before)
-    changes = [Change(pull.neuron, then[pull.neuron], pull.mean_mV) for pull in now]
+    then = {pull.neuron: pull.mean_mV for pull in before}
+    changes = [Change(neuron=pull.neuron, before_mV=then[pull.neuron], now_mV=pull.mean_mV) for pull in now]
     most = max(changes, key=lambda change: abs(change.now_mV - change.before_mV), default=None)
     return most if most and abs(most.now_mV - most.before_mV) >= CHANGE_MV else None
 
@@ -269,6 +281,9 @@ def _swinging(trace: Trace, phase: Phase) -> tuple[Mean, ...]:
         return ()
     # A single jump at the start of a phase is no swing: the potential must alternate.
     turning = np.minimum(np.abs(steps[1:]), np.abs(steps[:-1])) * (steps[1:] * steps[:-1] < 0)
-    widths = turning.mean(axis=0)
-    rows = [Mean(name, float(width)) for name, width in zip(trace.neurons, widths, strict=True)]
-    return tuple(sorted((row for row in rows if row.mean_mV > SWING_MV), key=lambda row: -row.mean_mV))
+    rows = [
+        Mean(neuron=name, mean_mV=width)
+        for name, width in zip(trace.neurons, turning.mean(axis=0).tolist(), strict=True)
+        if width > SWING_MV
+    ]
+    return tuple(sorted(rows, key=lambda row: -row.mean_mV))

@@ -13,10 +13,12 @@ Rules of this file:
 import contextlib
 import json
 import socket
+import time
 from collections.abc import Callable
 from typing import Any
 
 import uvicorn
+import zenoh
 from anyio import CapacityLimiter, create_task_group
 from anyio.to_thread import run_sync
 from starlette.applications import Starlette
@@ -30,20 +32,66 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from deploy.view.feed import Cursor, Feed
 from deploy.view.page import watch_page
 from deploy.view.shapes import outline_of
-from deploy.view.viewer import Viewer
-from deploy.zenoh_client import BridgeAddress
+from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
-from rover_ncp.core.errors import PortInUse, UnreachableError
+from rover_ncp.core.errors import FormatError, NoBridge, NotAuthorised, PortInUse, UnreachableError
 from rover_ncp.core.process import Interrupts
 from rover_ncp.course.course import load_course
+from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import load_description
+from rover_ncp.wire.key_table import KeySpec
+from rover_ncp.wire.protocol import StopReply, StopRequest, dump_json, parse_json
 
 HOST = "127.0.0.1"
 INTERRUPTED = 130
 REQUEST_BYTES = 16
 """The longest request of a page is "release"."""
 STOPS_AT_ONCE = 64
+STOP_TIMEOUT_S = 1.0
+REASON = "the live page's Stop button"
+
+
+class Viewer(ZenohClient):
+    """One session with one bridge; ``take`` gets every message. Raises as `ZenohClient`."""
+
+    def __init__(self, address: BridgeAddress, take: Callable[[Recorded], None]) -> None:
+        def receive(row: KeySpec, data: bytes) -> None:
+            now = time.monotonic_ns()
+            with contextlib.suppress(FormatError):
+                take(Recorded(row.name, row.type, data, now, now))
+
+        super().__init__(address, receive)
+
+    def _declare(self) -> None:
+        self._stopper = self._session.declare_querier(
+            self.key("rover/stop"),
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=STOP_TIMEOUT_S,
+        )
+
+    @property
+    def may_stop(self) -> bool:
+        """Whether a bridge takes our stop: it hides its queryable from users without permission."""
+        return matches(self._stopper)
+
+    def stop(self, release: bool = False) -> StopReply:
+        """Stop the rover until released, or release it.
+
+        Raises NotAuthorised when the bridge does not accept it from us, NoBridge when there is no bridge or
+        no readable answer.
+        """
+        request = StopRequest(release=release, reason="" if release else REASON)
+        answer = self.bridge_answer(self._stopper.get(payload=dump_json(request)))
+        if answer is not None:
+            try:
+                return parse_json(StopReply, answer)
+            except FormatError as error:
+                raise NoBridge(f"the bridge at {self.robot} sends an unreadable answer: {error}") from error
+        if not self.bridge_alive:
+            raise NoBridge(f"no bridge shows itself at {self.robot}: nothing to stop")
+        raise NotAuthorised(f"not authorised to stop: the bridge at {self.robot} accepts no stop from us")
 
 
 def run(address: BridgeAddress, policy: str, course: str, port: int, output: Output, *, model: str) -> int:

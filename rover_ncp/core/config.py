@@ -20,6 +20,12 @@ from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.files import read_text
 
 
+class ResultModel(BaseModel):
+    """Base of the results of commands: the text below a field describes it in the documentation."""
+
+    model_config = ConfigDict(frozen=True, use_attribute_docstrings=True)
+
+
 class StrictModel(BaseModel):
     """Base of all configuration models: frozen, finite, no unknown keys, numbers only from numbers."""
 

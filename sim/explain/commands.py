@@ -79,8 +79,8 @@ def explain(
         found = explain_source(source, course, on_progress=output.say)
     else:
         raise UsageError("explain needs a policy or a recording, or --task with a benchmark of the paper")
-    for number, sentence in enumerate(found.findings.sentences, 1):
-        output.say(f"{number}. {sentence}")
+    for number, phase in enumerate(found.findings.phases, 1):
+        output.say(f"{number}. {phase.sentence}")
     for section in sections(found):
         output.console.print()
         output.say(section.before.replace("\n", " "))
@@ -91,4 +91,4 @@ def explain(
         output.say(section.after.replace("\n", " "))
     written = write(found, out) if out is not None else []
     ending = f"{len(written)} files in {out}" if out is not None else "--out DIR writes a page and tables"
-    output.result({**found.fields(), "files": [str(path) for path in written]}, ending)
+    output.result(found.result(written).model_dump(by_alias=True), ending)

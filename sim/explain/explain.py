@@ -4,20 +4,23 @@ The run is simulated or recorded. The what-ifs are always simulated.
 """
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from deploy.view.findings import Findings, analyse
+from deploy.view.findings import Findings, analyse, number
+from deploy.view.interpretation import Contribution, TimeConstant
+from deploy.view.phases import ExplainedPhase
 from deploy.view.recorded_drive import read_drive
-from deploy.view.sentences import number
 from deploy.view.trace import Trace
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.config import ResultModel
 from rover_ncp.course.course import Course, Verdict, load_course
 from sim.explain.what_if import Knockout, Outcome, Sensitivity, knock_outs, sensitivities
 from sim.learn.engine.evaluator import Evaluator
@@ -62,29 +65,76 @@ class Explanation:
     def ending(self) -> str:
         """The run's end in words."""
         if self.verdict is None:
-            return f"mean return {self.intact.total:.4g} of {len(self.returns)} episodes"
+            return f"mean return {number(self.intact.total)} of {len(self.returns)} episodes"
         how = "parked" if self.verdict.parked else f"not parked: {self.verdict.reason}"
-        return f"{how}; return in simulation {number(self.intact.total, 4)}"
+        return f"{how}; return in simulation {number(self.intact.total)}"
 
-    def fields(self) -> dict[str, Any]:
-        """Return everything but the potentials as plain values."""
-        findings = self.findings
-        return {
-            "source": self.source,  #: the argument
-            "policy": self.policy.circuit.name,  #: its name
-            "course": self.course and self.course.name,  #: its name; null for a task
-            "task": self.task,  #: null for a course
-            "run": self.verdict and vars(self.verdict),  #: simulated or recorded; null for a task
-            "simulated": {  #: the intact circuit
-                "return": self.intact.total,  #: of the drive, or the mean of the episodes
-                "returns": self.returns,  #: of the drive, or of each episode
-                "enough": self.enough,  #: the return that counts as solved; null for a course
-                "parked": self.intact.verdict and self.intact.verdict.parked,  #: null for a task
-            },
-            **findings.fields((a, b) for b in findings.motors for a in findings.sources),
-            "knock_outs": [vars(row) for row in self.knock_outs],
-            "sensitivities": [{**vars(row), "slope": row.slope} for row in self.sensitivities],
-        }
+    def result(self, files: Sequence[Path] = ()) -> "Result":
+        """Return everything but the potentials, with the files that were written."""
+        findings, verdict = self.findings, self.intact.verdict
+        return Result(
+            source=self.source,
+            policy=self.policy.circuit.name,
+            course=None if self.course is None else self.course.name,
+            task=self.task,
+            run=self.verdict,
+            simulated=Simulated(
+                total=self.intact.total,
+                returns=self.returns,
+                enough=self.enough,
+                parked=None if verdict is None else verdict.parked,
+            ),
+            phases=findings.phases,
+            contributions=tuple(
+                findings.contributions[a, b] for b in findings.motors for a in findings.sources
+            ),
+            time_constants=findings.time_constants,
+            knock_outs=self.knock_outs,
+            sensitivities=self.sensitivities,
+            files=tuple(map(str, files)),
+        )
+
+
+class Simulated(ResultModel):
+    """The intact circuit in simulation."""
+
+    total: float = Field(serialization_alias="return")
+    """of the drive, or the mean of the episodes"""
+    returns: tuple[float, ...]
+    """of the drive, or of each episode"""
+    enough: float | None
+    """the return that counts as solved; null for a course"""
+    parked: bool | None
+    """whether it parks; null for a task"""
+
+
+class Result(ResultModel):
+    """What ``rover-ncp explain`` prints."""
+
+    source: str
+    """the argument"""
+    policy: str
+    """its name"""
+    course: str | None
+    """its name; null for a task"""
+    task: str | None
+    """its name; null for a course"""
+    run: Verdict | None
+    """the explained drive, simulated or recorded; null for a task"""
+    simulated: Simulated
+    """the intact circuit"""
+    phases: tuple[ExplainedPhase, ...]
+    """of the manoeuvre, in order"""
+    contributions: tuple[Contribution, ...]
+    """of sensory, inter and command neurons to motor neurons"""
+    time_constants: tuple[TimeConstant, ...]
+    """in the run"""
+    knock_outs: tuple[Knockout, ...]
+    """drives or episodes without a neuron or a synapse"""
+    sensitivities: tuple[Sensitivity, ...]
+    """of the return to each parameter"""
+    files: tuple[str, ...]
+    """that were written"""
 
 
 def explain(source: str, course: str | None = None, *, on_progress: Progress = lambda _: None) -> Explanation:

@@ -2,20 +2,17 @@
 
 import csv
 import io
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deploy.view.findings import Findings
+from deploy.view.findings import Findings, number
 from deploy.view.interpretation import (
-    BINS,
     PUBLISHED_SIGNS,
-    PUBLISHED_TIME_CONSTANTS_S,
     SYMBOLS,
     THRESHOLD,
     Contribution,
 )
-from deploy.view.sentences import number
 from rover_ncp.core.files import write_atomic
 from sim.explain.explain import Explanation
 from sim.explain.what_if import STEP, Knockout, Sensitivity
@@ -61,12 +58,11 @@ def sections(found: Explanation) -> Iterator[Section]:
         ["neuron", "this run", *(["in the paper (Table S7)"] if parks else [])],
         [
             [
-                neuron,
-                f"{low:.3g} to {high:.3g}",
-                *(["{:.3g} to {:.3g}".format(*paper) if paper else ""] if parks else []),
+                row.neuron,
+                f"{row.lowest_s:.3g} to {row.highest_s:.3g}",
+                *(["{:.3g} to {:.3g}".format(*row.paper_s) if row.paper_s else ""] if parks else []),
             ]
-            for neuron, low, high in run.time_constants
-            for paper in [PUBLISHED_TIME_CONSTANTS_S.get(neuron)]
+            for row in run.time_constants
         ],
         "",
     )
@@ -85,7 +81,7 @@ def markdown(found: Explanation) -> str:
     blocks = [
         f"# {found.title}",
         f"Made by `{found.command} --out FOLDER`.\nThis run: {found.ending}.",
-        "\n".join(f"{i}. {sentence}" for i, sentence in enumerate(found.findings.sentences, 1)),
+        "\n".join(f"{i}. {phase.sentence}" for i, phase in enumerate(found.findings.phases, 1)),
         "A pull is how far one synapse moves the potential that its neuron approaches, in mV, as a mean\n"
         "over the phase. Of a mixture of inputs or outputs the two largest parts are named.",
         "![circuit](circuit.svg)",
@@ -120,7 +116,7 @@ def page(found: Explanation) -> str:
 
     verdict = found.verdict
     if verdict is None:
-        headline = f"mean return {found.intact.total:.4g}", "", f"of {len(found.returns)} episodes"
+        headline = f"mean return {number(found.intact.total)}", "", f"of {len(found.returns)} episodes"
     elif verdict.parked:
         headline = "Parked", "good", ""
     else:
@@ -137,7 +133,7 @@ def page(found: Explanation) -> str:
             Table(
                 "Without a part",
                 f"The simulation without each neuron and each synapse. The return of the whole circuit is "
-                f"{number(found.intact.total, 3)}.",
+                f"{number(found.intact.total)}.",
                 ["without", "return", *(["m from the goal", "parks"] if drives else [])],
                 [(_part(row), -row.change) for row in parts],
             ),
@@ -152,8 +148,9 @@ def page(found: Explanation) -> str:
 
 
 def _part(row: Knockout) -> list[str]:
-    cells = [row.title, number(row.total, 2)]
-    return cells if row.error_m is None else [*cells, f"{row.error_m:.2f}", "yes" if row.parked else "no"]
+    if row.error_m is None:
+        return [row.title, number(row.total)]
+    return [row.title, number(row.total, ".2f"), f"{row.error_m:.2f}", "yes" if row.parked else "no"]
 
 
 def _deepest(found: Explanation, count: int) -> list[Sensitivity]:
@@ -161,8 +158,8 @@ def _deepest(found: Explanation, count: int) -> list[Sensitivity]:
 
 
 def _sensitivity(row: Sensitivity) -> list[str]:
-    changes = [number(change, 3, signed=True) for change in (row.change_down, row.change_up)]
-    return [row.title, f"{row.value:.4g} {row.unit}".replace("-", "−"), *changes]
+    changes = [number(change, "+.3g") for change in (row.change_down, row.change_up)]
+    return [row.title, f"{number(row.value)} {row.unit}".strip(), *changes]
 
 
 def _without(found: Explanation) -> Section:
@@ -173,8 +170,8 @@ def _without(found: Explanation) -> Section:
     before = (
         f"Without any of these {len(needed)} it does not park:"
         if parks
-        else f"The whole circuit does not park in simulation; its return is {number(found.intact.total, 2)}. "
-        f"Without any of these {len(needed)} the return is lower:"
+        else "The whole circuit does not park in simulation; its return is "
+        f"{number(found.intact.total, '.2f')}. Without any of these {len(needed)} the return is lower:"
     )
     return Section(
         "Without a part",
@@ -190,9 +187,9 @@ def _without_in_task(found: Explanation) -> Section:
     rows = sorted((row for row in found.knock_outs if abs(row.change) >= least), key=lambda row: row.total)
     return Section(
         "Without a part",
-        f"Mean return of {len(found.returns)} episodes; {found.intact.total:.4g} with all parts.",
+        f"Mean return of {len(found.returns)} episodes; {number(found.intact.total)} with all parts.",
         ["without", "return"],
-        [[row.title, f"{row.total:.4g}".replace("-", "−")] for row in rows],
+        [_part(row) for row in rows],
         _spared([row.title for row in found.knock_outs if abs(row.change) < least]),
     )
 
@@ -202,15 +199,16 @@ def _spared(titles: Sequence[str]) -> str:
 
 
 def _compared(run: Findings, pairs: Sequence[tuple[str, str]]) -> Section:
-    rows = []
-    for pair in pairs:
-        one, driving = run.contributions[pair], run.driving[pair]
-        words = f"{one.vertical} of {one.positive + one.negative}"
-        rows.append([*pair, str(one.sign), words, str(driving.sign), str(PUBLISHED_SIGNS[pair])])
-    same, same_driving = (
-        sum(found[pair].sign is PUBLISHED_SIGNS[pair] for pair in pairs)
-        for found in (run.contributions, run.driving)
-    )
+    found = [run.contributions[pair] for pair in pairs]
+    rows = [
+        [
+            *(one.source, one.destination, one.sign, f"{one.vertical} of {one.positive + one.negative}"),
+            *(one.driving.sign, str(one.paper)),
+        ]
+        for one in found
+    ]
+    same = sum(one.sign is one.paper for one in found)
+    same_driving = sum(one.driving.sign is one.paper for one in found)
     return Section(
         "Comparison with the paper's circuit",
         "",
@@ -223,59 +221,36 @@ def _compared(run: Findings, pairs: Sequence[tuple[str, str]]) -> Section:
 
 
 def _tables(found: Explanation) -> dict[str, str]:
-    run = found.findings
-    trace, counts = run.trace, ("sign", "P", "Q", "flat", "vertical")
-    figures = ("label", "start_s", "end_s", "driven_m", "turned_rad")
-    return {
-        "potentials": _csv(
-            ["t_s", *(f"{name}_mV" for name in trace.neurons)],
-            ([t, *row] for t, row in zip(trace.times.tolist(), trace.potentials.tolist(), strict=True)),
-        ),
-        "contributions": _csv(
-            ["source", "destination", *counts, *(f"driving_{name}" for name in counts), "paper_sign"]
-            + [f"bin_{bin_}" for bin_ in range(BINS)],
-            (
-                [*pair, *_counts(one), *_counts(run.driving[pair]), PUBLISHED_SIGNS.get(pair), *one.bins]
-                for pair, one in run.contributions.items()
-            ),
-        ),
-        "time_constants": _csv(
-            ["neuron", "lowest_s", "highest_s", "paper_lowest_s", "paper_highest_s"],
-            ([*row, *PUBLISHED_TIME_CONSTANTS_S.get(row.neuron, (None, None))] for row in run.time_constants),
-        ),
-        "phases": _csv(
-            ["phase", *figures[1:], "motor", "behind", "opening", "sentence"],
-            (
-                [
-                    *(getattr(one.phase, name) for name in figures),
-                    one.motor.neuron,
-                    one.behind and one.behind.neuron,
-                    one.opening,
-                    sentence,
-                ]
-                for one, sentence in zip(run.explanations, run.sentences, strict=True)
-            ),
-        ),
-        "knock_outs": _csv(vars(found.knock_outs[0]), (vars(row).values() for row in found.knock_outs)),
-        "sensitivities": _csv(
-            [*vars(found.sensitivities[0]), "slope"],
-            ([*vars(row).values(), row.slope] for row in found.sensitivities),
-        ),
-    }
+    """Return the CSV files: the fields of the JSON, with all contributions, and the potentials."""
+    trace, result = found.findings.trace, found.result().model_dump()
+    result["contributions"] = [each.model_dump() for each in found.findings.contributions.values()]
+    result["potentials"] = [
+        {"t_s": t, **{f"{name}_mV": mV for name, mV in zip(trace.neurons, row, strict=True)}}
+        for t, row in zip(trace.times.tolist(), trace.potentials.tolist(), strict=True)
+    ]
+    names = ("potentials", "contributions", "time_constants", "phases", "knock_outs", "sensitivities")
+    return {name: _csv([dict(_flat(row)) for row in result[name]]) for name in names}
 
 
-def _csv(header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
-    """Return a CSV file: numbers with all their digits, empty cells for None."""
+def _flat(fields: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield columns and cells; those of a field within a field or a list have both names."""
+    for name, value in fields.items():
+        if isinstance(value, dict | tuple):
+            inside = value if isinstance(value, dict) else {str(i): each for i, each in enumerate(value)}
+            yield from ((f"{name}_{inner}", cell) for inner, cell in _flat(inside))
+        elif value is not None:
+            yield name, value
+
+
+def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return a CSV file: numbers with all their digits, empty cells for what a row lacks."""
     buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(header)
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    writer = csv.DictWriter(buffer, columns, lineterminator="\n")
+    writer.writeheader()
     writer.writerows(rows)
     return buffer.getvalue()
 
 
 def _signs(one: Contribution) -> str:
     return f"{SYMBOLS[one.sign]} {one.positive}/{one.negative}"
-
-
-def _counts(one: Contribution) -> list[Any]:
-    return [one.sign, one.positive, one.negative, one.flat, one.vertical]

@@ -1,7 +1,7 @@
 """What-ifs: a circuit simulated without each part, and with each parameter changed a little."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.config import ResultModel
 from rover_ncp.course.course import Verdict
 
 FloatArray = NDArray[np.float64]
@@ -24,22 +25,23 @@ class Outcome(NamedTuple):
     verdict: Verdict | None = None
 
 
-@dataclass(frozen=True)
-class Knockout:
+class Knockout(ResultModel):
     """The simulation without a part; errors and ``parked`` are None for a task that is no drive."""
 
     kind: str
-    """neuron or synapse."""
+    """neuron or synapse"""
     name: str
+    """of the neuron or synapse"""
     total: float
-    """The return, or mean return."""
+    """the return, or mean return"""
     change: float
-    """Difference of the return to that of the intact circuit."""
-    error_m: float | None
-    """Final position error."""
-    error_rad: float | None
-    """Final heading error."""
-    parked: bool | None
+    """difference of the return to that of the intact circuit"""
+    error_m: float | None = None
+    """final position error"""
+    error_rad: float | None = None
+    """final heading error"""
+    parked: bool | None = None
+    """whether the rover parked"""
 
     @property
     def title(self) -> str:
@@ -47,26 +49,27 @@ class Knockout:
         return f"neuron {self.name}" if self.kind == "neuron" else self.name.replace("->", "→")
 
 
-@dataclass(frozen=True)
-class Sensitivity:
+class Sensitivity(ResultModel):
     """One parameter with its value, its steps, and the changes of the return."""
 
     kind: str
+    """of parameter"""
     name: str
+    """of the neuron or synapse"""
     unit: str
+    """of the value and its steps"""
     value: float
+    """the parameter's"""
     down: float
+    """size of the step down; 0 at a bound"""
     up: float
-    """Step; 0 at a bound."""
+    """size of the step up; 0 at a bound"""
     change_down: float
+    """change of the return after the step down"""
     change_up: float
-    """Change of the return."""
-
-    @property
-    def slope(self) -> float:
-        """Change of the return per unit; 0 for a parameter that cannot change."""
-        span = self.down + self.up
-        return (self.change_up - self.change_down) / span if span else 0.0
+    """change of the return after the step up"""
+    slope: float
+    """change of the return per unit; 0 for a parameter that cannot change"""
 
     @property
     def worst(self) -> float:
@@ -84,8 +87,8 @@ def knock_outs(policy: Policy, simulate: Callable[[Policy], Outcome], intact: fl
     found = []
     for kind, name, rest in _damaged(policy):
         total, verdict = simulate(rest)
-        ending = (verdict.error_m, verdict.error_rad, verdict.parked) if verdict else (None, None, None)
-        found.append(Knockout(kind, name, total, total - intact, *ending))
+        ending = {key: getattr(verdict, key) for key in ("error_m", "error_rad", "parked") if verdict}
+        found.append(Knockout(kind=kind, name=name, total=total, change=total - intact, **ending))
     return tuple(found)
 
 
@@ -123,11 +126,21 @@ def sensitivities(
     vectors = np.concatenate([[intact], intact - np.diag(down), intact + np.diag(up)])
     returns = score(np.clip(vectors, layout.lower, layout.upper))
     lower, higher = (returns[1:] - returns[0]).reshape(2, -1)
+    # One at a bound on both sides has no step: its slope is 0, not 0 / 0.
+    slopes = (higher - lower) / np.where(down + up > 0.0, down + up, 1.0)
     return tuple(
-        Sensitivity(str(kind), name, BOUNDS[kind].unit, *map(float, numbers))
-        for (kind, name), *numbers in zip(
-            parameter_names(policy), intact, down, up, lower, higher, strict=True
+        Sensitivity(
+            kind=str(kind),
+            name=name,
+            unit=BOUNDS[kind].unit,
+            value=intact[i],
+            down=down[i],
+            up=up[i],
+            change_down=lower[i],
+            change_up=higher[i],
+            slope=slopes[i],
         )
+        for i, (kind, name) in enumerate(parameter_names(policy))
     )
 
 

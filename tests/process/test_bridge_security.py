@@ -12,7 +12,10 @@ from kit.zenoh_session import open_session
 
 from bridge.zenoh.credentials import access_control
 from deploy.drive.lease import DriverLease
+from deploy.view.server import Viewer
+from deploy.zenoh_client import BridgeAddress
 from rover_ncp import cli
+from rover_ncp.core.errors import NotAuthorised
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.key_table import KEYS, Kind, Role
@@ -105,6 +108,14 @@ def test_viewer_receives_everything_and_cannot_drive(secured, keys):
         before.lease,
         "",
     )
+
+
+def test_viewer_is_refused_a_stop(secured, keys):
+    with Viewer(BridgeAddress(secured.locator, "", keys / "viewer.json5"), lambda message: None) as viewer:
+        wait_for(lambda: viewer.bridge_alive)
+        assert viewer.may_stop is False
+        with pytest.raises(NotAuthorised, match="not authorised to stop"):
+            viewer.stop()
 
 
 def test_localiser_can_publish_the_pose_only(secured, keys):

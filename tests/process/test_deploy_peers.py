@@ -10,7 +10,7 @@ from kit.bridge_bench import Rig, client, wait_for
 
 from deploy.drive.measurements import Measurements
 from deploy.drive.zenoh_link import ZenohLink
-from deploy.view.viewer import Viewer
+from deploy.view.server import Viewer
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp import cli
 from rover_ncp.core.geometry import Pose, Velocity

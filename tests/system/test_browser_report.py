@@ -23,6 +23,8 @@ STROKES = (
 )
 FONT_SIZES = """[...document.querySelectorAll('main p, main li, main dd, main td, #caption')]
   .map(e => parseFloat(getComputedStyle(e).fontSize))"""
+CUT_TABLES = """[...document.querySelectorAll('.table .scroll')]
+  .filter(e => e.scrollWidth > e.clientWidth).map(e => e.textContent)"""
 FOCUSED = "(e => e.dataset.neuron || e.id || e.closest('[id]')?.id)(document.activeElement)"
 
 
@@ -168,7 +170,7 @@ def test_the_page_fits_and_is_photographed(opened):
     opened.photograph(f"report_{width}")
 
 
-@pytest.mark.parametrize("width", [1280, 400])
+@pytest.mark.parametrize("width", [1280, 800, 400])
 @pytest.mark.parametrize("name", ["drive", "task"])
 def test_an_explanation_is_a_page(browser, tmp_path, monkeypatch, name, width):
     monkeypatch.setattr("sim.explain.task.EPISODES", 2)
@@ -181,6 +183,7 @@ def test_an_explanation_is_a_page(browser, tmp_path, monkeypatch, name, width):
     watched.page.keyboard.press("Enter")
     assert "AVB" in watched.page.text_content("#neuron-now")
     assert watched.page.evaluate("document.documentElement.scrollWidth") <= width
+    assert watched.page.evaluate(CUT_TABLES) == []
     watched.photograph(f"explain_{name}_{width}")
     assert watched.complaints == []
     assert watched.foreign_requests((tmp_path / "why.html").as_uri()) == []

@@ -15,7 +15,6 @@ from rover_ncp import cli
 from rover_ncp.cli import run
 
 SHORT = str(DATA / "short_course.yaml")
-FINDINGS = "explain of a run"
 STACK = ["eval --trials", "eval --trials --stack, besides"]
 SEQUENCES = [
     {"course new aside.csv --out made.yaml": ["course"], "course check made.yaml": ["course"]},
@@ -38,8 +37,8 @@ SEQUENCES = [
     {"urdf p3at": ["urdf"]},
     {"recover drive.mcap": ["recover"], "report drive.mcap": ["report"]},
     {"keys --out keys": ["keys"]},
-    {f"explain parking --course {SHORT} --out why": ["explain", FINDINGS]},
-    {"explain wall.yaml --task wall:FollowWall-v0": ["explain", FINDINGS]},
+    {f"explain parking --course {SHORT} --out why": ["explain"]},
+    {"explain wall.yaml --task wall:FollowWall-v0": ["explain"]},
     {"paper report": ["paper report"]},
 ]
 """Commands with the headings of their fields."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deploy.view.findings import analyse
-from deploy.view.phases import explain, phases
+from deploy.view.phases import Mean, explain, phases
 from deploy.view.trace import Trace, motor_outputs, motor_shares
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.motors import Motors
@@ -108,21 +108,26 @@ def test_motor_outputs_are_the_commands_of_the_run(make, seed):
     assert {part.motor.neuron for part in explain(traced(policy, run))} <= motors
 
 
+def mean(neuron, mean_mV):
+    return Mean(neuron=neuron, mean_mV=mean_mV)
+
+
 def test_a_left_turn_is_explained_from_its_numbers():
     #        X    A    B    L    R    F
     rest = [-70, -70, -70, -70, -70, -30]
     turn = [-20, -30, -80, -25, -60, -30]
     found = analyse(trace_of([AHEAD] * 10 + [LEFT] * 10, [rest] * 10 + [turn] * 10))
-    ahead, left = found.explanations
+    ahead, left = found.phases
     assert (ahead.motor.neuron, ahead.behind) == ("F", None)
-    assert found.sentences[0] == "Straight ahead 0.0 to 1.0 s (0.10 m): F at −30 mV by its own leak."
-    assert (left.motor, left.behind) == (("L", -25), ("A", -30))
+    assert ahead.sentence == "Straight ahead 0.0 to 1.0 s (0.10 m): F at −30 mV by its own leak."
+    assert (left.motor, left.behind) == (mean("L", -25), mean("A", -30))
     # By hand: A rests at -70 mV with 1 S; X at -20 mV opens 2 S by 1 / (1 + exp(-0.1 * 20)) = 0.8808.
     pull = -70 / (1 + 2 * 0.880797) + 70
-    assert left.pulls == (("X", pytest.approx(pull)),)
+    assert [(each.neuron, each.mean_mV) for each in left.pulls] == [("X", pytest.approx(pull))]
     before = -70 / (1 + 2 * 0.047426) + 70  # X at -70 mV
-    assert left.change == ("X", pytest.approx(before, abs=1e-4), pytest.approx(pull))
-    assert found.sentences[1] == (
+    assert left.change.neuron == "X"
+    assert (left.change.before_mV, left.change.now_mV) == pytest.approx((before, pull), abs=1e-4)
+    assert left.sentence == (
         "Left turn 1.0 to 2.0 s (0.10 m, +9°): A (−30 mV; its synapse 73 % open), driven by X [x] (+45 mV); "
         "it puts L at −25 mV. What changed: the pull of X [x] on A grew from +6 mV to +45 mV."
     )
@@ -133,14 +138,14 @@ def test_a_sensory_neuron_before_a_motor_neuron_is_set_by_its_input():
     small = small_policy()
     policy = dataclasses.replace(small, circuit=circuit)
     left, text = explained([[-25, -20, -30, -70, -30]] * 10, policy)
-    assert (left.behind, left.pulls, left.change) == (("X", -25), (), None)
+    assert (left.behind, left.pulls, left.change) == (mean("X", -25), (), None)
     assert "X [x] (−25 mV; its synapse 82 % open), set by its input; it puts L at −30 mV." in text
 
 
 def explained(potentials, policy=None):
     """The only phase, a left turn, and its sentence."""
     found = analyse(trace_of([LEFT] * 10, potentials, policy))
-    return *found.explanations, *found.sentences
+    return found.phases[0], found.phases[0].sentence
 
 
 def test_motor_neuron_without_strong_pull_acts_by_its_leak():
@@ -154,14 +159,14 @@ def test_motor_neuron_without_strong_pull_acts_by_its_leak():
 
 def test_rival_motor_neuron_is_named():
     left, text = explained([[-20, -40, -50, -25, -45, -30]] * 10)
-    assert left.rival == ("R", -45)
+    assert left.rival == mean("R", -45)
     assert "; against it R at −45 mV" in text
 
 
 def test_neuron_that_alternates_from_tick_to_tick_is_named():
     high, low = [-20, -30, -80, -25, -60, -30], [-20, -50, -80, -25, -60, -30]
     left, text = explained([high, low] * 5)
-    assert left.swinging == (("A", 20),)
+    assert left.swinging == (mean("A", 20),)
     assert text.endswith(" From tick to tick A (by 20 mV) swings.")
     assert explained([[-20, -70 + 5 * k, -80, -25, -60, -30] for k in range(10)])[0].swinging == ()
 
@@ -177,7 +182,7 @@ def test_mirrored_motors_give_mirrored_phases():
     plain = explain(traced(policy, run))
     flipped = Trace(mirror, run.times[:-1], run.poses * [1, -1, -1], run.commands * [1, -1], run.potentials)
     for one, other in zip(plain, explain(flipped), strict=True):
-        swapped = one.phase.label.replace("left", "L").replace("right", "left").replace("L", "right")
-        assert other.phase.label == swapped
+        swapped = one.label.replace("left", "L").replace("right", "left").replace("L", "right")
+        assert other.label == swapped
         assert (one.motor, one.behind, one.pulls) == (other.motor, other.behind, other.pulls)
-    assert any("turn" in one.phase.label for one in plain)
+    assert any("turn" in one.label for one in plain)

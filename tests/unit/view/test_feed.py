@@ -1,0 +1,129 @@
+"""Updates of a drive for its live page, and the page that ``watch`` serves."""
+
+import json
+from html import unescape
+
+import pytest
+from kit.recorded_drives import drive_messages
+
+from deploy.view import server
+from deploy.view.feed import Cursor, Feed
+from deploy.zenoh_client import BridgeAddress
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.console import Output
+from rover_ncp.core.errors import NoBridge
+from rover_ncp.course.course import load_course
+from rover_ncp.recording.recording import Recorded
+from rover_ncp.wire import messages
+from rover_ncp.wire.protocol import DriverStatus, dump_json
+
+SHORT = "tests/data/short_course.yaml"
+
+
+@pytest.fixture(scope="module")
+def short():
+    policy, course = load_policy("parking"), load_course(SHORT)
+    return policy, course, *drive_messages(policy, course, truth=False)
+
+
+def status(state, ns):
+    return Recorded(
+        "rover/status",
+        "std_msgs/msg/String",
+        messages.text(dump_json(DriverStatus(state=state)).decode()),
+        ns,
+        ns,
+    )
+
+
+def joined(parts):
+    """Put the columns of several pieces of updates together, as the page does."""
+    whole = {"t": [], "x": [], "potentials": [], "setpoints": [], "odometry": []}
+    for updates in parts:
+        if ticks := updates.get("ticks"):
+            whole["t"] += ticks["t"]
+            whole["x"] += ticks["x"]
+            whole["potentials"] += ticks["potentials"][3]
+        whole["setpoints"] += updates.get("setpoints", {}).get("v", [])
+        whole["odometry"] += updates.get("odometry", {}).get("x", [])
+    return whole
+
+
+def test_updates_in_pieces_are_the_whole(short):
+    policy, course, received, simulated = short
+    pieces, cursor, feed = [], Cursor(), Feed(policy, course)
+    for number, message in enumerate(received):
+        feed.take(message)
+        if number % 7 == 0:
+            pieces.append(json.loads(json.dumps(feed.updates(cursor), allow_nan=False)))
+    pieces.append(feed.updates(cursor))
+    whole, once = joined(pieces), joined([feed.updates(Cursor())])
+    assert whole == once
+    assert whole["x"] == pytest.approx(simulated.poses[:-1, 0], abs=1e-4)
+    assert whole["potentials"] == pytest.approx(simulated.potentials[:, 3], abs=0.01)
+    assert [piece["reset"] for piece in pieces].count(True) == 1
+    assert pieces[-1]["status"]["state"] == "ended"
+    assert "By the estimated pose" in pieces[-1]["html"]["summary"]
+    assert len(pieces[-1]["findings"]["contributions"]) == 132
+
+
+def test_all_findings_are_sent_at_the_end_without_a_new_tick(short):
+    policy, course, received, _ = short
+    cursor, feed = Cursor(), Feed(policy, course)
+    on_the_way = [message for message in received if message.topic != "rover/status"]
+    for message in [status("running", received[0].log_ns), *on_the_way]:
+        feed.take(message)
+    assert "findings" not in feed.updates(cursor)
+    feed.take(status("fault", received[-1].log_ns))
+    assert len(feed.updates(cursor)["findings"]["contributions"]) == 132
+    assert "findings" not in feed.updates(cursor)
+
+
+def test_a_new_drive_begins_anew(short):
+    policy, course, received, _ = short
+    feed, cursor = Feed(policy, course), Cursor()
+    for message in received:
+        feed.take(message)
+    assert feed.updates(cursor)["ticks"]["t"]
+    after = received[-1].log_ns + 10**9
+    feed.take(status("armed", after))
+    fresh = feed.updates(cursor)
+    assert fresh["reset"] is True
+    assert "ticks" not in fresh
+    assert [event["text"] for event in fresh["events"]] == []
+    for message in received:
+        feed.take(message)
+    assert len(feed.updates(cursor)["ticks"]["t"]) == course.ticks
+
+
+@pytest.mark.parametrize(("model", "corners"), [("p3at-sh", 5), ("turtlebot4", 37)])
+def test_the_page_draws_the_robots_own_outline(monkeypatch, model, corners):
+    def unreachable(address, take):
+        raise NoBridge
+
+    drawn = []
+    monkeypatch.setattr(server, "watch_page", lambda *parts: drawn.append(parts[-1]))
+    monkeypatch.setattr(server, "Viewer", unreachable)
+    with pytest.raises(NoBridge):
+        server.run(BridgeAddress("tcp/127.0.0.1:9"), "parking", SHORT, 0, Output(False), model=model)
+    assert len(drawn[0]) == corners
+
+
+def test_waiting_for_a_drive_costs_no_memory(short):
+    policy, course, received, _ = short
+    feed = Feed(policy, course)
+    sample = next(message for message in received if message.topic == "odom")
+    for _ in range(1000):
+        feed.take(sample)
+    assert len(feed._timeline.odometry) <= 50
+
+
+def test_neurons_of_another_policy_are_noticed(short):
+    policy, course, _, _ = short
+    feed = Feed(policy, course)
+    feed.take(
+        Recorded("rover/neurons", "std_msgs/msg/Float64MultiArray", messages.neurons([0.0], ["X"]), 1, 1)
+    )
+    assert "neurons are not those of this page's policy" in unescape(
+        feed.updates(Cursor())["html"]["subline"]
+    )

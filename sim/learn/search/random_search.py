@@ -95,8 +95,13 @@ class RandomSearch(ABC, Generic[AdaptationT]):
         generator: np.random.Generator,
         inert: NDArray[np.bool_] | None = None,
     ) -> Self:
-        """Begin at the perturbed defaults (P,); inert parameters are changed like all others."""
-        return cls(layout, perturb(layout, defaults, generator), generator)
+        """Begin at the search's ``first`` candidate; inert parameters are changed like all others."""
+        return cls(layout, cls.first(layout, defaults, generator), generator)
+
+    @staticmethod
+    def first(layout: ParameterLayout, defaults: Vector, generator: np.random.Generator) -> Vector:
+        """Return the first candidate (P,): the perturbed defaults (P,)."""
+        return perturb(layout, defaults, generator)
 
     @abstractmethod
     def first_adaptation(self, layout: ParameterLayout) -> AdaptationT:

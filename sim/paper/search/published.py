@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout, Policy
@@ -145,16 +144,10 @@ class Sigma:
 class Printed(RandomSearch[Sigma]):
     """Algorithm 1 as printed: sigma without limits, an exact start, estimates that take no iteration."""
 
-    @classmethod
-    def begin(
-        cls,
-        layout: ParameterLayout,
-        defaults: Vector,
-        generator: np.random.Generator,
-        inert: NDArray[np.bool_] | None = None,
-    ) -> Self:
-        """Begin at the defaults (P,)."""
-        return cls(layout, defaults, generator)
+    @staticmethod
+    def first(layout: ParameterLayout, defaults: Vector, generator: np.random.Generator) -> Vector:
+        """Return the defaults (P,)."""
+        return defaults
 
     @property
     def iterations(self) -> int:
@@ -208,16 +201,10 @@ class PublishedOnNetworks(RandomSearch[Amplitude]):
         blocks = (block._replace(lower=-math.inf, upper=math.inf) for block in layout.blocks)
         super().__init__(ParameterLayout(tuple(blocks)), start, generator)
 
-    @classmethod
-    def begin(
-        cls,
-        layout: ParameterLayout,
-        defaults: Vector,
-        generator: np.random.Generator,
-        inert: NDArray[np.bool_] | None = None,
-    ) -> Self:
-        """Begin near zero."""
-        return cls(layout, _AMPLITUDES[0] * generator.standard_normal(layout.size), generator)
+    @staticmethod
+    def first(layout: ParameterLayout, defaults: Vector, generator: np.random.Generator) -> Vector:
+        """Draw weights (P,) near zero."""
+        return _AMPLITUDES[0] * generator.standard_normal(layout.size)
 
     def first_adaptation(self, layout: ParameterLayout) -> Amplitude:
         """Return the first amplitude."""

@@ -11,6 +11,7 @@ search.json     a search by generations: all that resuming needs (``robust_run.p
 
 import fcntl
 import os
+import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -30,15 +31,8 @@ _RUNS = Path("runs")
 _RECORD = "settings.yaml"
 _CHECKPOINT_SHARE = 0.02
 """Checkpoints take at most this share of the time: a short run saves often, and a slow disk seldom."""
-# What ``write_atomic`` calls its temporary files, for those a killed run can have been writing.
-_TEMPORARY = (
-    ".settings.yaml.",
-    ".policy.yaml.",
-    ".curve.csv.",
-    ".curve.png.",
-    ".search.json.",
-    *(f".{d}" for d in "0123456789"),
-)
+_LEFTOVER = re.compile(r"\.(settings|policy|curve|search|\d+)\.(yaml|csv|png|json)\.\w+")
+"""Temporary files that ``write_atomic`` leaves when a run is killed while it writes."""
 
 
 def new_run_path() -> Path:
@@ -119,9 +113,9 @@ def open_run(path: Path, record: Record[SettingsT], resume: bool) -> Iterator[Ru
             record = began
         elif resume:
             raise _nothing_to_resume(path)
-        elif foreign := [name for name in os.listdir(path) if not _is_leftover(name)]:  # noqa: PTH208
+        elif foreign := [each.name for each in path.iterdir() if not _LEFTOVER.fullmatch(each.name)]:
             raise UsageError(f"{path}: is not empty ({min(foreign)}) and holds no training run")
-        _sweep(path)
+        _remove_leftovers(path)
         write_atomic(saved, dump_yaml(record.model_dump()))
         yield RunFolder(path, record)
     finally:
@@ -159,13 +153,7 @@ def _lock(handle: int, path: Path) -> None:
         raise UsageError(f"{path}: another process is training in this folder") from error
 
 
-def _is_leftover(name: str) -> bool:
-    """Whether a killed run may have left this behind: the temporary file of something it was writing."""
-    return name.startswith(_TEMPORARY)
-
-
-def _sweep(path: Path) -> None:
-    for folder in (path, path / "agents"):
-        for file in folder.glob(".*"):
-            if _is_leftover(file.name):
-                file.unlink(missing_ok=True)
+def _remove_leftovers(path: Path) -> None:
+    for file in (*path.glob(".*"), *path.glob("agents/.*")):
+        if _LEFTOVER.fullmatch(file.name):
+            file.unlink(missing_ok=True)

@@ -78,20 +78,16 @@ _RANDOM_BETWEEN = 2
 
 
 class Generation(NamedTuple):
-    """State of a search after ``number`` generations."""
+    """State of a search after some generations."""
 
-    number: int
+    iterations: int
+    """Generations done."""
     winner: FloatArray
     """(P,)."""
     sigma: float
     """Step size of CMA-ES."""
     best: float
     """Lowest cost of the generation."""
-
-    @property
-    def iterations(self) -> int:
-        """Generations done."""
-        return self.number
 
     @property
     def summary(self) -> str:

@@ -156,7 +156,7 @@ class SearchRun:
     def policy(self) -> Policy:
         """Return the winner with its provenance."""
         last = self.last
-        provenance = self._folder.record.provenance(last.number, cost=last.best)
+        provenance = self._folder.record.provenance(last.iterations, cost=last.best)
         return replace(self._start.with_parameters(last.winner), provenance=provenance)
 
     def _load(self, saved: Path) -> None:

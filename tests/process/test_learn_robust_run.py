@@ -69,15 +69,15 @@ def test_an_interrupt_loses_nothing_that_was_done(reference, tmp_path, after):
     seen = []
 
     def interrupt(last):
-        seen.append(last.number)
-        if last.number == after:
+        seen.append(last.iterations)
+        if last.iterations == after:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         train_robust(SETTINGS, tmp_path, processes=1, on_generation=interrupt)
     assert len(json.loads((tmp_path / "search.json").read_text())["curve"]) == after
     train_robust(
-        SETTINGS, tmp_path, resume=True, processes=1, on_generation=lambda last: seen.append(last.number)
+        SETTINGS, tmp_path, resume=True, processes=1, on_generation=lambda last: seen.append(last.iterations)
     )
     assert seen == [1, 2, 3, 4]
     assert content(tmp_path) == content(reference)

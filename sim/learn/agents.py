@@ -133,7 +133,7 @@ def note_improvement(improvements: list[tuple[int, float]], iteration: int, valu
 
 
 def revive(plan: Plan, agent: AgentState) -> Strategy:
-    """Return the agent's search. Raises ValueError, KeyError or TypeError for a damaged state."""
+    """Return the agent's search."""
     generator = random_stream(plan.root_seed, Domain.AGENT, agent.number)
     search = start_search(plan.strategy, plan.start.layout(), plan.start.parameters(), generator, plan.inert)
     if agent.search is not None:

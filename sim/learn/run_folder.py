@@ -10,6 +10,8 @@ search.json     a search by generations: all that resuming needs (``robust_run.p
 """
 
 import fcntl
+import hashlib
+import json
 import os
 import re
 import time
@@ -24,8 +26,9 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_to_yaml
 from rover_ncp.core.config import dump_yaml, load_yaml
 from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
-from rover_ncp.core.files import write_atomic
+from rover_ncp.core.files import read_text, write_atomic
 from sim.learn.record import Record, RobustSettings, Settings, SettingsT, TaskSettings, TrainSettings
+from sim.learn.search.base import SearchState, dump_state
 
 _RUNS = Path("runs")
 _RECORD = "settings.yaml"
@@ -75,6 +78,8 @@ class RunFolder(Generic[SettingsT]):
     def __init__(self, path: Path, record: Record[SettingsT]) -> None:
         self.path = path
         self.record: Record[SettingsT] = record
+        # A run that ends early has the files of one that was to end there.
+        self._settings = dump_yaml(record.settings.model_dump(exclude={"iterations"}))
         self.policy_path = path / "policy.yaml"
 
     def write(self, name: str, content: str | bytes | Policy) -> None:
@@ -84,6 +89,28 @@ class RunFolder(Generic[SettingsT]):
             raise FileError(f"{self.path}: {problem}")
         text = policy_to_yaml(content) if isinstance(content, Policy) else content
         write_atomic(self.path / name, text)
+
+    def write_state(self, name: str, state: SearchState) -> None:
+        """Write what resuming needs as JSON, with a digest of it and of the run's settings."""
+        text = dump_state(state)
+        self.write(name, f'{{"sha256": "{self._digest(name, text)}", "state": {text}}}\n')
+
+    def read_state(self, name: str) -> dict[str, Any] | None:
+        """Return what ``write_state`` wrote, None without such a file. Raises FileError for another file."""
+        path = self.path / name
+        if not path.is_file():
+            return None
+        try:
+            data = json.loads(read_text(path))
+            state: dict[str, Any] = data["state"]
+            if data["sha256"] == self._digest(name, dump_state(state)):
+                return state
+        except (ValueError, KeyError, TypeError, RecursionError):
+            pass
+        raise FileError(f"{path}: damaged, or not of this run; delete it to begin it again")
+
+    def _digest(self, name: str, text: str) -> str:
+        return hashlib.sha256(f"{self._settings}{name}\n{text}".encode()).hexdigest()
 
 
 @contextmanager

@@ -55,8 +55,6 @@ _STOPS = (1, 3, 9)
 class EstimateCaps(Caps):
     """Caps that grow when the incumbent was estimated anew, after 51 failures in a row."""
 
-    most_failures: ClassVar[int] = FAILURES_TO_WIDEN
-
     def after_failure(self) -> Self:
         """Count a failure."""
         return type(self)(self.least, self.most, self.caps, self.failures + 1)
@@ -136,10 +134,6 @@ class Sigma:
         """Return a smaller sigma."""
         return type(self)(self.sigma / ALPHA, self.i + 1, self.i + 1 > ESTIMATE_AFTER, self.iterations + 1)
 
-    def restored(self, fields: Mapping[str, Any]) -> Self:
-        """Return the value of saved fields."""
-        return type(self)(**fields)
-
 
 class Printed(RandomSearch[Sigma]):
     """Algorithm 1 as printed: sigma without limits, an exact start, estimates that take no iteration."""
@@ -188,10 +182,6 @@ class Amplitude:
         if self.failures + 1 < FAILURES_TO_WIDEN:
             return type(self)(self.amplitude, self.failures + 1)
         return type(self)(min(self.amplitude * 5.0, _AMPLITUDES[1]))
-
-    def restored(self, fields: Mapping[str, Any]) -> Self:
-        """Return the value of saved fields."""
-        return type(self)(**fields)
 
 
 class PublishedOnNetworks(RandomSearch[Amplitude]):

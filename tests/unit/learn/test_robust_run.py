@@ -78,7 +78,7 @@ def test_an_interrupt_loses_nothing_that_was_done(reference, tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         train_robust(SETTINGS, tmp_path, processes=1, on_generation=interrupt)
-    assert len(json.loads((tmp_path / "search.json").read_text())["curve"]) == 2
+    assert len(json.loads((tmp_path / "search.json").read_text())["state"]["curve"]) == 2
     more = {"resume": True, "processes": 1, "on_generation": lambda last: seen.append(last.iterations)}
     train_robust(SETTINGS, tmp_path, **more)
     assert seen == [1, 2, 3]
@@ -92,7 +92,7 @@ def test_what_cannot_be_resumed_says_why(reference, tmp_path):
     with pytest.raises(ConfigError, match="--rollouts was 4 when this run began, now 5"):
         train_robust(other, reference, resume=True, processes=1)
     train_robust(SETTINGS.model_copy(update={"iterations": 1}), tmp_path, processes=1)
-    for damage in ('{"format": 1', '{"format": 1, "search": {}, "curve": []}'):
+    for damage in ('{"sha256": 1', "[]", '{"sha256": "0", "state": {"search": {}, "curve": []}}'):
         (tmp_path / "search.json").write_text(damage)
         with pytest.raises(FileError, match=r"search\.json: damaged"):
             train_robust(SETTINGS.model_copy(update={"iterations": 1}), tmp_path, resume=True, processes=1)

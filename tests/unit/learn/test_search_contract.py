@@ -2,7 +2,6 @@
 
 import json
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -97,42 +96,3 @@ def begin_asked(name: str) -> Strategy:
     search = begin(name)
     search.ask()
     return search
-
-
-DAMAGE: list[tuple[str, Any]] = [
-    ("incumbent", [0.0]),
-    ("incumbent", [1e9] * LAYOUT.size),
-    ("incumbent", [math.nan] * LAYOUT.size),
-    ("value", None),
-    ("value", math.nan),
-    ("evaluations", "many"),
-    ("generator", {"bit_generator": "MT19937"}),
-]
-OF_RANDOM_SEARCHES: list[tuple[str, Any]] = [
-    ("adaptation", {}),
-    ("adaptation", {"caps": [99, 3, 2, 2, 2], "failures": 0, "scale": 7.0}),
-]
-OF_GAUSS_NEWTON: list[tuple[str, Any]] = [
-    ("best", [0.0] * 3),
-    ("best", "zz"),
-    ("value", "best"),
-    ("phase", "lunch"),
-    ("batch", [[]]),
-    ("values", [1.0] * 90),
-    ("residuals", [0.0]),
-    ("descent", {}),
-    ("origin", {"point": [0.0], "value": -1.0}),
-    ("race", {"batches": 1}),
-]
-
-
-@pytest.mark.parametrize("done", [10, 30, 100, 151])
-@every
-def test_damaged_state_is_rejected(name: str, done: int) -> None:
-    search = begin(name)
-    advance(search, done)
-    good = dump_state(search.state())
-    for key, value in DAMAGE + (OF_GAUSS_NEWTON if name == SearchName.GAUSS_NEWTON else OF_RANDOM_SEARCHES):
-        with pytest.raises((ValueError, KeyError, TypeError)):
-            search.restore({**json.loads(good), key: value})
-        assert dump_state(search.state()) == good, key

@@ -6,6 +6,7 @@ import json
 import os
 import shlex
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -202,33 +203,38 @@ def test_a_course_that_changed_is_refused(tmp_path: Path) -> None:
         run(tmp_path / "run", settings, resume=True)
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("agent", 1),
-        ("search.value", -1.0),
-        ("search.value", None),
-        ("search.incumbent", [1e9]),
-        ("colour", "red"),
-    ],
-)
-def test_a_damaged_agent_is_refused_by_name(reference: Path, tmp_path: Path, key: str, value: Any) -> None:
+def _other_value(agents: Path) -> None:
+    data = json.loads((agents / "00.json").read_text())
+    data["state"]["search"]["value"] -= 1.0
+    (agents / "00.json").write_text(json.dumps(data))
+
+
+def _half(agents: Path) -> None:
+    (agents / "00.json").write_bytes((agents / "00.json").read_bytes()[:200])
+
+
+def _other_agent(agents: Path) -> None:
+    shutil.copy(agents / "01.json", agents / "00.json")
+
+
+def _other_run(agents: Path) -> None:
+    run(agents.parent.parent / "other", SETTINGS.model_copy(update={"seed": 2}))
+    shutil.copy(agents.parent.parent / "other" / "agents" / "00.json", agents)
+
+
+@pytest.mark.parametrize("damage", [_other_value, _half, _other_agent, _other_run])
+def test_a_damaged_or_foreign_agent_is_refused_by_name(
+    reference: Path, tmp_path: Path, damage: Callable[[Path], None]
+) -> None:
     shutil.copytree(reference, tmp_path / "run")
-    path = tmp_path / "run" / "agents" / "00.json"
-    data = json.loads(path.read_text())
-    part, name = (data["search"], key.removeprefix("search.")) if "." in key else (data, key)
-    part[name] = value
-    path.write_text(json.dumps(data))
-    with pytest.raises(FileError, match=r"00.json: damaged, or not agent 0 of this run"):
+    damage(tmp_path / "run" / "agents")
+    with pytest.raises(FileError, match=r"00.json: damaged, or not of this run; delete it"):
         run(tmp_path / "run", resume=True)
 
 
-def test_half_an_agent_is_refused_and_a_deleted_one_is_done_again(reference: Path) -> None:
-    before, path = content(reference), reference / "agents" / "01.json"
-    path.write_bytes(before["agents/01.json"][:200])
-    with pytest.raises(FileError, match=r"01.json: damaged"):
-        run(reference, resume=True)
-    path.unlink()
+def test_a_deleted_agent_is_done_again(reference: Path) -> None:
+    before = content(reference)
+    (reference / "agents" / "01.json").unlink()
     run(reference, resume=True)
     assert content(reference) == before
 

@@ -45,7 +45,7 @@ from rover_ncp.course.reference import plan_reference
 from sim.evaluate.evaluate import unseen_courses
 from sim.learn.engine.commander import CommanderRunner, circuit_commander
 from sim.learn.engine.evaluator import Evaluator
-from sim.learn.engine.laws import LAWS, gain_box, law_commander
+from sim.learn.engine.laws import LAWS, law_commander
 from sim.learn.engine.networks import CELLS, LIQUID_CELLS, Net, NetKind, net_for, network_commander
 from sim.learn.random_circuit import random_circuit
 from sim.learn.record import RobustSettings, made_with
@@ -73,6 +73,13 @@ _TRIALS, _TRIALS_SEED, _UNSEEN = 1000, 31415, 200
 _PROGRESS_GENERATIONS = 25
 
 
+_FIRST_GAINS = {
+    "kanayama": (1.0, 20.0, 8.0, 0.01, 0.03),
+    "pure-pursuit": (1.0, 0.2, 0.5, 0.01, 0.03),
+    "smooth": (1.0, 0.2, 1.0, 3.0, 0.01, 0.03),
+}
+
+
 class Agent(NamedTuple):
     """The search space, its engine, and whether the agent can follow any course."""
 
@@ -87,7 +94,7 @@ def find_agent(name: str, seed: int) -> Agent:
     if name in LAWS:
         law = LAWS[name]
         engine = partial(Evaluator, following, commander=law_commander(law))
-        return Agent(gain_box(law), engine, True)
+        return Agent(gain_box(name), engine, True)
     if name in NETWORKS:
         return _network(net_for(following, *NETWORKS[name]), following, seed)
     if name.startswith("random-"):
@@ -99,6 +106,12 @@ def find_agent(name: str, seed: int) -> Agent:
         "paper": lambda: _circuit(load_policy("parking"), False),
     }
     return known[name]()
+
+
+def gain_box(law: str) -> UnitBox:
+    """Return the search space of a law's gains: a tenth to ten times those that the tuning starts from."""
+    first = np.array(_FIRST_GAINS[law])
+    return UnitBox(0.1 * first, 10.0 * first, first, np.ones(len(first), np.bool_))
 
 
 def _shifted_sensing() -> Sensing:
@@ -172,8 +185,8 @@ def compare(name: str, *, seed: int, generations: int, rollouts: int, trained_on
     search = RobustSearch(agent.box, seed=seed, rollouts=rollouts, worst=rollouts)
     while search.number < generations:
         last = search.advance(drive)
-        if last.number % _PROGRESS_GENERATIONS == 0:
-            print(f"{name}: generation {last.number}, cost {last.best:.3f}", file=sys.stderr, flush=True)
+        if last.iterations % _PROGRESS_GENERATIONS == 0:
+            print(f"{name}: generation {last.iterations}, cost {last.best:.3f}", file=sys.stderr, flush=True)
 
     def judged(courses: Sequence[Course], ranges: str) -> dict[str, float]:
         ticks = max(each.ticks for each in courses)

@@ -125,8 +125,15 @@ def curve_point(iteration: int) -> int:
     return -(-iteration // step) * step
 
 
+def note_improvement(improvements: list[tuple[int, float]], iteration: int, value: float) -> None:
+    """Keep a change of the incumbent's return, and drop an earlier one before the same `curve_point`."""
+    if improvements and curve_point(improvements[-1][0]) == curve_point(iteration):
+        improvements.pop()
+    improvements.append((iteration, value))
+
+
 def revive(plan: Plan, agent: AgentState) -> Strategy:
-    """Return the agent's search. Raises ValueError, KeyError or TypeError for a damaged state."""
+    """Return the agent's search."""
     generator = random_stream(plan.root_seed, Domain.AGENT, agent.number)
     search = start_search(plan.strategy, plan.start.layout(), plan.start.parameters(), generator, plan.inert)
     if agent.search is not None:
@@ -140,14 +147,11 @@ class Batch:
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         self._evaluator = plan.build_evaluator()
-        self._streams: dict[int, Stream] = {}
 
     def advance(self, agents: Sequence[AgentState], targets: Sequence[int]) -> list[list[AgentState]]:
         """Advance agents to the last of some rising numbers of iterations; return their states at each."""
         runners = [_Runner(self._plan, agent, targets) for agent in agents]
-        if len(runners) not in self._streams:
-            self._streams[len(runners)] = self._evaluator.stream(len(runners))
-        stream = self._streams[len(runners)]
+        stream = self._evaluator.stream(len(runners))
         iterations = [runner.search.iterations for runner in runners]
         idle = set(range(len(runners)))
         while True:
@@ -192,16 +196,10 @@ class _Runner:
         for number in range(search.tell(returns, residuals)):
             if value is None or returns[number] > value:
                 value = float(returns[number])
-                self._note_change(first + number, value)
+                note_improvement(self._improvements, first + number, value)
         if search.value is not None and search.value != value:  # a new estimate of the incumbent is lower
-            self._note_change(search.iterations, search.value)
+            note_improvement(self._improvements, search.iterations, search.value)
         self._note_targets()
-
-    def _note_change(self, iteration: int, value: float) -> None:
-        """Keep only the last change before each point of the curve: so many do not fill the memory."""
-        if self._improvements and curve_point(self._improvements[-1][0]) == curve_point(iteration):
-            self._improvements.pop()
-        self._improvements.append((iteration, value))
 
     def _note_targets(self) -> None:
         while self.targets and self.search.value is not None and self.search.iterations >= self.targets[0]:
@@ -222,12 +220,12 @@ def split(agents: Sequence[AgentState], count: int) -> list[Sequence[AgentState]
 
 
 def _next_targets(snapshot: Snapshot, iterations: int, count: int) -> list[int]:
-    """Return the ends of the next rounds, of up to ``count``: the first round is the start alone."""
+    """Return the ends of up to ``count`` next rounds; the first round of a run evaluates the start alone."""
     if not snapshot.arrived(0):
         return [0]
     first = snapshot.iterations // ROUND_ITERATIONS + 1
-    ends = [ROUND_ITERATIONS * number for number in range(first, first + count)]
-    return [end for end in ends if end < iterations] + [iterations] * (ends[-1] >= iterations)
+    ends = (min(ROUND_ITERATIONS * number, iterations) for number in range(first, first + count))
+    return list(dict.fromkeys(ends))
 
 
 def run_rounds(

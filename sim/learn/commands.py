@@ -288,12 +288,12 @@ def _train_robust(run: _Run, settings: "RobustSettings") -> None:
     with run.progress(settings) as (out, show):
         result = train_robust(settings, out, resume=run.resume, processes=run.processes, on_generation=show)
     fields = settings.model_dump() | {
-        "generations": result.last.number,  #: how many were made
+        "generations": result.last.iterations,  #: how many were made
         "cost": result.last.best,  #: lowest of the last generation
         "policy": str(result.path),  #: its file
     }
     run.output.result(
-        fields, f"cost {result.last.best:.3f} after {result.last.number} generations\n{result.path}"
+        fields, f"cost {result.last.best:.3f} after {result.last.iterations} generations\n{result.path}"
     )
 
 
@@ -306,11 +306,11 @@ def _train_task(run: _Run, settings: "TaskSettings") -> None:
         result = train_task(settings, out, resume=run.resume, processes=run.processes, on_generation=show)
     score = score_task(settings.task, result.policy)
     fields = settings.model_dump() | {
-        "generations": result.last.number,  #: how many were made
+        "generations": result.last.iterations,  #: how many were made
         "return": score.mean,  #: mean of the policy in fresh episodes
         "std": score.std,
         "episodes": score.episodes,  #: how many scored the policy
         "successes": score.successes,  #: episodes that reach the environment's threshold; null without one
         "policy": str(result.path),  #: its file
     }
-    run.output.result(fields, f"{score} after {result.last.number} generations\n{result.path}")
+    run.output.result(fields, f"{score} after {result.last.iterations} generations\n{result.path}")

@@ -78,20 +78,16 @@ _RANDOM_BETWEEN = 2
 
 
 class Generation(NamedTuple):
-    """State of a search after ``number`` generations."""
+    """State of a search after some generations."""
 
-    number: int
+    iterations: int
+    """Generations done."""
     winner: FloatArray
     """(P,)."""
     sigma: float
     """Step size of CMA-ES."""
     best: float
     """Lowest cost of the generation."""
-
-    @property
-    def iterations(self) -> int:
-        """Generations done."""
-        return self.number
 
     @property
     def summary(self) -> str:
@@ -248,9 +244,6 @@ class RobustSearch:
         return {"cma": self._cma.state(), "means": self._means}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a ``state()``. Raises ValueError, KeyError or TypeError if it is not one of ours."""
-        means = [[float(part) for part in mean] for mean in state["means"]]
-        if any(len(mean) != len(self._cma.mean) for mean in means):
-            raise ValueError(f"no state of a search in {len(self._cma.mean)} dimensions")
+        """Continue from a ``state()``."""
         self._cma.restore(state["cma"])
-        self._means = means
+        self._means = state["means"]

@@ -1,6 +1,5 @@
 """Trainings by generations: on random trials here, on Gymnasium environments in ``environment_run.py``."""
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -13,8 +12,6 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.policy import Policy, course_policy
 from rover_ncp.circuit.policy_file import load_start
 from rover_ncp.circuit.rover_interface import RoverInterface
-from rover_ncp.core.errors import FileError
-from rover_ncp.core.files import read_text
 from rover_ncp.course.course import Course
 from rover_ncp.course.reference import plan_reference
 from sim.learn.engine.evaluator import Evaluator
@@ -33,6 +30,9 @@ from sim.world.described import ranges_for
 from sim.world.randomization import Randomization, draw_trials
 
 FloatArray = NDArray[np.float64]
+
+_STATE = "search.json"
+"""File of a search by generations."""
 
 
 class RobustResult(NamedTuple):
@@ -107,9 +107,9 @@ class SearchRun:
     ) -> None:
         self._folder, self._start, self.search = folder, start, search
         self._curve: list[tuple[float, float]] = []
-        saved = folder.path / "search.json"
-        if saved.is_file():
-            self._load(saved)
+        if saved := folder.read_state(_STATE):
+            self.search.restore(saved["search"])
+            self._curve = [(best, sigma) for best, sigma in saved["curve"]]
         # An interrupt in the middle of a generation leaves a search that cannot be saved.
         self._state = search.state()
 
@@ -147,8 +147,7 @@ class SearchRun:
         if not self._curve:
             return
         write = self._folder.write
-        state = {"format": 1, "search": self._state, "curve": self._curve}
-        write("search.json", json.dumps(state, allow_nan=False) + "\n")
+        self._folder.write_state(_STATE, {"search": self._state, "curve": self._curve})
         write("policy.yaml", self.policy())
         rows = [f"{number},{best!r},{sigma!r}" for number, (best, sigma) in enumerate(self._curve, 1)]
         write("curve.csv", "\n".join(["generation,cost,spread", *rows, ""]))
@@ -156,15 +155,5 @@ class SearchRun:
     def policy(self) -> Policy:
         """Return the winner with its provenance."""
         last = self.last
-        provenance = self._folder.record.provenance(last.number, cost=last.best)
+        provenance = self._folder.record.provenance(last.iterations, cost=last.best)
         return replace(self._start.with_parameters(last.winner), provenance=provenance)
-
-    def _load(self, saved: Path) -> None:
-        try:
-            data = json.loads(read_text(saved))
-            self.search.restore(data["search"])
-            self._curve = [(float(best), float(sigma)) for best, sigma in data["curve"]]
-            if data["format"] != 1 or len(self._curve) != self.search.number:
-                raise ValueError("it does not fit together")
-        except (ValueError, KeyError, TypeError, RecursionError) as error:
-            raise FileError(f"{saved}: damaged; delete it to begin again") from error

@@ -10,7 +10,10 @@ search.json     a search by generations: all that resuming needs (``robust_run.p
 """
 
 import fcntl
+import hashlib
+import json
 import os
+import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -23,22 +26,16 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_to_yaml
 from rover_ncp.core.config import dump_yaml, load_yaml
 from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
-from rover_ncp.core.files import write_atomic
+from rover_ncp.core.files import read_text, write_atomic
 from sim.learn.record import Record, RobustSettings, Settings, SettingsT, TaskSettings, TrainSettings
+from sim.learn.search.base import SearchState, dump_state
 
 _RUNS = Path("runs")
 _RECORD = "settings.yaml"
 _CHECKPOINT_SHARE = 0.02
 """Checkpoints take at most this share of the time: a short run saves often, and a slow disk seldom."""
-# What ``write_atomic`` calls its temporary files, for those a killed run can have been writing.
-_TEMPORARY = (
-    ".settings.yaml.",
-    ".policy.yaml.",
-    ".curve.csv.",
-    ".curve.png.",
-    ".search.json.",
-    *(f".{d}" for d in "0123456789"),
-)
+_LEFTOVER = re.compile(r"\.(settings|policy|curve|search|\d+)\.(yaml|csv|png|json)\.\w+")
+"""Temporary files that ``write_atomic`` leaves when a run is killed while it writes."""
 
 
 def new_run_path() -> Path:
@@ -81,6 +78,8 @@ class RunFolder(Generic[SettingsT]):
     def __init__(self, path: Path, record: Record[SettingsT]) -> None:
         self.path = path
         self.record: Record[SettingsT] = record
+        # A run that ends early has the files of one that was to end there.
+        self._settings = dump_yaml(record.settings.model_dump(exclude={"iterations"}))
         self.policy_path = path / "policy.yaml"
 
     def write(self, name: str, content: str | bytes | Policy) -> None:
@@ -90,6 +89,28 @@ class RunFolder(Generic[SettingsT]):
             raise FileError(f"{self.path}: {problem}")
         text = policy_to_yaml(content) if isinstance(content, Policy) else content
         write_atomic(self.path / name, text)
+
+    def write_state(self, name: str, state: SearchState) -> None:
+        """Write what resuming needs as JSON, with a digest of it and of the run's settings."""
+        text = dump_state(state)
+        self.write(name, f'{{"sha256": "{self._digest(name, text)}", "state": {text}}}\n')
+
+    def read_state(self, name: str) -> dict[str, Any] | None:
+        """Return what ``write_state`` wrote, None without such a file. Raises FileError for another file."""
+        path = self.path / name
+        if not path.is_file():
+            return None
+        try:
+            data = json.loads(read_text(path))
+            state: dict[str, Any] = data["state"]
+            if data["sha256"] == self._digest(name, dump_state(state)):
+                return state
+        except (ValueError, KeyError, TypeError, RecursionError):
+            pass
+        raise FileError(f"{path}: damaged, or not of this run; delete it to begin it again")
+
+    def _digest(self, name: str, text: str) -> str:
+        return hashlib.sha256(f"{self._settings}{name}\n{text}".encode()).hexdigest()
 
 
 @contextmanager
@@ -119,9 +140,9 @@ def open_run(path: Path, record: Record[SettingsT], resume: bool) -> Iterator[Ru
             record = began
         elif resume:
             raise _nothing_to_resume(path)
-        elif foreign := [name for name in os.listdir(path) if not _is_leftover(name)]:  # noqa: PTH208
+        elif foreign := [each.name for each in path.iterdir() if not _LEFTOVER.fullmatch(each.name)]:
             raise UsageError(f"{path}: is not empty ({min(foreign)}) and holds no training run")
-        _sweep(path)
+        _remove_leftovers(path)
         write_atomic(saved, dump_yaml(record.model_dump()))
         yield RunFolder(path, record)
     finally:
@@ -159,13 +180,7 @@ def _lock(handle: int, path: Path) -> None:
         raise UsageError(f"{path}: another process is training in this folder") from error
 
 
-def _is_leftover(name: str) -> bool:
-    """Whether a killed run may have left this behind: the temporary file of something it was writing."""
-    return name.startswith(_TEMPORARY)
-
-
-def _sweep(path: Path) -> None:
-    for folder in (path, path / "agents"):
-        for file in folder.glob(".*"):
-            if _is_leftover(file.name):
-                file.unlink(missing_ok=True)
+def _remove_leftovers(path: Path) -> None:
+    for file in (*path.glob(".*"), *path.glob("agents/.*")):
+        if _LEFTOVER.fullmatch(file.name):
+            file.unlink(missing_ok=True)

@@ -1,29 +1,23 @@
 """Training of an ensemble of agents on one course: what ``rover-ncp train`` does."""
 
-import json
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.config import StrictModel
-from rover_ncp.core.errors import FileError
-from rover_ncp.core.files import read_text
 from rover_ncp.course.course import Verdict
-from sim.learn.agents import AgentState, Plan, Snapshot, revive, run_rounds
+from sim.learn.agents import AgentState, Plan, Snapshot, run_rounds
 from sim.learn.cluster import DaskCluster
 from sim.learn.curve import curve_csv, curve_png
 from sim.learn.engine.evaluator import Evaluator
 from sim.learn.engine.rollout import rollout
 from sim.learn.record import Record, Task, TrainSettings, resolve_task
 from sim.learn.run_folder import RunFolder, checkpoints, open_run
-from sim.learn.search.base import dump_state
 from sim.learn.workers import available_processes, local_workers
 
 
@@ -75,7 +69,7 @@ def train(
     task = resolve_task(settings)
     plan = training_plan(settings, task)
     with open_run(out, Record[TrainSettings].of(settings, task.policy, task.course), resume) as folder:
-        run = _Ensemble(folder, task, plan)
+        run = _Ensemble(folder, task)
         count = min(processes or available_processes(), settings.agents)
         if run.snapshot.arrived(settings.iterations):
             count, cluster = 1, None
@@ -102,41 +96,23 @@ def train(
         )
 
 
-class _AgentFile(StrictModel):
-    """An agent between two iterations as a JSON file: numbers read back to the same bits."""
-
-    format: int = Field(default=1, ge=1, le=1)
-    agent: int = Field(ge=0)
-    improvements: tuple[tuple[int, float], ...]
-    search: dict[str, Any]
-
-
 class _Ensemble:
     """The agents of a run, which begin where their files say, and these files."""
 
-    def __init__(self, folder: RunFolder[TrainSettings], task: Task, plan: Plan) -> None:
+    def __init__(self, folder: RunFolder[TrainSettings], task: Task) -> None:
         self._folder, self._task = folder, task
         agents = range(folder.record.settings.agents)
-        self.snapshot = Snapshot(tuple(self._load(number, plan) for number in agents))
+        self.snapshot = Snapshot(tuple(self._load(number) for number in agents))
         self.iterations_per_s: float | None = None
         self._clock: tuple[float, int] | None = None
 
-    def _load(self, number: int, plan: Plan) -> AgentState:
+    def _load(self, number: int) -> AgentState:
         """Read an agent; one without a file has not begun. Raises FileError for a damaged or foreign file."""
-        path = self._folder.path / _file_of(number)
-        if not path.is_file():
+        state = self._folder.read_state(_file_of(number))
+        if state is None:
             return AgentState(number)
-        try:
-            data = _AgentFile.model_validate(json.loads(read_text(path)))
-            agent = AgentState(number, data.search, data.improvements)
-            search = revive(plan, agent)
-            last = agent.improvements[-1] if agent.improvements else (search.iterations, search.value)
-            if data.agent != number or last[0] > search.iterations or last[1] != search.value:
-                raise ValueError("it does not fit together")
-        except (ValueError, KeyError, TypeError, RecursionError) as error:
-            problem = f"damaged, or not agent {number} of this run; delete it to redo it"
-            raise FileError(f"{path}: {problem}") from error
-        return agent
+        improvements = tuple((iteration, value) for iteration, value in state["improvements"])
+        return AgentState(number, state["search"], improvements)
 
     def take(self, snapshot: Snapshot) -> None:
         """Take the agents at the end of a round."""
@@ -154,8 +130,8 @@ class _Ensemble:
         if not now.arrived(0):
             return
         for agent in now.agents:
-            data = {"format": 1, "agent": agent.number, "improvements": agent.improvements}
-            write(_file_of(agent.number), dump_state(data | {"search": agent.search}) + "\n")
+            state = {"improvements": agent.improvements, "search": agent.search}
+            self._folder.write_state(_file_of(agent.number), state)
         write("policy.yaml", self.policy(now.best))
         write("curve.csv", curve_csv(now.agents, now.iterations))
 

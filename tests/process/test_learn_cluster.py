@@ -31,7 +31,7 @@ def cluster(tmp_path_factory):
 def progress(folder):
     """Return how many iterations the first agent has saved."""
     try:
-        return int(json.loads((folder / "agents" / "00.json").read_text())["search"]["evaluations"])
+        return int(json.loads((folder / "agents" / "00.json").read_text())["state"]["search"]["evaluations"])
     except (FileNotFoundError, json.JSONDecodeError):
         return 0
 

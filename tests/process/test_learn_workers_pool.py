@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from rover_ncp.core.errors import ConfigError, UsageError
-from sim.learn.workers import ProcessPool, WorkerDied
+from sim.learn.workers import ProcessPool, WorkerDied, starting_processes
 from sim.live.processes import wait_for
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def child():
     """A child of the host program."""
     process = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(600.0,))
@@ -40,15 +40,26 @@ def test_failing_pool_ends_its_own_processes_alone(child):
 @pytest.mark.parametrize(
     ("function", "argument", "ending"),
     [
-        (os._exit, 3, "ended with exit code 3 unexpectedly; repeat"),
-        (signal.raise_signal, signal.SIGKILL, "ended by SIGKILL unexpectedly; repeat"),
+        pytest.param(os._exit, 3, "with exit code 3", marks=pytest.mark.long),
+        (signal.raise_signal, signal.SIGKILL, "by SIGKILL"),
     ],
 )
 def test_process_that_dies_is_reported(child, function, argument, ending):
-    with pytest.raises(WorkerDied, match=f"^a worker process {ending}$"), ProcessPool(1, "; repeat") as pool:
+    said = f"^a worker process ended {ending} unexpectedly; repeat$"
+    with pytest.raises(WorkerDied, match=said), ProcessPool(1, "; repeat") as pool:
         pool.submit(function, argument).result()
     assert child.is_alive()
     assert multiprocessing.active_children() == [child]
+
+
+def test_ctrl_c_waits_until_processes_have_started():
+    reached = False
+    with pytest.raises(KeyboardInterrupt), starting_processes():
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+        reached = True
+    assert reached
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 def refuse():

@@ -56,7 +56,7 @@ def test_robust_training_calls_back(tmp_path):
     seen = []
     settings = {"course": SHORT, "iterations": 2, "rollouts": 4, "random_courses": 0}
     result = sim_api.train_robust(tmp_path / "run", **settings, processes=1, on_generation=seen.append)
-    assert [generation.number for generation in seen] == [1, 2]
+    assert [generation.iterations for generation in seen] == [1, 2]
     assert result.last.best == seen[-1].best
 
 

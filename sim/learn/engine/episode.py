@@ -284,7 +284,13 @@ def keep_pose(
         for axis in range(3):
             lanes.earlier[axis, lane] = odometry[axis, lane]
     if not sees_pose:
-        reckon(trials, lanes, trial, lane, tail[lane, latest[lane]])
+        before = tail[lane, latest[lane]]
+        odometry[0, lane], odometry[1, lane], odometry[2, lane] = _dead_reckon(
+            Pose(odometry[0, lane], odometry[1, lane], odometry[2, lane]),
+            Pose(before[0], before[1], before[2]),
+            Pose(poses[0, lane], poses[1, lane], poses[2, lane]),
+            _odometry_errors(trials, trial),
+        )
     if not trials.exact and ticks_done == trials.bump[trial, 0]:
         bump(trials, lanes, fleet, trial, lane)
     row = latest[lane] + np.uint64(1)
@@ -297,21 +303,9 @@ def keep_pose(
         tail[lane, row, axis] = poses[axis, lane]
 
 
-@inlined_kernel
-def reckon(trials: Trials, lanes: Lanes, trial: int, lane: int, before: FloatArray) -> None:
-    """Move odometry by what a tick seemed to be."""
-    poses, odometry = lanes.poses, lanes.odometry
-    odometry[0, lane], odometry[1, lane], odometry[2, lane] = _dead_reckon(
-        Pose(odometry[0, lane], odometry[1, lane], odometry[2, lane]),
-        Pose(before[0], before[1], before[2]),
-        Pose(poses[0, lane], poses[1, lane], poses[2, lane]),
-        _odometry_errors(trials, trial),
-    )
-
-
 @kernel
 def bump(trials: Trials, lanes: Lanes, fleet: FleetArrays, trial: int, lane: int) -> None:
-    """Push the rover, unseen by its wheels."""
+    """Push the rover without a turn of its wheels."""
     _, x, y, theta = trials.bump[trial]
     push(fleet, lane, x, y, theta)
     read_pose(fleet, lanes.poses, lane)

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from rover_ncp.course.reference import COMMAND_MAX
 from rover_ncp.kernels.jit import kernel
 from sim.learn.engine.commander import Commander
-from sim.learn.search.unit_box import UnitBox
 from sim.world.fleet import wrapped
 
 FloatArray = NDArray[np.float64]
@@ -27,11 +26,10 @@ KANAYAMA, PURE_PURSUIT, SMOOTH = range(3)
 
 
 class Law(NamedTuple):
-    """A law, the names of its gains, and the gains that a tuning found (SI units)."""
+    """A law, the names of its gains, and the gains that ``benchmarks/compare.py`` found (SI units)."""
 
     number: int
     gains: tuple[str, ...]
-    start: tuple[float, ...]
     tuned: tuple[float, ...]
 
 
@@ -39,19 +37,16 @@ LAWS = {
     "kanayama": Law(
         KANAYAMA,
         ("k_x", "k_y", "k_theta", "still_v", "still_omega"),
-        (1.0, 20.0, 8.0, 0.01, 0.03),
         (0.4592, 16.54, 18.83, 0.007335, 0.1451),
     ),
     "pure-pursuit": Law(
         PURE_PURSUIT,
         ("k_x", "ahead", "feed_forward", "still_v", "still_omega"),
-        (1.0, 0.2, 0.5, 0.01, 0.03),
         (0.5704, 0.2251, 0.7081, 0.07644, 0.01963),
     ),
     "smooth": Law(
         SMOOTH,
         ("k_x", "ahead", "k_1", "k_2", "still_v", "still_omega"),
-        (1.0, 0.2, 1.0, 3.0, 0.01, 0.03),
         (0.4814, 0.918, 1.185, 21.07, 0.08025, 0.01981),
     ),
 }
@@ -120,9 +115,3 @@ def law_commander(law: Law) -> Commander:
         return LawLanes(law.number, limits, np.zeros((count, len(law.gains))))
 
     return Commander(len(law.gains), allocate, start_law, tick_laws)
-
-
-def gain_box(law: Law) -> UnitBox:
-    """Return the search space of a tuning: a tenth to ten times the gains that it starts from."""
-    first = np.array(law.start)
-    return UnitBox(0.1 * first, 10.0 * first, first, np.ones(len(first), np.bool_))

@@ -9,14 +9,14 @@ lstm    Hochreiter and Schmidhuber (1997) with forget gates (Gers et al., 2000),
 cfc, ltc
         three cells of the library ncps (``liquid.py``)
 
-    net = net_for(policy, NetKind.MLP)
-    lanes = allocate_net_lanes(net, 16)
-    fill_net_lane(net.program(), lanes, 3, vector)                    # (P,), and the lane's state at 0
-    tick_net_lanes(net.program(), lanes, observations, commands)      # (inputs, 16), (outputs, 16)
+    lanes = allocate_networks(net_for(policy, NetKind.MLP), 16)
+    start_network(lanes, 3, vector)                    # (P,), and the lane's state at 0
+    tick_networks(lanes, observations, commands)       # (inputs, 16), (outputs, 16)
 """
 
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout, Policy
 from rover_ncp.circuit.solver import exp2
-from rover_ncp.kernels.jit import inlined_kernel, kernel
+from rover_ncp.kernels.jit import kernel
 from sim.learn.engine.commander import Commander
 from sim.learn.engine.liquid import BACKBONE, Part, cfc_parts, ltc_parts, tick_cfc, tick_ltc
 
@@ -71,8 +71,9 @@ class NetProgram(NamedTuple):
 
 
 class NetLanes(NamedTuple):
-    """The numbers and the state of L lanes; one thread at a time."""
+    """The arrays of L networks of one kind; one thread at a time."""
 
+    program: NetProgram
     weight: FloatArray
     """(P, L)."""
     hidden: FloatArray
@@ -178,18 +179,18 @@ def net_for(policy: Policy, kind: NetKind, cells: int | None = None) -> Net:
     return Net(kind, tuple(centers), tuple(scales), tuple(most), tuple(low), tuple(high), cells)
 
 
-def allocate_net_lanes(net: Net, count: int) -> NetLanes:
-    """Return ``count`` lanes of zeros, to be set by ``fill_net_lane``."""
-    shapes = (net.layout().size, net.cells, net.cells, net.gates * net.cells + BACKBONE, len(net.scale))
-    return NetLanes(*(np.zeros((rows, count)) for rows in shapes))
+def allocate_networks(net: Net, count: int) -> NetLanes:
+    """Return ``count`` lanes of zeros, to be set by ``start_network``."""
+    sizes = (net.layout().size, net.cells, net.cells, net.gates * net.cells + BACKBONE, len(net.scale))
+    return NetLanes(net.program(), *(np.zeros((size, count)) for size in sizes))
 
 
 @kernel
-def fill_net_lane(program: NetProgram, lanes: NetLanes, lane: int, vector: FloatArray) -> None:
+def start_network(lanes: NetLanes, lane: int, vector: FloatArray) -> None:
     """Set a lane's parameters (P,), and its state to 0."""
     for i in range(len(vector)):
         lanes.weight[i, lane] = vector[i]
-    for cell in range(program.cells):
+    for cell in range(lanes.program.cells):
         lanes.hidden[cell, lane] = 0.0
         lanes.cell[cell, lane] = 0.0
 
@@ -202,10 +203,9 @@ def tanh(z: float) -> float:
 
 
 @kernel
-def tick_net_lanes(
-    program: NetProgram, lanes: NetLanes, observations: FloatArray, commands: FloatArray
-) -> None:
+def tick_networks(lanes: NetLanes, observations: FloatArray, commands: FloatArray) -> None:
     """Run L lanes once: ``observations`` (inputs, L) in the sensing's units, ``commands`` (outputs, L)."""
+    program = lanes.program
     weight, hidden, inputs, sums = lanes.weight, lanes.hidden, lanes.inputs, lanes.sums
     given, count = observations.shape
     for i in range(given):
@@ -218,7 +218,7 @@ def tick_net_lanes(
     elif program.liquid == 2:
         tick_ltc(weight, inputs, hidden, sums, commands[: len(program.high)])
     else:
-        tick_sums(program, lanes, commands)
+        tick_sums(lanes, commands)
     for output in range(len(program.high)):
         low, high = program.low[output], program.high[output]
         for lane in range(count):
@@ -227,8 +227,9 @@ def tick_net_lanes(
 
 
 @kernel
-def tick_sums(program: NetProgram, lanes: NetLanes, commands: FloatArray) -> None:
+def tick_sums(lanes: NetLanes, commands: FloatArray) -> None:
     """Run L perceptrons or LSTMs once, from their inputs to outputs (outputs, L) without limits."""
+    program = lanes.program
     weight, hidden, inputs, sums = lanes.weight, lanes.hidden, lanes.inputs, lanes.sums
     given, count = inputs.shape
     recurrent = program.cells if program.gates > 1 else 0
@@ -244,7 +245,7 @@ def tick_sums(program: NetProgram, lanes: NetLanes, commands: FloatArray) -> Non
             for lane in range(count):
                 sums[row, lane] += weight[at + given + i, lane] * hidden[i, lane]
         at = bias + 1
-    update_cells(program, lanes, count)
+    update_cells(lanes, count)
     for output in range(len(program.high)):
         bias = at + program.cells
         for lane in range(count):
@@ -256,10 +257,10 @@ def tick_sums(program: NetProgram, lanes: NetLanes, commands: FloatArray) -> Non
 
 
 @kernel
-def update_cells(program: NetProgram, lanes: NetLanes, count: int) -> None:
+def update_cells(lanes: NetLanes, count: int) -> None:
     """Make the cells' new values of their sums."""
-    hidden, cell, sums, cells = lanes.hidden, lanes.cell, lanes.sums, program.cells
-    if program.gates == 1:
+    hidden, cell, sums, cells = lanes.hidden, lanes.cell, lanes.sums, lanes.program.cells
+    if lanes.program.gates == 1:
         for c in range(cells):
             for lane in range(count):
                 hidden[c, lane] = tanh(sums[c, lane])
@@ -275,30 +276,6 @@ def update_cells(program: NetProgram, lanes: NetLanes, count: int) -> None:
             hidden[c, lane] = output_gate * tanh(value)
 
 
-class NetworkLanes(NamedTuple):
-    """The arrays of L networks of one kind."""
-
-    program: NetProgram
-    lanes: NetLanes
-
-
 def network_commander(net: Net) -> Commander:
     """Return the commander of a network."""
-    program = net.program()
-
-    def allocate(count: int) -> NetworkLanes:
-        return NetworkLanes(program, allocate_net_lanes(net, count))
-
-    return Commander(net.layout().size, allocate, start_network, tick_networks)
-
-
-@inlined_kernel
-def start_network(networks: NetworkLanes, lane: int, vector: FloatArray) -> None:
-    """Set a lane's parameters, and its state to 0."""
-    fill_net_lane(networks.program, networks.lanes, lane, vector)
-
-
-@inlined_kernel
-def tick_networks(networks: NetworkLanes, observations: FloatArray, commands: FloatArray) -> None:
-    """Run all lanes for one control tick."""
-    tick_net_lanes(networks.program, networks.lanes, observations, commands)
+    return Commander(net.layout().size, partial(allocate_networks, net), start_network, tick_networks)

@@ -5,9 +5,8 @@ incumbent's return is estimated anew, because it may have been lucky. The paper 
 below. The kinds differ in size by four orders of magnitude, so the scale is a fraction of each one's range.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -40,13 +39,6 @@ class Scale:
     def after_failure(self) -> Self:
         """Return a smaller scale."""
         return type(self)(max(self.scale / ALPHA, MIN_SCALE), self.failures + 1)
-
-    def restored(self, fields: Mapping[str, Any]) -> Self:
-        """Return the scale of saved fields."""
-        scale, failures = float(fields["scale"]), int(fields["failures"])
-        if not MIN_SCALE <= scale <= MAX_SCALE or not 0 <= failures <= ESTIMATE_AFTER:
-            raise ValueError(f"a scale of {scale} after {failures} failures cannot be")
-        return type(self)(scale, failures)
 
 
 class Algorithm1(RandomSearch[Scale]):

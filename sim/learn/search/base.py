@@ -79,4 +79,4 @@ class Strategy(Protocol):
         """Return all that the next ``ask`` depends on."""
 
     def restore(self, state: SearchState) -> None:
-        """Continue from a ``state()``. Raises ValueError, KeyError or TypeError if it is not one of ours."""
+        """Continue from a ``state()`` of this search, also one that JSON has kept. Nothing checks it."""

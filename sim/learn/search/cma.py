@@ -92,16 +92,9 @@ class Cma:
         return {key: np.asarray(getattr(self._cma, name)).tolist() for key, name in _STATE.items()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Continue from a ``state()``. Raises ValueError, KeyError or TypeError for any other value."""
-        found = {}
+        """Continue from a ``state()``."""
         for key, name in _STATE.items():
-            kept = np.asarray(getattr(self._cma, name))
-            found[name] = np.array(state[key], kept.dtype)
-            if found[name].shape != kept.shape:
-                raise ValueError(f"no state of a search in {self._cma.dim} dimensions")
-        if found["_g"] < 0 or not 0.0 < found["_sigma"] < math.inf:
-            raise ValueError("no generation and sigma of a search")
-        for name, value in found.items():
+            value = np.array(state[key], np.asarray(getattr(self._cma, name)).dtype)
             setattr(self._cma, name, value if value.ndim else value.item())
         # The eigenvalues are those of another covariance.
         self._cma._D = None

@@ -1,29 +1,27 @@
 """Damped Gauss-Newton descents on the residuals of every checkpoint, from many starts.
 
-A return is one number. Its residuals are three numbers for each checkpoint: they show the direction of each
-error. The search draws samples around the untuned start, takes the best, measures how every parameter
-changes them (finite differences), and descends by damped Gauss-Newton steps. From then on every batch
-holds a bold step, close to the goal also a careful one, and the finite difference of one parameter, each in
-its turn. The outcome of a step corrects the other slopes (Broyden). Damping follows success and failure
-(Levenberg, Marquardt).
+A return is one number. Its residuals are three numbers for each checkpoint: the errors in x, y and heading.
 
-Three rules get it past the local optima of a course:
-  * Far from the goal it does not climb the return but how far the rover gets before it goes astray
-    (``survival``). Residuals behind a lost turn say nothing about what comes before it, and mislead.
-  * A descent that stalls there looks for dead parameters and revives them (``descent``).
-  * A descent ends when it gains little over a window of steps, or too slowly to overtake the best. Then come
-    restarts: the point reached, with some parameters moved far. After restarts without gain, the next descent
-    starts from new samples, and restarts begin at its end if that is nearly as good as the best. So no agent
-    spends its candidates on one place that leads nowhere, unless that is good. There restarts are wider and
-    many: all but the first few race against the best of them, which costs less than half as much as whole
-    episodes do.
+1. Samples are drawn around the untuned start, and the best one starts a descent.
+2. Finite differences measure how each parameter changes the residuals (the slopes).
+3. The descent makes damped Gauss-Newton steps. A batch holds one step, close to the goal two with different
+   damping, and the finite difference of one parameter, each parameter in its turn. The outcome of a step
+   corrects the slopes (Broyden). Damping follows success and failure (Levenberg, Marquardt).
+4. A descent ends when it gains little over a window of steps, or is too slow to overtake the best. The next
+   one starts from restarts, which are copies of a good point with some parameters moved far, or from new
+   samples.
 
-Rules of this file
-  * A search knows points of the unit box; neither circuit nor simulator nor clock.
-  * All candidates count, those that measure slopes too. They are handed out in batches, a batch in any
-    portions, and only a whole batch decides anything. ``state`` may be taken within a batch.
-  * A step or a candidate of a race whose return is lost may be truncated there: no decision depends on the
-    residuals behind that checkpoint.
+Three rules lead past the local optima of a course:
+
+* Far from the goal a descent climbs the ``survival``, not the return: how far the rover gets before it goes
+  astray. Residuals after a wrong turn are no information about the turn.
+* A descent that stalls there looks for dead parameters and revives them (``descent``).
+* Restarts that gain nothing are followed by samples. Where the best is good, restarts are wide and many.
+  Their later batches race against the best of the first, and a candidate that loses is truncated.
+
+All candidates count as iterations, those that measure slopes too. They are handed out in portions of a
+batch, and a decision needs the whole batch. No decision depends on the residuals of a truncated candidate
+behind the checkpoint where it was truncated.
 """
 
 import math
@@ -235,7 +233,7 @@ class GaussNewton:
         now.descent = None
         if restarts:
             now.phase = _Phase.RESTARTS
-            self._draw_restarts(self._is_good(last))
+            self._draw_restarts(wide=self._best_is_good(len(last.residuals)))
         else:
             now.phase = _Phase.SAMPLES
             moves = self._generator.standard_normal((CONSTANTS.samples, self._box.size))
@@ -254,16 +252,15 @@ class GaussNewton:
             ended.without_gain = now.origin.without_gain = now.origin.without_gain + 1
             if last.value > now.origin.value:
                 now.origin = ended
-        if self._is_good(last):
+        if self._best_is_good(checkpoints):
             now.origin = best
             return True
         close = -now.origin.value < CONSTANTS.close_loss * checkpoints
         patience = CONSTANTS.patience if close else 1
         return -best.value < CONSTANTS.fair_loss * checkpoints and now.origin.without_gain < patience
 
-    def _is_good(self, outcome: Outcome) -> bool:
-        """Return whether the best is good, for as many checkpoints as an outcome has."""
-        return -self._best_value < CONSTANTS.good_loss * len(outcome.residuals)
+    def _best_is_good(self, checkpoints: int) -> bool:
+        return -self._best_value < CONSTANTS.good_loss * checkpoints
 
     def _draw_restarts(self, wide: bool) -> None:
         now = self._progress
@@ -282,7 +279,7 @@ class GaussNewton:
             now.race.batches += 1
             if candidate.value > now.race.best.value:
                 now.race.best = candidate
-        if now.race.batches < CONSTANTS.races and self._is_good(candidate):
+        if now.race.batches < CONSTANTS.races and self._best_is_good(len(candidate.residuals)):
             self._draw_restarts(wide=True)
         else:
             best, now.race = now.race.best, None
@@ -329,41 +326,9 @@ class GaussNewton:
         }
 
     def restore(self, state: SearchState) -> None:
-        """Continue from a ``state()``. Raises ValueError, KeyError or TypeError if it is not one of ours."""
-        found = _PROGRESS.validate_python(state)
-        self._check(found)
-        if self._box.vectors(found.best[None])[0].tolist() != list(state["incumbent"]):
-            raise ValueError("the best point is not the incumbent")
+        """Continue from a ``state()``."""
+        self._progress, self._asked = _PROGRESS.validate_python(state), 0
         self._generator.bit_generator.state = state["generator"]
-        self._progress, self._asked = found, 0
-
-    def _check(self, found: _Progress) -> None:
-        """Raise ValueError unless the parts of a state fit together."""
-        size = self._box.size
-        descent, race = found.descent, found.race
-        points = [found.best]
-        points += [part.point for part in (found.origin, descent and descent.at, race and race.best) if part]
-        expected = {
-            _Phase.START: 1,
-            _Phase.SAMPLES: CONSTANTS.samples,
-            _Phase.RESTARTS: CONSTANTS.restarts,
-            _Phase.SLOPES: size,
-            _Phase.STEPS: len(descent.step_dampings) + 1 if descent else 0,
-        }
-        fits = (
-            all(point.shape == (size,) for point in points)
-            and found.batch.ndim == 2
-            and found.batch.shape == (expected.get(found.phase, len(found.batch)), size)
-            and len(found.residuals) == len(found.values) < len(found.batch)
-            and all(residuals.ndim == 2 for residuals in found.residuals)
-            and (found.value is None) == (found.origin is None) == (found.evaluations == 0)
-            and (descent is None) == (found.phase in {_Phase.START, _Phase.SAMPLES, _Phase.RESTARTS})
-            and (descent is None or descent.slopes.shape == (size, descent.at.residuals.size))
-            and (descent is None or len(descent.scores) > 0)
-            and (race is None or found.phase is _Phase.RESTARTS)
-        )
-        if not fits:
-            raise ValueError("the parts of the state do not fit together")
 
 
 SEARCH: type[Strategy] = GaussNewton

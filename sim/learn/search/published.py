@@ -8,7 +8,7 @@ the scale of the noise never adapts. Constants: the published parking search.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -53,7 +53,6 @@ class Caps:
     most: tuple[int, ...]
     caps: tuple[int, ...]
     failures: int = 0
-    most_failures: ClassVar[int] = FAILURES_TO_WIDEN - 1
 
     def after_success(self) -> Self:
         """Shrink every cap by one, not below its least; count failures anew."""
@@ -71,14 +70,6 @@ class Caps:
         """Grow every cap by one, not above its most; count failures anew."""
         caps = tuple(min(cap + 1, most) for cap, most in zip(self.caps, self.most, strict=True))
         return replace(self, caps=caps, failures=0)
-
-    def restored(self, fields: Mapping[str, Any]) -> Self:
-        """Return the caps of saved fields; their range is that of this search."""
-        caps, failures = tuple(int(cap) for cap in fields["caps"]), int(fields["failures"])
-        limits = zip(self.least, caps, self.most, strict=True)
-        if not all(least <= cap <= most for least, cap, most in limits) or failures > self.most_failures:
-            raise ValueError(f"caps {caps} after {failures} failures cannot be")
-        return replace(self, caps=caps, failures=failures)
 
 
 class Published(RandomSearch[Caps]):

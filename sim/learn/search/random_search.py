@@ -10,7 +10,7 @@ success was drawn. The decisions are therefore those of asking one by one.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 import numpy as np
@@ -54,9 +54,6 @@ class Adaptation(Protocol):
     def after_failure(self) -> Self:
         """Return the value after a candidate that did not."""
 
-    def restored(self, fields: Mapping[str, Any]) -> Self:
-        """Return the value of saved fields. Raises ValueError, KeyError or TypeError if they cannot be."""
-
 
 AdaptationT = TypeVar("AdaptationT", bound=Adaptation)
 
@@ -80,7 +77,9 @@ class RandomSearch(ABC, Generic[AdaptationT]):
 
     def __init__(self, layout: ParameterLayout, start: Vector, generator: np.random.Generator) -> None:
         self.lower, self.upper = layout.lower, layout.upper
-        self.incumbent = self._checked(start)
+        self.incumbent = np.array(start, dtype=np.float64)
+        if not np.all((self.incumbent >= self.lower) & (self.incumbent <= self.upper)):
+            raise ValueError(f"expected {self.lower.size} numbers within their bounds")
         self.value: float | None = None
         self.evaluations = 0
         self.adaptation = self.first_adaptation(layout)
@@ -95,8 +94,13 @@ class RandomSearch(ABC, Generic[AdaptationT]):
         generator: np.random.Generator,
         inert: NDArray[np.bool_] | None = None,
     ) -> Self:
-        """Begin at the perturbed defaults (P,); inert parameters are changed like all others."""
-        return cls(layout, perturb(layout, defaults, generator), generator)
+        """Begin at the search's ``first`` candidate; inert parameters are changed like all others."""
+        return cls(layout, cls.first(layout, defaults, generator), generator)
+
+    @staticmethod
+    def first(layout: ParameterLayout, defaults: Vector, generator: np.random.Generator) -> Vector:
+        """Return the first candidate (P,): the perturbed defaults (P,)."""
+        return perturb(layout, defaults, generator)
 
     @abstractmethod
     def first_adaptation(self, layout: ParameterLayout) -> AdaptationT:
@@ -182,12 +186,6 @@ class RandomSearch(ABC, Generic[AdaptationT]):
             self.adaptation = self.after_estimate(self.adaptation)
         self.value = value
 
-    def _checked(self, vector: Vector) -> Vector:
-        vector = np.array(vector, dtype=np.float64)
-        if vector.shape != self.lower.shape or not np.all((vector >= self.lower) & (vector <= self.upper)):
-            raise ValueError(f"expected {self.lower.size} numbers within their bounds")
-        return vector
-
     def state(self) -> SearchState:
         """Return all that the next ``ask`` depends on; only between ``tell`` and ``ask``."""
         if self._pending:
@@ -201,12 +199,13 @@ class RandomSearch(ABC, Generic[AdaptationT]):
         }
 
     def restore(self, state: SearchState) -> None:
-        """Continue from a ``state()``. Raises ValueError, KeyError or TypeError if it is not one of ours."""
-        incumbent = self._checked(state["incumbent"])
-        value, evaluations = state["value"], int(state["evaluations"])
-        if (value is None) != (evaluations == 0) or (value is not None and not math.isfinite(value)):
-            raise ValueError(f"a return of {value} after {evaluations} evaluations cannot be")
-        adaptation = self.adaptation.restored(state["adaptation"])
+        """Continue from a ``state()``."""
+        self.evaluations, self.value = state["evaluations"], state["value"]
+        self.incumbent = np.array(state["incumbent"])
         self._generator.bit_generator.state = state["generator"]
-        self.incumbent, self.value, self.evaluations = incumbent, value, evaluations
-        self.adaptation = adaptation
+        # JSON has lists for tuples.
+        fields = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in state["adaptation"].items()
+        }
+        self.adaptation = replace(self.adaptation, **fields)

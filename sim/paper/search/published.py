@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout, Policy
@@ -55,8 +54,6 @@ _STOPS = (1, 3, 9)
 
 class EstimateCaps(Caps):
     """Caps that grow when the incumbent was estimated anew, after 51 failures in a row."""
-
-    most_failures: ClassVar[int] = FAILURES_TO_WIDEN
 
     def after_failure(self) -> Self:
         """Count a failure."""
@@ -137,24 +134,14 @@ class Sigma:
         """Return a smaller sigma."""
         return type(self)(self.sigma / ALPHA, self.i + 1, self.i + 1 > ESTIMATE_AFTER, self.iterations + 1)
 
-    def restored(self, fields: Mapping[str, Any]) -> Self:
-        """Return the value of saved fields."""
-        return type(self)(**fields)
-
 
 class Printed(RandomSearch[Sigma]):
     """Algorithm 1 as printed: sigma without limits, an exact start, estimates that take no iteration."""
 
-    @classmethod
-    def begin(
-        cls,
-        layout: ParameterLayout,
-        defaults: Vector,
-        generator: np.random.Generator,
-        inert: NDArray[np.bool_] | None = None,
-    ) -> Self:
-        """Begin at the defaults (P,)."""
-        return cls(layout, defaults, generator)
+    @staticmethod
+    def first(layout: ParameterLayout, defaults: Vector, generator: np.random.Generator) -> Vector:
+        """Return the defaults (P,)."""
+        return defaults
 
     @property
     def iterations(self) -> int:
@@ -196,10 +183,6 @@ class Amplitude:
             return type(self)(self.amplitude, self.failures + 1)
         return type(self)(min(self.amplitude * 5.0, _AMPLITUDES[1]))
 
-    def restored(self, fields: Mapping[str, Any]) -> Self:
-        """Return the value of saved fields."""
-        return type(self)(**fields)
-
 
 class PublishedOnNetworks(RandomSearch[Amplitude]):
     """The published search of MLP and LSTM: noise of one amplitude on all weights, which have no bounds."""
@@ -208,16 +191,10 @@ class PublishedOnNetworks(RandomSearch[Amplitude]):
         blocks = (block._replace(lower=-math.inf, upper=math.inf) for block in layout.blocks)
         super().__init__(ParameterLayout(tuple(blocks)), start, generator)
 
-    @classmethod
-    def begin(
-        cls,
-        layout: ParameterLayout,
-        defaults: Vector,
-        generator: np.random.Generator,
-        inert: NDArray[np.bool_] | None = None,
-    ) -> Self:
-        """Begin near zero."""
-        return cls(layout, _AMPLITUDES[0] * generator.standard_normal(layout.size), generator)
+    @staticmethod
+    def first(layout: ParameterLayout, defaults: Vector, generator: np.random.Generator) -> Vector:
+        """Draw weights (P,) near zero."""
+        return _AMPLITUDES[0] * generator.standard_normal(layout.size)
 
     def first_adaptation(self, layout: ParameterLayout) -> Amplitude:
         """Return the first amplitude."""

@@ -1,12 +1,11 @@
 """The engine against the plain rollout and the Gymnasium environment, to the last bit."""
 
-import subprocess
-import sys
 from typing import get_args
 
 import gymnasium
 import numpy as np
 import pytest
+from kit.toy_search import POLICY
 
 from rover_ncp.circuit.policy import course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
@@ -15,6 +14,8 @@ from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import wrap_angle
 from rover_ncp.course.course import Obstacle, due_checkpoints, load_course
 from rover_ncp.course.reference import plan_reference
+from sim.learn.engine.commander import start_circuit, tick_circuits
+from sim.learn.engine.episode import episode_kernel
 from sim.learn.engine.evaluator import Evaluator
 from sim.learn.engine.rollout import rollout
 from sim.world.described import default_rover
@@ -23,7 +24,6 @@ from sim.world.random_course import mirrored, random_course
 from sim.world.randomization import Sensors, draw_trials, load_randomization
 
 COURSE = load_course("parking")
-POLICY = parking_policy(load_circuit("parking"))
 TRACKER = course_policy(load_circuit("tap_withdrawal"))
 FENCED = COURSE.model_copy(
     update={
@@ -50,11 +50,11 @@ def alone(vector, course=COURSE, model=None):
 
 @pytest.mark.parametrize("course", [COURSE, FENCED], ids=["open", "fenced"])
 def test_a_lane_returns_what_a_rover_alone_returns(course):
-    vectors = candidates(40)  # more than lanes, so lanes are used again, after collisions, too
+    vectors = candidates(28)  # more than lanes, so lanes are used again, after collisions, too
     runs = [alone(vector, course) for vector in vectors]
     assert Evaluator(POLICY, course).returns(vectors).tolist() == [run.total for run in runs]
     assert any(run.touched for run in runs) == bool(course.obstacles)
-    assert len({run.total for run in runs}) > 30
+    assert len({run.total for run in runs}) > 20
 
 
 def test_a_lane_returns_what_the_environment_returns():
@@ -138,8 +138,8 @@ def test_other_rovers_other_returns():
 def test_trials_end_as_a_rover_alone_does(policy, level, sensors):
     model = default_rover()
     ranges = load_randomization(level).model_copy(update={"sensors": sensors})
-    trials = draw_trials(ranges, model, 5, count=3, ticks=COURSE.ticks)
-    vectors = candidates(3, seed=5, policy=policy)
+    trials = draw_trials(ranges, model, 5, count=2, ticks=COURSE.ticks)
+    vectors = candidates(2, seed=5, policy=policy)
     found = Evaluator(policy, COURSE, model, trials).outcomes(vectors)
     reference = plan_reference(COURSE)
     for i, vector in enumerate(vectors):
@@ -157,7 +157,7 @@ def test_trials_end_as_a_rover_alone_does(policy, level, sensors):
             assert found.moved_m[i, j] == pytest.approx(moved, abs=1e-12)
             turned = max(abs(wrap_angle(heading - tail[-1, 2])) for heading in tail[:, 2])
             assert found.turned_rad[i, j] == pytest.approx(turned, abs=1e-12)
-    assert len(np.unique(found.total)) == (3 if level == "none" else 9)
+    assert len(np.unique(found.total)) == (2 if level == "none" else 4)
 
 
 def test_courses_and_trials_in_one_batch_as_each_alone():
@@ -204,7 +204,7 @@ def test_a_reference_is_planned_from_the_course_if_none_is_given():
 
 
 def test_courses_with_and_without_obstacles_are_driven_together():
-    vectors, courses = candidates(4, seed=11), [COURSE, FENCED, mirrored(FENCED)]
+    vectors, courses = candidates(2, seed=11), [COURSE, FENCED, mirrored(FENCED)]
     trials = draw_trials(load_randomization("full"), default_rover(), 5, count=6, ticks=320)
     found = Evaluator(POLICY, courses, trials=trials).outcomes(vectors)
     runs = [
@@ -271,26 +271,7 @@ def test_a_policy_that_cannot_drive_is_refused():
             build(slow, COURSE)
 
 
-OTHER_PROCESS = """
-from rover_ncp.circuit.policy import parking_policy
-from rover_ncp.circuit.policy_file import load_circuit
-from rover_ncp.course.course import load_course
-from sim.learn.engine.evaluator import Evaluator
-from sim.learn.engine.commander import start_circuit, tick_circuits
-from sim.learn.engine.episode import episode_kernel
-policy = parking_policy(load_circuit("parking"))
-returned = Evaluator(policy, load_course("parking")).returns(policy.parameters())[0]
-print(float(returned).hex(), sum(episode_kernel(start_circuit, tick_circuits).stats.cache_hits.values()))
-"""
-
-
-def test_an_engine_from_the_cache_agrees_with_one_compiled_here():
-    expected = rollout(POLICY, COURSE).total
-    # If this process does not compile the engine now, an earlier one did.
-    assert Evaluator(POLICY, COURSE).returns(POLICY.parameters()).tolist() == [expected]
-    done = subprocess.run(
-        [sys.executable, "-c", OTHER_PROCESS], capture_output=True, text=True, check=True, timeout=100
-    )
-    returned, hits = done.stdout.split()
-    assert float.fromhex(returned) == expected
-    assert int(hits) == 1
+def test_machine_code_of_the_engine_is_kept_for_other_processes():
+    Evaluator(POLICY, COURSE).returns(POLICY.parameters())
+    engine = episode_kernel(start_circuit, tick_circuits)
+    assert all(engine._cache.path(types).is_file() for types in engine.signatures)

@@ -9,11 +9,11 @@ from rover_ncp.course.course import load_course
 from sim.learn.engine.evaluator import Evaluator
 from sim.learn.engine.networks import (
     NetKind,
-    allocate_net_lanes,
-    fill_net_lane,
+    allocate_networks,
     net_for,
     network_commander,
-    tick_net_lanes,
+    start_network,
+    tick_networks,
 )
 
 PARKING = parking_policy(load_circuit("parking"))
@@ -46,15 +46,15 @@ def textbook(net, vector, observations):
 @pytest.mark.parametrize("policy", [PARKING, FOLLOWING], ids=["pose", "layers"])
 def test_every_lane_is_the_textbook_network(kind, policy):
     net, rng, count = net_for(policy, kind), np.random.default_rng(1), 5
-    lanes, layout = allocate_net_lanes(net, count), net.layout()
+    lanes, layout = allocate_networks(net, count), net.layout()
     vectors = rng.uniform(layout.lower, layout.upper, (count, layout.size)) / 3.0
     for lane in range(count):
-        fill_net_lane(net.program(), lanes, lane, vectors[lane])
+        start_network(lanes, lane, vectors[lane])
     observations = rng.uniform(-1.5, 1.5, (6, len(policy.sensing.inputs), count))
     got = []
     for seen in observations:
         commands = np.empty((2, count))
-        tick_net_lanes(net.program(), lanes, seen, commands)
+        tick_networks(lanes, seen, commands)
         got.append(commands)
     for lane in range(count):
         expected = textbook(net, vectors[lane], observations[:, :, lane])

@@ -1,48 +1,25 @@
 """The random searches on toy objectives: what they may do, what they must decide, and that they repeat."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from kit.toy_search import DEFAULTS, LAYOUT, POLICY, advance, returns, sphere
 
 from rover_ncp.circuit.circuit import ParameterKind
-from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout, parking_policy
-from rover_ncp.circuit.policy_file import load_circuit
+from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout
 from sim.learn.search.algorithm1 import ESTIMATE_AFTER, Algorithm1, Scale
 from sim.learn.search.published import RULES, Caps, Published
 from sim.learn.search.random_search import RandomSearch, perturb
-
-POLICY = parking_policy(load_circuit("parking"))
-LAYOUT = POLICY.layout()
-DEFAULTS = POLICY.parameters()
-WIDTH = LAYOUT.upper - LAYOUT.lower
-GOAL = LAYOUT.lower + WIDTH * np.random.default_rng(99).random(LAYOUT.size)
 
 Kind = type[RandomSearch[Any]]
 both = pytest.mark.parametrize("kind", [Published, Algorithm1])
 
 
-def sphere(vectors: np.ndarray) -> np.ndarray:
-    """0 at the goal, falling with the squared distance as a fraction of each parameter's range."""
-    return -np.sum(((vectors - GOAL) / WIDTH) ** 2, axis=1)
-
-
 def begin(kind: Kind, seed: int = 0) -> RandomSearch[Any]:
     return kind.begin(LAYOUT, DEFAULTS, np.random.default_rng(seed))
-
-
-def advance(
-    search: RandomSearch[Any],
-    iterations: int,
-    returns: Callable[[np.ndarray], np.ndarray] = sphere,
-    ahead: int = 1,
-) -> None:
-    while search.value is None or search.iterations < iterations:
-        left = max(iterations - search.iterations, 1)
-        search.tell(returns(search.ask(min(ahead, left))))
 
 
 def judge(search: RandomSearch[Any], value: float) -> np.ndarray:
@@ -76,15 +53,12 @@ def test_candidates_stay_in_bounds_and_failures_leave_incumbent_unchanged(
 @both
 def test_any_value_that_is_not_better_is_a_failure(kind: Kind) -> None:
     full, raced = begin(kind), begin(kind)
-    advance(full, 500)
-
-    def stopped_early(vectors: np.ndarray) -> np.ndarray:
-        values = sphere(vectors)
-        if raced.value is None or np.array_equal(vectors[0], raced.incumbent):
-            return values
-        return np.where(values > raced.value, values, raced.value - 1e9)
-
-    advance(raced, 500, stopped_early)
+    advance(full, 501, ahead=1)
+    while raced.evaluations < 501:
+        candidate = raced.ask()
+        [value] = returns(sphere(candidate))
+        estimate = raced.value is None or np.array_equal(candidate[0], raced.incumbent)
+        raced.tell([value if estimate or value > raced.value else raced.value - 1e9])
     assert raced.state() == full.state()
     without_a_number = begin(kind)
     judge(without_a_number, 1.0)
@@ -119,7 +93,7 @@ def test_caps_follow_published_rule(outcomes: str, caps: tuple[int, ...], failur
 
 def test_published_changes_have_published_numbers_and_sizes() -> None:
     """Wide bounds, so that no clamp hides what was drawn; many entries, so that hardly any is hit twice."""
-    size = 100_000
+    size = 5_000
     blocks = tuple(
         ParameterBlock(kind, slice(i * size, (i + 1) * size), -1e6, 1e6)
         for i, kind in enumerate(list(ParameterKind)[:5])

@@ -5,11 +5,13 @@ import fcntl
 import json
 import os
 import shlex
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from kit.folders import content
 from kit.paths import DATA
 
 from rover_ncp.circuit.policy import Policy
@@ -27,28 +29,16 @@ COURSE = DATA / "short_course.yaml"
 SETTINGS = TrainSettings(course=str(COURSE), seed=1, agents=2, iterations=150)
 
 
-@pytest.fixture(autouse=True)
-def _no_git(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Hide git: a commit during the tests would change the record."""
-    monkeypatch.setenv("PATH", "")
-
-
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run without interruption."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PATH", "")
-        out = tmp_path_factory.mktemp("reference") / "run"
-        run(out)
+    out = tmp_path_factory.mktemp("reference") / "run"
+    run(out)
     return out
 
 
 def run(out: Path, settings: TrainSettings = SETTINGS, **options: Any) -> TrainResult:
     return train(settings, out, processes=1, **options)
-
-
-def content(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 def test_a_run_leaves_these_files(reference: Path) -> None:
@@ -100,13 +90,6 @@ def test_run_that_ended_early_names_the_command_that_ends_there(tmp_path: Path) 
     assert exact.agents.returns == stopped.agents.returns
 
 
-def test_processes_change_nothing(reference: Path, tmp_path: Path) -> None:
-    result = train(SETTINGS, tmp_path / "two", processes=2)
-    assert content(tmp_path / "two") == content(reference)
-    assert result.iterations_per_s is not None
-    assert result.iterations_per_s > 0
-
-
 def test_resuming_a_complete_run_writes_the_same_bytes(reference: Path) -> None:
     before = content(reference)
     stamps = {name: (reference / name).stat().st_mtime_ns for name in before}
@@ -126,7 +109,6 @@ def test_dying_before_any_single_write_changes_nothing(
 ) -> None:
     """With a checkpoint every round: the death comes before the first write, the second, ... the last."""
     monkeypatch.setattr("sim.learn.run_folder._CHECKPOINT_SHARE", float("inf"))
-    monkeypatch.setattr("sim.learn.train.curve_png", lambda *_: b"drawing takes longest")
     left = 0
 
     def dying_write(path: Path, data: bytes | str) -> None:
@@ -137,7 +119,7 @@ def test_dying_before_any_single_write_changes_nothing(
         files.write_atomic(path, data)
 
     monkeypatch.setattr("sim.learn.run_folder.write_atomic", dying_write)
-    expected, deaths = content(reference) | {"curve.png": b"drawing takes longest"}, 0
+    expected, deaths = content(reference), 0
     while True:
         out, left = tmp_path / str(deaths), deaths
         try:
@@ -221,44 +203,38 @@ def test_a_course_that_changed_is_refused(tmp_path: Path) -> None:
         run(tmp_path / "run", settings, resume=True)
 
 
-def _other_agent(data: dict[str, Any]) -> None:
-    data["agent"] = 1
+def _other_value(agents: Path) -> None:
+    data = json.loads((agents / "00.json").read_text())
+    data["state"]["search"]["value"] -= 1.0
+    (agents / "00.json").write_text(json.dumps(data))
 
 
-def _other_value(data: dict[str, Any]) -> None:
-    data["search"]["value"] -= 1.0
+def _half(agents: Path) -> None:
+    (agents / "00.json").write_bytes((agents / "00.json").read_bytes()[:200])
 
 
-def _lost_key(data: dict[str, Any]) -> None:
-    del data["search"]["value"]
+def _other_agent(agents: Path) -> None:
+    shutil.copy(agents / "01.json", agents / "00.json")
 
 
-def _out_of_bounds(data: dict[str, Any]) -> None:
-    data["search"]["incumbent"][0] = 1e9
+def _other_run(agents: Path) -> None:
+    run(agents.parent.parent / "other", SETTINGS.model_copy(update={"seed": 2}))
+    shutil.copy(agents.parent.parent / "other" / "agents" / "00.json", agents)
 
 
-def _unknown_key(data: dict[str, Any]) -> None:
-    data["colour"] = "red"
+@pytest.mark.parametrize("damage", [_other_value, _half, _other_agent, _other_run])
+def test_a_damaged_or_foreign_agent_is_refused_by_name(
+    reference: Path, tmp_path: Path, damage: Callable[[Path], None]
+) -> None:
+    shutil.copytree(reference, tmp_path / "run")
+    damage(tmp_path / "run" / "agents")
+    with pytest.raises(FileError, match=r"00.json: damaged, or not of this run; delete it"):
+        run(tmp_path / "run", resume=True)
 
 
-@pytest.mark.parametrize("damage", [_other_agent, _other_value, _lost_key, _out_of_bounds, _unknown_key])
-def test_a_damaged_agent_is_refused_by_name(tmp_path: Path, damage: Any) -> None:
-    settings = SETTINGS.model_copy(update={"iterations": 20})
-    run(tmp_path, settings)
-    path = tmp_path / "agents" / "00.json"
-    data = json.loads(path.read_text())
-    damage(data)
-    path.write_text(json.dumps(data))
-    with pytest.raises(FileError, match=r"00.json: damaged, or not agent 0 of this run"):
-        run(tmp_path, settings, resume=True)
-
-
-def test_half_an_agent_is_refused_and_a_deleted_one_is_done_again(reference: Path) -> None:
-    before, path = content(reference), reference / "agents" / "01.json"
-    path.write_bytes(before["agents/01.json"][:200])
-    with pytest.raises(FileError, match=r"01.json: damaged"):
-        run(reference, resume=True)
-    path.unlink()
+def test_a_deleted_agent_is_done_again(reference: Path) -> None:
+    before = content(reference)
+    (reference / "agents" / "01.json").unlink()
     run(reference, resume=True)
     assert content(reference) == before
 
@@ -287,12 +263,6 @@ def test_a_curve_shows_iterations_of_two_digits_and_the_last(last: int, shown: l
     assert curve_iterations(last) == shown
 
 
-def test_the_papers_iterations_are_all_in_a_full_curve() -> None:
-    shown = curve_iterations(20_000)
-    assert {100, 500, 1000, 2000, 5000, 10_000, 20_000} < set(shown)
-    assert len(shown) < 300
-
-
 def agents_with(*curves: list[tuple[int, float]]) -> list[AgentState]:
     return [AgentState(n, {"value": curve[-1][1]}, tuple(curve)) for n, curve in enumerate(curves)]
 
@@ -314,10 +284,7 @@ def test_the_picture_depends_on_the_curves_alone() -> None:
     assert pictures[0] != pictures[2]
     assert pictures[0][:8] == b"\x89PNG\r\n\x1a\n"
     assert b"tEXt" not in pictures[0]  # where a version or a date would stand
-
-
-def test_a_perfect_return_can_be_drawn() -> None:
-    assert np.frombuffer(curve_png(agents_with([(0, 0.0)]), 0, "perfect"), np.uint8).size > 1000
+    assert curve_png(agents_with([(0, 0.0)]), 0, "a perfect return has no logarithm")
 
 
 def test_a_described_robot_is_trained_on_and_named_in_the_command(tmp_path: Path) -> None:

@@ -4,18 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from kit.toy_search import DEFAULTS, INERT, LAYOUT, POLICY, WIDTH
 
 from rover_ncp.circuit.circuit import ParameterKind
-from rover_ncp.circuit.compiled import dead_parameters
-from rover_ncp.circuit.policy import parking_policy
-from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.course.course import load_course
 from sim.learn.engine.evaluator import Evaluator
 from sim.learn.search.unit_box import UnitBox, reflected
-
-POLICY = parking_policy(load_circuit("parking"))
-LAYOUT = POLICY.layout()
-DEFAULTS = POLICY.parameters()
 
 
 def test_box_reaches_every_bound_and_returns_to_its_start() -> None:
@@ -37,23 +31,21 @@ def test_factors_go_by_their_logarithm_and_all_else_is_linear() -> None:
 
 
 def test_inert_parameters_keep_their_defaults() -> None:
-    inert = dead_parameters(POLICY)
-    box = UnitBox.of(LAYOUT, DEFAULTS, inert)
-    assert box.size == LAYOUT.size - inert.sum()
+    box = UnitBox.of(LAYOUT, DEFAULTS, INERT)
+    assert box.size == LAYOUT.size - INERT.sum()
     vectors = box.vectors(np.random.default_rng(0).random((5, box.size)))
-    assert (vectors[:, inert] == DEFAULTS[inert]).all()
-    assert (vectors[:, ~inert] != DEFAULTS[~inert]).all()
+    assert (vectors[:, INERT] == DEFAULTS[INERT]).all()
+    assert (vectors[:, ~INERT] != DEFAULTS[~INERT]).all()
 
 
 def test_inert_parameters_change_no_miss_and_all_others_do() -> None:
     rng = np.random.default_rng(1)
-    width = LAYOUT.upper - LAYOUT.lower
-    base = np.clip(DEFAULTS + 0.05 * width * rng.standard_normal(LAYOUT.size), LAYOUT.lower, LAYOUT.upper)
-    moves = np.where(base < LAYOUT.upper - 0.02 * width, 0.01, -0.01) * width
+    base = np.clip(DEFAULTS + 0.05 * WIDTH * rng.standard_normal(LAYOUT.size), LAYOUT.lower, LAYOUT.upper)
+    moves = np.where(base < LAYOUT.upper - 0.02 * WIDTH, 0.01, -0.01) * WIDTH
     vectors = np.concatenate([base + np.diag(moves), base[None]])
     _, residuals = Evaluator(POLICY, load_course("parking")).run(vectors)
     same = np.array([np.array_equal(row, residuals[-1]) for row in residuals[:-1]])
-    assert same.tolist() == dead_parameters(POLICY).tolist()
+    assert same.tolist() == INERT.tolist()
 
 
 def test_walls_reflect() -> None:

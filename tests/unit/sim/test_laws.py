@@ -8,7 +8,7 @@ import pytest
 from rover_ncp.course.course import load_course
 from rover_ncp.course.signals import REFERENCE_SIGNALS
 from sim.learn.engine.evaluator import Evaluator
-from sim.learn.engine.laws import KANAYAMA, LAWS, PURE_PURSUIT, SMOOTH, gain_box, law_command, law_commander
+from sim.learn.engine.laws import KANAYAMA, LAWS, PURE_PURSUIT, SMOOTH, law_command, law_commander
 from sim.world.described import default_rover
 from sim.world.randomization import draw_trials, load_randomization
 
@@ -60,9 +60,3 @@ def test_a_law_stands_still_below_its_thresholds(law):
     )
     asleep = np.array([*LAWS[law].tuned[:-2], 9.0, 9.0])
     assert engine.outcomes([asleep]).error_m[0, 0] == pytest.approx(math.hypot(*COURSE.goal[:2]))
-
-
-def test_a_tuning_begins_at_the_gains_set_by_hand():
-    box = gain_box(LAWS["kanayama"])
-    assert box.start == pytest.approx(0.5)
-    assert box.vectors(box.start[None])[0] == pytest.approx(LAWS["kanayama"].start)

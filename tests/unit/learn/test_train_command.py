@@ -1,0 +1,124 @@
+"""The train command in this process: what it prints, and what it refuses."""
+
+import json
+from pathlib import Path
+
+import pytest
+from kit.folders import content
+from kit.json_fields import assert_on_page
+from kit.paths import DATA
+
+from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
+from rover_ncp.cli import run
+from rover_ncp.core.config import dump_yaml
+from rover_ncp.course.course import load_course
+from sim.learn.engine.evaluator import Evaluator
+from sim.learn.progress import TrainProgress
+
+COURSE = DATA / "short_course.yaml"
+TRAIN = ["train", "--course", str(COURSE), "--processes", "1"]
+QUICK = [*TRAIN, "--agents", "2", "--iterations", "20"]
+
+
+def test_json_is_one_object_with_the_documented_fields(tmp_path, capsys):
+    assert run([*QUICK, "--seed", "4", "--out", str(tmp_path / "run"), "--json"]) == 0
+    printed = capsys.readouterr()
+    fields = json.loads(printed.out)
+    assert (printed.out.count("\n"), printed.err) == (1, "")
+    assert_on_page(fields, "train")
+    assert (fields["seed"], fields["agents"], fields["iterations"]) == (4, 2, 20)
+    assert fields["best_return"] == max(fields["returns"])
+    assert fields["median_return"] == pytest.approx(sum(fields["returns"]) / 2)
+    assert fields["iterations_per_s"] > 0
+    assert 0 < fields["wall_s"] < 120
+    policy = load_policy(fields["policy"])
+    score = Evaluator(policy, load_course(COURSE)).returns(policy.parameters()[None])[0]
+    assert score == fields["best_return"]
+
+
+def test_people_read_the_progress_the_return_and_where_the_policy_is(monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "120")
+    assert run([*QUICK, "--out", str(tmp_path / "run")]) == 0
+    printed = capsys.readouterr()
+    assert printed.out.startswith("best of 2 agents: return -")
+    assert str(tmp_path / "run" / "policy.yaml") in printed.out
+    best = load_policy(tmp_path / "run" / "policy.yaml").provenance["return"]
+    assert f"best {best:.4f}" in printed.err
+    assert "20/20" in printed.err
+
+
+def test_runs_without_a_folder_are_numbered_and_mistakes_leave_none(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for mistake in ("--randomize mld", "--randomize mild --worst 99 --rollouts 3", "--course prking"):
+        assert run(["train", *mistake.split()]) == 2
+    assert list(tmp_path.iterdir()) == []
+    Path("runs/train-1").mkdir(parents=True)
+    capsys.readouterr()
+    assert run([*QUICK, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["out"] == "runs/train-2"
+
+
+def test_resume_needs_no_options_and_refuses_others(tmp_path, capsys):
+    out = str(tmp_path / "run")
+    assert run([*QUICK, "--out", out]) == 0
+    before = content(tmp_path)
+    assert run(["train", "--out", out, "--resume"]) == 0
+    assert content(tmp_path) == before
+    assert run(["train", "--out", out, "--resume", "--seed", "9", "--agents", "2"]) == 2
+    assert "--seed was 0 when this run began, now 9" in capsys.readouterr().err
+    assert content(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--rollouts", "3"], "--rollouts needs --randomize or --task"),
+        (["--randomize", "full", "--agents", "3"], "--randomize and --agents do not go together"),
+        (["--randomize", "wild"], "none of the shipped randomizations"),
+        (["--randomize", "full", "--rollouts", "3", "--worst", "4"], "the worst 4 of 3 rollouts"),
+        (["--randomize", "full", "--circuit", "parking"], "no neuron 'REV'"),
+        (["--randomize", "full", "--out", "."], "is not empty"),
+    ],
+)
+def test_what_cannot_be_is_one_line(tmp_path, monkeypatch, capsys, arguments, expected):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "something").write_text("here")
+    assert run(["train", "--out", "run", *arguments]) == 2
+    err = capsys.readouterr().err
+    assert expected in err
+    assert err.count("\n") == 1
+
+
+def test_resuming_a_folder_of_strangers_imports_no_module_that_it_names(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "evil_task.py").write_text("from pathlib import Path\nPath('imported').touch()\n")
+    (tmp_path / "circuit.yaml").write_text(policy_to_yaml(load_policy("course")))
+    settings = {"task": "evil_task:Env-v0", "circuit": "circuit.yaml"}
+    record = {"format": 1, "command": "x", "settings": settings, "made_with": {}, "circuit": {}}
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "settings.yaml").write_text(dump_yaml(record))
+    assert run(["train", "--out", "run", "--resume"]) == 2
+    assert "name it again with --task, as MODULE:ID" in capsys.readouterr().err
+    assert not (tmp_path / "imported").exists()
+    # The command line names it: then it is imported, and holds no environment.
+    assert run(["train", "--out", "run", "--resume", "--task", "evil_task:Env-v0"]) == 2
+    assert (tmp_path / "imported").exists()
+
+
+@pytest.mark.parametrize("kind", [["--agents", "2"], ["--randomize", "mild", "--rollouts", "2"]])
+def test_moved_folder_of_a_run_is_an_error(kind, tmp_path, capsys, monkeypatch):
+    folder, moved = tmp_path / "run", tmp_path / "moved"
+
+    def move(*_):
+        if folder.exists():
+            folder.rename(moved)
+
+    monkeypatch.setattr(TrainProgress, "show", move)
+    courses = ["--random-courses", "0"] if "--randomize" in kind else []
+    assert run([*TRAIN, "--iterations", "60", *kind, *courses, "--out", str(folder)]) == 2
+    said = capsys.readouterr().err
+    assert f"rover-ncp: {folder}: was moved or removed during the training" in said
+    assert (moved / "settings.yaml").is_file()
+    assert not folder.exists()

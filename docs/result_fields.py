@@ -21,9 +21,7 @@ RESULTS = {
     "eval --trials --stack, besides": "sim.evaluate.results:StackResult",
     "eval --task, a benchmark of the paper": "sim.paper.score_file:BenchmarkResult",
     "eval --task, an environment": "sim.evaluate.results:EnvironmentResult",
-    "bench deploy": "sim.benchmarks.deploy:bench_deploy rates=:_measure rates=:latencies "
-    "rates.odometry_to_command_ms=:quantiles rates.bare_half_round_trip_ms=:quantiles "
-    "rates.tick_jitter_ms=:quantiles",
+    "bench deploy": "sim.benchmarks.deploy:BenchResult",
     "paper run": "sim.paper.commands:paper made=sim.paper.results:RunName made=sim.paper.commands:_make",
     "paper replay": "sim.paper.commands:_replay differ=sim.paper.results:RunName",
     "paper report": "claims=sim.paper.claims:Judged groups=sim.paper.report:coverage",

@@ -4,6 +4,8 @@ import signal
 from collections.abc import Collection
 from pathlib import Path
 
+from pydantic import BaseModel, Field
+
 from bridge.bases import choose_base, gate_limits, open_base
 from bridge.inbox import Inbox
 from bridge.node import Node
@@ -16,6 +18,21 @@ from rover_ncp.core.process import Interrupts, require_open_files
 INTERRUPTED = 130
 OPEN_FILES = 100
 """Zenoh and the line to the base use about 20, and each driver one: without any left, no driver connects."""
+
+
+class BridgeResult(BaseModel):
+    """Result of the command ``bridge``."""
+
+    zenoh: str = Field(description="the locator for drivers")
+    base: str = Field(description="its address")
+    bytes_to_base: int = Field(description="those of payloads, if the base is a ROS 2 robot")
+    bytes_from_base: int = Field(description="those of payloads, if the base is a ROS 2 robot")
+    accepted: int = Field(description="commands that the gate passed")
+    dropped: dict[str, int] = Field(description="commands, by reason")
+    limited: dict[str, int] = Field(description="commands, by reason")
+    stops: dict[str, int] = Field(description="by reason")
+    reconnects: int = Field(description="to the base")
+    flooded: int = Field(description="messages dropped because too many of their key or topic waited")
 
 
 def run_bridge(
@@ -61,19 +78,20 @@ def run_bridge(
         )
         node.run(lambda: interrupts.raised)
     status = ros_messages.gate_status(node.gate)
+    result = BridgeResult(
+        zenoh=link.locator,
+        base=base,
+        bytes_to_base=line.bytes_out,
+        bytes_from_base=line.bytes_in,
+        accepted=status.accepted,
+        dropped=status.dropped,
+        limited=status.limited,
+        stops=status.stops,
+        reconnects=max(node.reconnects, 0),
+        flooded=inbox.flooded,
+    )
     output.result(
-        {
-            "zenoh": link.locator,  #: the locator for drivers
-            "base": base,  #: its address
-            "bytes_to_base": line.bytes_out,  #: those of payloads, if the base is a ROS 2 robot
-            "bytes_from_base": line.bytes_in,  #: the same
-            "accepted": status.accepted,  #: commands that the gate passed
-            "dropped": status.dropped,  #: commands, by reason
-            "limited": status.limited,  #: commands, by reason
-            "stops": status.stops,  #: by reason
-            "reconnects": max(node.reconnects, 0),  #: to the base
-            "flooded": inbox.flooded,  #: messages dropped because too many of their key or topic waited
-        },
+        result.model_dump(),
         f"{status.accepted} commands passed, {sum(status.dropped.values())} dropped, "
         f"{sum(status.stops.values())} stops; {line.bytes_out} bytes to the base, {line.bytes_in} from it",
     )

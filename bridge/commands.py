@@ -112,12 +112,13 @@ def urdf(
 
     Its frames are those that the bridge publishes on tf_static.
     """
+    from bridge.ros2.urdf import UrdfResult
     from bridge.ros2.urdf import urdf as urdf_of
     from rover_ncp.core.console import Output
     from rover_ncp.robot.description import load_description
 
     text = urdf_of(load_description(model))
-    Output(json).result({"model": model, "urdf": text}, text.rstrip())
+    Output(json).result(UrdfResult(model=model, urdf=text).model_dump(), text.rstrip())
 
 
 def keys(
@@ -139,7 +140,7 @@ def keys(
     each role has only the rights that the table of keys grants. ca-key.pem signs certificates: keep it off
     the robot.
     """
-    from bridge.zenoh.credentials import make_credentials
+    from bridge.zenoh.credentials import KeysResult, make_credentials
     from rover_ncp.core.files import require_writable, write_atomic
 
     taken = [name.name for name in out.glob("*") if name.suffix in {".pem", ".json5"}] if out.is_dir() else []
@@ -151,8 +152,9 @@ def keys(
     files = make_credentials(hosts, namespace)
     for name, content in files.items():
         write_atomic(out / name, content, private=name != "ca.pem")
+    result = KeysResult(folder=str(out), files=sorted(files), hosts=hosts, namespace=namespace)
     Output(json).result(
-        {"folder": str(out), "files": sorted(files), "hosts": hosts, "namespace": namespace},
+        result.model_dump(),
         f"wrote {', '.join(sorted(files))} into {out}\n"
         f"the bridge may be called {', '.join(hosts)}\n"
         f"next, on the robot: rover-ncp bridge --base ... --zenoh-config {out}/bridge.json5\n"

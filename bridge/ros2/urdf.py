@@ -7,12 +7,21 @@ joints, whose states a node would have to publish.
 import math
 from xml.etree import ElementTree
 
+from pydantic import BaseModel, Field
+
 from bridge.ros2.messages import sensor_frames
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.messages import BASE_FRAME
 
 BODY, TYRE = "0.75 0.1 0.1 1", "0.1 0.1 0.1 1"
 """Colours as red, green, blue, opacity."""
+
+
+class UrdfResult(BaseModel):
+    """Result of the command ``urdf``."""
+
+    model: str = Field(description="the robot's description, by name or file")
+    urdf: str = Field(description="its text")
 
 
 def urdf(robot: RobotDescription) -> str:

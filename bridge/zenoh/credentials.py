@@ -19,8 +19,19 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+from pydantic import BaseModel, Field
 
 from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, Role, key
+
+
+class KeysResult(BaseModel):
+    """Result of the command ``keys``."""
+
+    folder: str = Field(description="where the files are")
+    files: list[str] = Field(description="the files that were written")
+    hosts: list[str] = Field(description="names and addresses of the bridge in its certificate")
+    namespace: str = Field(description="before all keys")
+
 
 PEERS = (Role.DRIVER, Role.VIEWER, Role.LOCALISER)
 """Roles that get a certificate to connect with."""

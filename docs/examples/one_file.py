@@ -77,11 +77,11 @@ def circuit_step(circuit: Circuit, potentials: np.ndarray, dt: float) -> np.ndar
     opened = 1.0 / (1.0 + np.exp(-circuit["sigma"] * (presynaptic - MIDPOINT_MV)))
     conductance = circuit["weight"] * np.where(IS_GAP, 1.0, opened)
     pull = np.where(IS_GAP, presynaptic, REVERSAL_MV)
-    inertia = circuit["capacitance"] / dt
+    c_per_dt = circuit["capacitance"] / dt
     numerator = (
-        inertia * potentials + circuit["leak"] * circuit["leak_potential"] + INTO @ (conductance * pull)
+        c_per_dt * potentials + circuit["leak"] * circuit["leak_potential"] + INTO @ (conductance * pull)
     )
-    return numerator / (inertia + circuit["leak"] + INTO @ conductance)
+    return numerator / (c_per_dt + circuit["leak"] + INTO @ conductance)
 
 
 # 2. From the pose to the touch neurons, from the motor neurons to the wheels.
@@ -152,9 +152,9 @@ class Rover:
         self.space.step(DT)
 
 
-def approach(value: float, target: float, most: float) -> float:
-    """Return ``value`` moved toward ``target`` by at most ``most``."""
-    return min(max(target, value - most), value + most)
+def approach(value: float, target: float, limit: float) -> float:
+    """Return ``value`` moved toward ``target`` by at most ``limit``."""
+    return min(max(target, value - limit), value + limit)
 
 
 # 4. The task: parallel parking by checkpoints.
@@ -216,7 +216,8 @@ def drive(circuit: Circuit, to_beat: float = -math.inf) -> Drive:
 
 # 5. The paper's search.
 
-# Noise at the start: changes, deviation. In an iteration: fewest and most changes, range of the deviation.
+# Noise before the search: changes, deviation. In an iteration: from 0 to a limit of changes, which is first
+# this initial limit and grows to this largest one; range of the deviation.
 NOISE = {
     "weight": (15, 0.5, 4, 12, 0.01, 0.4),
     "sigma": (10, 0.2, 3, 8, 0.01, 0.05),
@@ -246,8 +247,8 @@ def search(iterations: int, seed: int) -> tuple[Circuit, list[float]]:
     returns = [drive(best).total]
     for _ in range(iterations):
         candidate = {name: values.copy() for name, values in best.items()}
-        for name, (_, _, fewest, most, low, high) in NOISE.items():
-            changes = random.integers(min(fewest + widened, most), endpoint=True)
+        for name, (_, _, initial, largest, low, high) in NOISE.items():
+            changes = random.integers(min(initial + widened, largest), endpoint=True)
             perturb(candidate, name, changes, random.uniform(low, high), random)
         total = drive(candidate, returns[-1]).total
         if total > returns[-1]:

@@ -43,9 +43,9 @@ class _Synapse(StrictModel):
     kind: Literal["excitatory", "inhibitory", "gap"]
     """Chemical (the first two), or a gap junction."""
     source: str
-    """Neuron that opens the synapse."""
+    """Presynaptic neuron."""
     destination: str
-    """Neuron into which the current flows; a gap junction, too, feeds this one only."""
+    """Postsynaptic neuron; a gap junction, too, feeds this neuron only."""
     weight: float = _number(ParameterKind.WEIGHT, "Conductance when open")
     sigma: float | None = Field(
         default=None, description="Steepness of a chemical synapse, 0.05..0.5 1/mV; a gap junction has none"

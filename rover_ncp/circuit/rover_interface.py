@@ -11,7 +11,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.course import TICK_S
-from rover_ncp.course.signals import SIGNALS, needs_reference, signals
+from rover_ncp.course.signals import SIGNALS, needs_reference, signals, unknown_signals
 
 DEFAULT_SIGNALS = ("x", "y", "theta", "start")
 """Observation of a policy that names no signals."""
@@ -25,15 +25,11 @@ class RoverInterface:
 
     def __init__(self, policy: Policy | Sequence[str]) -> None:
         if isinstance(policy, Policy):
-            names, problems = policy.sensing.inputs, _problems(policy)
-            source, asks = f"policy {policy.circuit.name}", "unknown signals in its sensing"
+            source, names = f"policy {policy.circuit.name}", policy.sensing.inputs
+            problems = _problems(policy)
         else:
-            names, problems = tuple(policy), []
-            source, asks = "observation", "unknown signals"
-        if unknown := [name for name in names if name not in SIGNALS]:
-            known = ", ".join(SIGNALS)
-            problems.insert(0, f"{asks}: {', '.join(unknown)} (expected some of {known})")
-        if problems:
+            source, names, problems = "observation", tuple(policy), []
+        if problems := unknown_signals(names) + problems:
             raise ConfigError(source, problems)
         self.places = tuple(SIGNALS.index(name) for name in names)
         """Index of each input in ``SIGNALS``."""

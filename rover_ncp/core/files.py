@@ -4,7 +4,6 @@ import codecs
 import contextlib
 import errno
 import os
-import secrets
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -98,7 +97,7 @@ def write_atomic(
     """
     data = content.encode() if isinstance(content, str) else content
     # Named before it is made: Ctrl-C at any moment leaves nothing behind.
-    temporary = path.parent / f".{path.name}.{secrets.token_hex(4)}"
+    temporary = path.parent / f".{path.name}.{os.urandom(4).hex()}"
     mode = 0o600 if private else 0o666
     try:
         _make_folder(path.parent)

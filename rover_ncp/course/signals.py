@@ -5,6 +5,7 @@ the exported C takes the expression of the row, and the reference page its meani
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from rover_ncp.core.geometry import Pose, Velocity
@@ -34,6 +35,13 @@ TABLE = (
 )
 SIGNALS = tuple(signal.name for signal in TABLE)
 REFERENCE_SIGNALS = tuple(signal.name for signal in TABLE if signal.from_reference)
+
+
+def unknown_signals(names: Sequence[str]) -> list[str]:
+    """Return the problem of names that are no signals, in a list; empty if there are none."""
+    unknown = [name for name in names if name not in SIGNALS]
+    known = ", ".join(SIGNALS)
+    return [f"unknown signals: {', '.join(unknown)} (expected some of {known})"] if unknown else []
 
 
 def needs_reference(names: tuple[str, ...]) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import FAR_M
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX
-from rover_ncp.course.signals import SIGNALS
+from rover_ncp.course.signals import unknown_signals
 
 _RANGES = {
     "x": (-FAR_M, FAR_M),
@@ -26,8 +26,7 @@ ACTIONS: Any = gymnasium.spaces.Box(-_LIMITS, _LIMITS, dtype=np.float64)
 
 def observation_space(signals: Sequence[str] = ("x", "y", "theta", "start")) -> Any:
     """Return the space of the named signals (n,), in m, rad, m/s and rad/s. Raises ConfigError."""
-    if unknown := [name for name in signals if name not in SIGNALS]:
-        words = f"unknown signals: {', '.join(unknown)} (expected some of {', '.join(SIGNALS)})"
-        raise ConfigError("observation", [words])
+    if problems := unknown_signals(signals):
+        raise ConfigError("observation", problems)
     low, high = zip(*(_RANGES.get(name, (-np.inf, np.inf)) for name in signals), strict=True)
     return gymnasium.spaces.Box(np.array(low), np.array(high), dtype=np.float64)

@@ -34,12 +34,12 @@ def bench(
     from sim.benchmarks.deploy import bench_deploy
 
     output = Output(json)
-    fields = bench_deploy(seconds, output.say)
-    rates = [rate for rate in fields["rates"] if not rate["stopped"]]
+    found = bench_deploy(seconds, output.say)
     words = [
-        f"{rate['rate_hz']:.0f} Hz: {rate['above_bare_ms']['p99']:.2f} ms above the bare half round trip "
+        f"{rate.rate_hz:.0f} Hz: {rate.above_bare_ms.p99:.2f} ms above the bare half round trip "
         "(99th percentile)"
-        for rate in rates
+        for rate in found.rates
+        if rate.above_bare_ms is not None
     ]
-    output.result(fields, "\n".join(words) or "no rate was measured")
-    return 0 if len(rates) == len(fields["rates"]) and not fields["fastest"]["stopped"] else 1
+    output.result(found.model_dump(), "\n".join(words) or "no rate was measured")
+    return 0 if len(words) == len(found.rates) and not found.fastest.stopped else 1

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import psutil
 from numpy.typing import NDArray
+from pydantic import BaseModel, Field
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.runner import Runner
@@ -33,61 +34,109 @@ CIRCUIT_TICKS, CIRCUIT_REPEATS = 500, 20
 START_S, EXTRA_S = 120.0, 60.0
 
 
-def bench_deploy(seconds: float, say: Callable[[str], None]) -> dict[str, Any]:
+class Quantiles(BaseModel):
+    """Quantiles of times."""
+
+    p50: float = Field(description="median")
+    p99: float = Field(description="99th percentile")
+    max: float = Field(description="largest")
+    p99_9: float | None = Field(description="99.9th percentile, from 10,000 samples on")
+
+
+class Difference(BaseModel):
+    """Differences of quantiles."""
+
+    p50: float = Field(description="of the medians")
+    p99: float = Field(description="of the 99th percentiles")
+
+
+class DriveTicks(BaseModel):
+    """Ticks of a drive; all but its rate are null if it was not measured."""
+
+    rate_hz: float = Field(description="samples of odometry")
+    stopped: str | None = Field(default=None, description="why it was not measured")
+    ticks: int | None = Field(default=None, description="steps of control")
+    predicted: int | None = Field(default=None, description="ticks without fresh odometry")
+    missed: int | None = Field(default=None, description="ticks that did not run")
+    tick_rate_hz: float | None = Field(default=None, description="reached over the whole drive")
+    cpu_share: float | None = Field(default=None, description="of a core")
+
+
+class RateResult(DriveTicks):
+    """Ticks and delays of a drive; null if it was not measured."""
+
+    samples: int | None = Field(default=None, description="commands that were timed")
+    odometry_to_command_ms: Quantiles | None = Field(
+        default=None, description="from a sample's sending until the driver hands its command over"
+    )
+    bare_half_round_trip_ms: Quantiles | None = Field(
+        default=None, description="of the same bytes between two bare processes"
+    )
+    above_bare_ms: Difference | None = Field(default=None, description="their difference")
+    tick_jitter_ms: Quantiles | None = Field(
+        default=None, description="intervals between commands against the period"
+    )
+
+
+class BenchResult(BaseModel):
+    """Result of the command ``bench deploy``."""
+
+    cores: int | None = Field(description="that the machine has")
+    load_before: float = Field(description="load average of a minute")
+    circuit_us: float = Field(description="of a tick, median CPU time")
+    rates: list[RateResult] = Field(description="of 10, 50 and 100 Hz")
+    fastest: DriveTicks = Field(description="when 500 Hz are requested")
+    load_after: float = Field(description="load average of a minute")
+
+
+def bench_deploy(seconds: float, say: Callable[[str], None]) -> BenchResult:
     """Measure at each rate for so many seconds. A drive that fails or is stopped costs its rate alone."""
-    fields: dict[str, Any] = {"cores": os.cpu_count(), "load_before": os.getloadavg()[0]}
-    fields["circuit_us"] = _circuit_us()  #: of a tick, median CPU time
-    say(f"the circuit takes {fields['circuit_us']:.1f} µs a tick")
-    fields["rates"] = []  #: of 10, 50 and 100 Hz
+    load_before, circuit_us = os.getloadavg()[0], _circuit_us()
+    say(f"the circuit takes {circuit_us:.1f} µs a tick")
+    rates = []
     for rate_hz in RATES_HZ:
         measured = _try_rate(rate_hz, seconds, say, ping=True)
-        fields["rates"].append(measured)
-        if measured["stopped"]:
+        rates.append(measured)
+        ours, bare = measured.odometry_to_command_ms, measured.bare_half_round_trip_ms
+        if ours is None or bare is None:
             continue
-        ours, bare = (measured[f"{name}_ms"] for name in ("odometry_to_command", "bare_half_round_trip"))
         say(
-            f"{rate_hz:.0f} Hz: {ours['p50']:.2f} ms from odometry to command (99 %: {ours['p99']:.2f} ms); "
-            f"bare half round trip {bare['p50']:.2f} and {bare['p99']:.2f} ms; "
-            f"{measured['cpu_share']:.0%} of a core"
+            f"{rate_hz:.0f} Hz: {ours.p50:.2f} ms from odometry to command (99 %: {ours.p99:.2f} ms); "
+            f"bare half round trip {bare.p50:.2f} and {bare.p99:.2f} ms; {measured.cpu_share:.0%} of a core"
         )
     fastest = _try_rate(FASTEST_HZ, min(seconds, FASTEST_S), say, ping=False)
-    fields["fastest"] = {  #: when 500 Hz are requested
-        "stopped": fastest["stopped"],  #: why it was not measured; then the other values are null
-        **{
-            name: fastest.get(name)
-            for name in ("rate_hz", "ticks", "predicted", "missed", "tick_rate_hz", "cpu_share")
-        },
-    }
-    if not fastest["stopped"]:
+    if not fastest.stopped:
         say(
-            "{rate_hz:.0f} Hz requested: {tick_rate_hz:.1f} ticks a second, {missed} missed".format(**fastest)
+            f"{FASTEST_HZ:.0f} Hz requested: {fastest.tick_rate_hz:.1f} ticks a second, "
+            f"{fastest.missed} missed"
         )
-    fields["load_after"] = os.getloadavg()[0]  #: of the machine, over a minute
-    return fields
+    return BenchResult(
+        cores=os.cpu_count(),
+        load_before=load_before,
+        circuit_us=circuit_us,
+        rates=rates,
+        fastest=DriveTicks.model_validate(fastest.model_dump()),
+        load_after=os.getloadavg()[0],
+    )
 
 
-def quantiles(times_ms: Sequence[float] | NDArray[np.float64]) -> dict[str, float]:
-    """Return the median, 99 % and maximum; also 99.9 % where there are enough samples."""
-    found = {
-        "p50": float(np.percentile(times_ms, 50)),
-        "p99": float(np.percentile(times_ms, 99)),
-        "max": float(np.max(times_ms)),
-    }
-    if len(times_ms) >= P999_SAMPLES:
-        found["p99_9"] = float(np.percentile(times_ms, 99.9))
-    return found
+def quantiles(times_ms: Sequence[float] | NDArray[np.float64]) -> Quantiles:
+    """Return quantiles; 99.9 % where there are enough samples."""
+    p50, p99, p99_9 = np.percentile(times_ms, [50, 99, 99.9]).tolist()
+    enough = len(times_ms) >= P999_SAMPLES
+    return Quantiles(p50=p50, p99=p99, max=float(np.max(times_ms)), p99_9=p99_9 if enough else None)
 
 
-def _try_rate(rate_hz: float, seconds: float, say: Callable[[str], None], *, ping: bool) -> dict[str, Any]:
+def _try_rate(rate_hz: float, seconds: float, say: Callable[[str], None], *, ping: bool) -> RateResult:
     """Measure at a rate; on a busy machine a safety rule may stop the drive."""
     try:
         return _measure(rate_hz, seconds, ping=ping)
     except (ProcessError, TimedOut) as error:
         say(f"{rate_hz:.0f} Hz: not measured: {error}")
-        return {"rate_hz": rate_hz, "stopped": str(error)}
+        return RateResult(rate_hz=rate_hz, stopped=str(error))
 
 
-def _measure(rate_hz: float, seconds: float, *, ping: bool) -> dict[str, Any]:
+def _measure(rate_hz: float, seconds: float, *, ping: bool) -> RateResult:
     ticks, module = round(seconds * rate_hz), "sim.benchmarks.programs"
     with tempfile.TemporaryDirectory() as name, ExitStack() as running:
         folder = Path(name)
@@ -108,13 +157,12 @@ def _measure(rate_hz: float, seconds: float, *, ping: bool) -> dict[str, Any]:
         if done.code not in {0, 1}:
             raise driver.failure()
     drive = done.result
-    return {
-        "rate_hz": rate_hz,  #: samples of odometry
-        "stopped": None,  #: why it was not measured; then there are no other values
+    return RateResult(
+        rate_hz=rate_hz,
         **{field: drive[field] for field in ("ticks", "predicted", "missed", "tick_rate_hz")},
-        "cpu_share": (cpu_s[-1][0] - cpu_s[0][0]) / (cpu_s[-1][1] - cpu_s[0][1]),  #: of a core
+        cpu_share=(cpu_s[-1][0] - cpu_s[0][0]) / (cpu_s[-1][1] - cpu_s[0][1]),
         **(latencies(peer.moments, rate_hz) if ping else {}),
-    }
+    )
 
 
 def latencies(moments: Moments, rate_hz: float) -> dict[str, Any]:
@@ -127,11 +175,11 @@ def latencies(moments: Moments, rate_hz: float) -> dict[str, Any]:
     bare = quantiles((np.array(moments.pongs[:pairs]) - np.array(moments.pings[:pairs])) / 2e6)
     jitter = np.abs(np.diff(commands) - 1e9 / rate_hz) / 1e6
     return {
-        "samples": len(commands),  #: commands that were timed
-        "odometry_to_command_ms": ours,  #: from a sample's sending until the driver hands its command over
-        "bare_half_round_trip_ms": bare,  #: of the same bytes between two bare processes
-        "above_bare_ms": {name: ours[name] - bare[name] for name in ("p50", "p99")},  #: their difference
-        "tick_jitter_ms": quantiles(jitter),  #: intervals between commands against the period
+        "samples": len(commands),
+        "odometry_to_command_ms": ours,
+        "bare_half_round_trip_ms": bare,
+        "above_bare_ms": Difference(p50=ours.p50 - bare.p50, p99=ours.p99 - bare.p99),
+        "tick_jitter_ms": quantiles(jitter),
     }
 
 

@@ -4,7 +4,7 @@ import dataclasses
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -204,26 +204,23 @@ def _drive_once(options: EvalOptions) -> int:
     from rover_ncp.course.course import load_course
     from rover_ncp.robot.description import load_description
     from sim.evaluate.evaluate import fitted_courses
+    from sim.evaluate.results import DriveOnceResult
     from sim.learn.engine.driver import load_driver
     from sim.learn.engine.rollout import rollout
     from sim.world.described import described_rover
 
     robot = None if options.model is None else load_description(options.model)
-    (course,), fitted = fitted_courses([load_course(name) for name in options.courses], robot)
+    (course,), scaled = fitted_courses([load_course(name) for name in options.courses], robot)
     driver, model = load_driver(options.policy), described_rover(robot) if robot else None
     run = rollout(driver.signals, course, model, runner=driver.runner())
     verdict = run.verdict
-    fields = {
-        "return": run.total,  #: the paper's; 0 is out of reach
-        **vars(verdict),
-        "rms_m": run.rms_m,  #: of the distances to the checkpoints, each when it was judged
-        "model": options.model,
-        **fitted,
-    }
+    result = DriveOnceResult(
+        return_=run.total, **vars(verdict), rms_m=run.rms_m, model=options.model, scaled=scaled
+    )
     ending = "parked" if verdict.parked else f"not parked: {verdict.reason}"
     Output(options.json).result(
-        fields,
-        "".join(f"{line}\n" for line in fitted["scaled"])
+        result.model_dump(by_alias=True),
+        "".join(f"{line}\n" for line in scaled)
         + f"{ending}; return {run.total:.4f}; final errors {1000 * verdict.error_m:.0f} mm and "
         f"{1000 * verdict.error_rad:.0f} mrad; {1000 * run.rms_m:.0f} mm rms from the checkpoints",
     )
@@ -235,37 +232,40 @@ def _drive_trials(options: EvalOptions) -> int:
     from rover_ncp.course.course import load_course
     from rover_ncp.robot.description import load_description
     from sim.evaluate.evaluate import evaluate, fitted_courses, unseen_courses
+    from sim.evaluate.results import TrialsResult
     from sim.evaluate.trial_runs import evaluate_stack, result_words
     from sim.learn.engine.driver import load_driver
     from sim.stack.trials import Stack
     from sim.world.described import described_rover, ranges_for
 
-    output, more, seed = Output(options.json), dict[str, Any](), options.seed
+    output, seed, in_stack = Output(options.json), options.seed, None
     robot = None if options.model is None else load_description(options.model)
     if options.random_courses:
         courses = unseen_courses(seed, options.random_courses)
     else:
         courses = [load_course(name) for name in options.courses]
-    courses, fitted = fitted_courses(courses, robot)
+    courses, scaled = fitted_courses(courses, robot)
     ranges = ranges_for(options.randomization, options.profile, options.body, robot)
     trials, driver = options.trials or 1, load_driver(options.policy)
     if options.stack:
         gyro, camera = _sensors(options.sensors, robot)
         stack = Stack(driver, tuple(courses), ranges, seed, gyro, camera, options.identify, robot)
-        found, more = evaluate_stack(stack, trials, options.processes, output)
+        found, in_stack = evaluate_stack(stack, trials, options.processes, output)
     else:
         model = described_rover(robot) if robot else None
         found = evaluate(driver, courses, ranges, trials=trials, seed=seed, model=model)
-    fields = found._asdict() | {
-        "randomize": options.randomization or ranges.name,  #: the name or file of the randomization
-        "model": options.model,
-        **fitted,
-        "body": options.body.value,  #: the simulator's
-        "seed": seed,  #: root seed
-        "random_courses": options.random_courses or 0,  #: how many
-        "course": ",".join(options.courses),  #: several are joined by commas
-    }
-    output.result(fields | more, "\n".join([*fitted["scaled"], *result_words(found, more)]))
+    result = TrialsResult(
+        **vars(found),
+        randomize=options.randomization or ranges.name,
+        model=options.model,
+        scaled=scaled,
+        body=options.body.value,
+        seed=seed,
+        random_courses=options.random_courses or 0,
+        course=",".join(options.courses),
+    )
+    fields = result.model_dump() | (in_stack.model_dump() if in_stack else {})
+    output.result(fields, "\n".join([*scaled, *result_words(found, in_stack)]))
     return 1 if found.trials == 1 and found.success_rate < 1 else 0
 
 
@@ -302,16 +302,17 @@ def _play_task(options: EvalOptions, task: str) -> int:
         return _play_environment(options, task, trials)
     found = score_circuit(options.policy, task, options.range_ or [], trials, options.seed)
     Output(options.json).result(
-        found,
-        f"{task}: return {found['return']:.2f} ± {found['std']:.2f} in {found['episodes']} episodes, "
-        f"{found['successes']} of them successful",
+        found.model_dump(by_alias=True),
+        f"{task}: return {found.return_:.2f} ± {found.std:.2f} in {found.episodes} episodes, "
+        f"{found.successes} of them successful",
     )
-    return 1 if trials == 1 and not found["success"] else 0
+    return 1 if trials == 1 and not found.success else 0
 
 
 def _play_environment(options: EvalOptions, task: str, trials: int) -> int:
     """Play a Gymnasium environment; return 1 if a single episode was played and no success."""
     from rover_ncp.circuit.policy_file import load_policy
+    from sim.evaluate.results import EnvironmentResult
     from sim.learn.engine.environment import make_environment
     from sim.learn.environment_run import score_task
     from sim.paper.tasks import TASKS
@@ -323,6 +324,8 @@ def _play_environment(options: EvalOptions, task: str, trials: int) -> int:
     except UsageError as error:
         raise UsageError(f"no task {task}: it is none of {', '.join(TASKS)}; {error}") from error
     score = score_task(task, load_policy(options.policy), trials, options.seed, environment)
-    fields = {"task": task, "episodes": trials, "return": score.mean, "std": score.std}
-    Output(options.json).result(fields | {"successes": score.successes}, f"{task}: {score}")
+    result = EnvironmentResult(
+        task=task, episodes=trials, return_=score.mean, std=score.std, successes=score.successes
+    )
+    Output(options.json).result(result.model_dump(by_alias=True), f"{task}: {score}")
     return 1 if trials == 1 and score.successes == 0 else 0

@@ -2,10 +2,11 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, Field
 
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.errors import UsageError
@@ -31,18 +32,18 @@ _SHOWN = 5
 """Largest number of lines about scaled courses; random courses may be many."""
 
 
-class Spread(NamedTuple):
-    """Median, 95th percentile and largest of an error."""
+class Spread(BaseModel):
+    """Quantiles of an error."""
 
-    p50: float
-    p95: float
-    max: float
+    p50: float = Field(description="median")
+    p95: float = Field(description="95th percentile")
+    max: float = Field(description="largest")
 
     @classmethod
     def of(cls, errors: NDArray[np.float64]) -> "Spread":
         """Return the spread of errors (n,)."""
         p50, p95 = np.percentile(errors, [50, 95]).tolist()
-        return cls(p50, p95, float(errors.max()))
+        return cls(p50=p50, p95=p95, max=float(errors.max()))
 
 
 class Ended(NamedTuple):
@@ -53,17 +54,15 @@ class Ended(NamedTuple):
     reason: str
 
 
-class Evaluation(NamedTuple):
+class Evaluation(BaseModel):
     """How trials ended; errors of all of them, parked or not, in m and rad."""
 
-    trials: int
-    success_rate: float
-    success_ci95: tuple[float, float]
-    """Wilson's interval."""
-    error_m: Spread
-    error_rad: Spread
-    failures: dict[str, int]
-    """First reason, in the order of ``Course.judge``: how many."""
+    trials: int = Field(description="how many")
+    success_rate: float = Field(description="share of trials that parked")
+    success_ci95: tuple[float, float] = Field(description="Wilson's 95 % interval")
+    error_m: Spread = Field(description="final position error")
+    error_rad: Spread = Field(description="final heading error")
+    failures: dict[str, int] = Field(description="by the first condition that was missed: number of trials")
 
 
 def evaluate(
@@ -185,8 +184,8 @@ def unseen_courses(seed: int, count: int) -> list[Course]:
 
 def fitted_courses(
     courses: Sequence[Course], robot: RobotDescription | None
-) -> tuple[list[Course], dict[str, Any]]:
-    """Return courses fitted to a robot, if one is named, and the result's fields about both."""
+) -> tuple[list[Course], list[str]]:
+    """Return courses fitted to a robot, if one is named, and a line on each change."""
     fitted, changes = list(courses), list[str]()
     if robot is not None:
         for place, course in enumerate(courses):
@@ -194,7 +193,7 @@ def fitted_courses(
             fitted[place], pace = slowed(larger, robot)
             changes += filter(None, (size, pace))
     more = [f"and {len(changes) - _SHOWN} more courses"] if len(changes) > _SHOWN else []
-    return fitted, {"scaled": changes[:_SHOWN] + more}
+    return fitted, changes[:_SHOWN] + more
 
 
 def _enlarged(course: Course, robot: RobotDescription) -> tuple[Course, str]:

@@ -97,7 +97,9 @@ def stored_policy(task: Task, runs: Path = RUNS) -> tuple[str, Policy]:
     """Return the best stored circuit of one of the paper's tasks, and its name. Raises UsageError."""
     results = ResultStore(runs).results(task.name, "circuit")
     if not results:
-        raise UsageError(f"no circuit is stored for {task.name}: rover-ncp paper run --task {task.name}")
+        raise UsageError(
+            f"{runs}: no circuit is stored for {task.name}: rover-ncp paper run --task {task.name}"
+        )
     best = max(results, key=lambda result: (result.success, result.mean))
     untrained = build_agent(task, "circuit", best.name.seed)
     assert isinstance(untrained, Policy)

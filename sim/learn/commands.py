@@ -247,6 +247,7 @@ class _Run(NamedTuple):
 def _train_ensemble(run: _Run, settings: "TrainSettings") -> None:
     """Train agents on one course."""
     from sim.learn.record import resolve_task
+    from sim.learn.results import TrainResult
     from sim.learn.train import train as run_training
 
     resolve_task(settings)  # before a folder is made, so that a typo leaves none behind
@@ -259,22 +260,22 @@ def _train_ensemble(run: _Run, settings: "TrainSettings") -> None:
             cluster=run.cluster,
             on_progress=show,
         )
-    fields = {
-        "returns": result.agents.returns,  #: by agent
-        "best_return": result.agents.best.value,  #: of all agents
-        "median_return": result.agents.median_return,  #: of all agents
+    found = TrainResult(
         **vars(result.verdict),
-        "wall_s": result.wall_s,  #: how long it took
-        "iterations_per_s": result.iterations_per_s,  #: of all agents together, without start-up
-        "seed": settings.seed,  #: root seed
-        "agents": settings.agents,  #: how many
-        "iterations": result.agents.iterations,  #: of each agent
-        "out": str(out),  #: the folder
-        "policy": str(result.policy_path),  #: the best agent's file
-    }
+        returns=result.agents.returns,
+        best_return=result.agents.best.value,
+        median_return=result.agents.median_return,
+        wall_s=result.wall_s,
+        iterations_per_s=result.iterations_per_s,
+        seed=settings.seed,
+        agents=settings.agents,
+        iterations=result.agents.iterations,
+        out=str(out),
+        policy=str(result.policy_path),
+    )
     how = "parks" if result.verdict.parked else f"does not park: {result.verdict.reason}"
     run.output.result(
-        fields,
+        found.model_dump(),
         f"best of {settings.agents} agents: return {result.agents.best.value:.4f}, {how} "
         f"(median {result.agents.median_return:.4f}; {result.wall_s:.1f} s)\n{result.policy_path}",
     )
@@ -282,35 +283,42 @@ def _train_ensemble(run: _Run, settings: "TrainSettings") -> None:
 
 def _train_robust(run: _Run, settings: "RobustSettings") -> None:
     """Train on random trials."""
+    from sim.learn.results import RobustResult
     from sim.learn.robust_run import start_of, train_robust
 
     start_of(settings)  # before a folder is made, so that a typo leaves none behind
     with run.progress(settings) as (out, show):
         result = train_robust(settings, out, resume=run.resume, processes=run.processes, on_generation=show)
-    fields = settings.model_dump() | {
-        "generations": result.last.iterations,  #: how many were made
-        "cost": result.last.best,  #: lowest of the last generation
-        "policy": str(result.path),  #: its file
-    }
+    found = RobustResult(
+        **settings.model_dump(),
+        generations=result.last.iterations,
+        cost=result.last.best,
+        policy=str(result.path),
+    )
     run.output.result(
-        fields, f"cost {result.last.best:.3f} after {result.last.iterations} generations\n{result.path}"
+        found.model_dump(),
+        f"cost {result.last.best:.3f} after {result.last.iterations} generations\n{result.path}",
     )
 
 
 def _train_task(run: _Run, settings: "TaskSettings") -> None:
     """Train on a Gymnasium environment, and score the policy in fresh episodes."""
     from sim.learn.environment_run import score_task, start_of, train_task
+    from sim.learn.results import TaskResult
 
     start_of(settings)  # before a folder is made, so that a typo leaves none behind
     with run.progress(settings) as (out, show):
         result = train_task(settings, out, resume=run.resume, processes=run.processes, on_generation=show)
     score = score_task(settings.task, result.policy)
-    fields = settings.model_dump() | {
-        "generations": result.last.iterations,  #: how many were made
-        "return": score.mean,  #: mean of the policy in fresh episodes
-        "std": score.std,
-        "episodes": score.episodes,  #: how many scored the policy
-        "successes": score.successes,  #: episodes that reach the environment's threshold; null without one
-        "policy": str(result.path),  #: its file
-    }
-    run.output.result(fields, f"{score} after {result.last.iterations} generations\n{result.path}")
+    found = TaskResult(
+        **settings.model_dump(),
+        episodes=score.episodes,
+        return_=score.mean,
+        std=score.std,
+        successes=score.successes,
+        generations=result.last.iterations,
+        policy=str(result.path),
+    )
+    run.output.result(
+        found.model_dump(by_alias=True), f"{score} after {result.last.iterations} generations\n{result.path}"
+    )

@@ -86,12 +86,12 @@ class Outcome:
 class Judged(StrictModel):
     """A claim with its verdict."""
 
-    name: str
-    words: str
-    where: str
-    verdict: Verdict
-    figure: str
-    why: str
+    name: str = Field(description="short name of the claim")
+    words: str = Field(description="what the paper says")
+    where: str = Field(description="section, table or figure of the paper")
+    verdict: Verdict = Field(description="reproduced, differs, inconclusive or not tested")
+    figure: str = Field(description="what was measured")
+    why: str = Field(description="the reason of the verdict, or a deviation")
 
     @property
     def text(self) -> str:

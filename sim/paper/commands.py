@@ -104,6 +104,7 @@ def paper(
         rover-ncp paper run --budget published --task parking
     """
     from sim.paper.agents import AGENTS
+    from sim.paper.command_results import MadeResult
     from sim.paper.results import ResultStore
     from sim.paper.selection import select
 
@@ -126,28 +127,30 @@ def paper(
         minutes = 5.0 if checkpoint is None else checkpoint
         options = {"circuit": circuit, "cluster": cluster, "every_s": 60.0 * minutes}
         made = _make(output, store, left, processes, options)
-    output.result({"made": made, "found": len(names) - len(left)}, f"{len(made)} runs made")
+    result = MadeResult(made=made, found=len(names) - len(left))
+    output.result(result.model_dump(), f"{len(made)} runs made")
     return 0
 
 
 def _make(
     output: Output, store: Any, names: list[Any], processes: int | None, options: dict[str, Any]
-) -> list[dict[str, Any]]:
+) -> list[Any]:
     """Make runs; return a summary of each."""
     from rover_ncp.core.files import require_writable
     from sim.learn.workers import available_processes
+    from sim.paper.command_results import MadeRun
     from sim.paper.runs import make_runs
 
-    made: list[dict[str, Any]] = []
+    made: list[MadeRun] = []
 
     def on_result(result: Any) -> None:
         made.append(
-            {
-                "path": str(store.path(result.name.task, result.name.budget)),  #: its file
+            MadeRun(
+                path=str(store.path(result.name.task, result.name.budget)),
                 **result.name.model_dump(),
                 **{name: getattr(result, name) for name in ("mean", "std", "plain_mean", "success")},
                 **{name: getattr(result, name) for name in ("cpu_s", "steps", "ended")},
-            }
+            )
         )
         outcome = "" if result.success else ", no success"
         output.say(
@@ -164,6 +167,7 @@ def _report(output: Output, store: Any, *, long: bool, curves: Path | None, budg
     """Print the report; write the learning curves of a budget if wanted."""
     from rover_ncp.core.files import require_writable, write_atomic
     from sim.paper.claims import judge_claims, load_claims
+    from sim.paper.command_results import ReportResult
     from sim.paper.curves import curves_png
     from sim.paper.report import coverage, long_report, short_report
 
@@ -173,12 +177,13 @@ def _report(output: Output, store: Any, *, long: bool, curves: Path | None, budg
     file = load_claims()
     judged = judge_claims(store, file.claims)
     text = long_report(store, judged) if long else short_report(store, file, judged)
-    output.result({"claims": [each.model_dump() for each in judged], "groups": coverage(store)}, text)
+    output.result(ReportResult(claims=judged, groups=coverage(store)).model_dump(), text)
     return 0
 
 
 def _replay(output: Output, store: Any, names: list[Any]) -> int:
     """Score stored parameters again; exit 1 if a verdict or a return differs."""
+    from sim.paper.command_results import DifferentRun, ReplayResult
     from sim.paper.runs import agrees, replay
 
     differ, replayed, exact = [], 0, 0
@@ -190,11 +195,11 @@ def _replay(output: Output, store: Any, names: list[Any]) -> int:
         replayed += 1
         exact += all(getattr(result, field) == value for field, value in found.items())
         if not agrees(result, found):
-            differ.append({**name.model_dump(), "stored": result.mean, "replayed": found["mean"]})
+            differ.append(DifferentRun(**name.model_dump(), stored=result.mean, replayed=found["mean"]))
     if not replayed:
         raise UsageError(f"{store.folder}: has no such runs to replay")
     output.result(
-        {"replayed": replayed, "exact": exact, "differ": differ},
+        ReplayResult(replayed=replayed, exact=exact, differ=differ).model_dump(),
         f"{replayed} runs replayed, {exact} to the last bit, {len(differ)} differ",
     )
     return 1 if differ else 0

@@ -11,6 +11,7 @@ from rover_ncp.core.files import read_text
 from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import AGENTS, GRADIENTS, LIQUID
 from sim.paper.claims import ClaimsFile, Judged, Test, Verdict
+from sim.paper.command_results import Group
 from sim.paper.interpretation import drives, readings, time_constants
 from sim.paper.results import Result, ResultStore
 from sim.paper.selection import grid
@@ -49,11 +50,13 @@ def long_report(store: ResultStore, judged: Sequence[Judged]) -> str:
     claims = [(claim.name, claim.words, claim.where, claim.text, claim.figure) for claim in judged]
     runs = [
         (
-            *(str(row[key]) for key in ("budget", "task", "agent")),
-            f"{row['made']} of {row['runs']}",
-            f"{row['cpu_s']:.0f}",
-            _counts(row["ended"]),
-            _counts(row["commits"]),
+            str(row.budget),
+            row.task,
+            row.agent,
+            f"{row.made} of {row.runs}",
+            f"{row.cpu_s:.0f}",
+            _counts(row.ended),
+            _counts(row.commits),
         )
         for row in coverage(store)
     ]
@@ -200,7 +203,7 @@ def robots_table(store: ResultStore) -> str:
     return markdown(rows)
 
 
-def coverage(store: ResultStore) -> list[dict[str, Any]]:
+def coverage(store: ResultStore) -> list[Group]:
     """Return each group of the grid: how many of its runs exist, and the commits that made them."""
     rows = []
     for budget in (*FAITHFUL, BudgetName.DEFAULT):
@@ -208,16 +211,16 @@ def coverage(store: ResultStore) -> list[dict[str, Any]]:
             runs = store.results(group.task, group.agent, budget)
             commits = Counter(_short(run.made_with.get("commit", "unknown")) for run in runs)
             rows.append(
-                {
-                    "budget": str(budget),
-                    "task": group.task,
-                    "agent": group.agent,
-                    "made": len(runs),  #: finished runs
-                    "runs": group.runs,  #: runs that the grid wants
-                    "commits": dict(commits),  #: by commit: number of runs
-                    "ended": dict(Counter(run.ended for run in runs)),  #: by reason: number of runs
-                    "cpu_s": sum(run.cpu_s for run in runs),
-                }
+                Group(
+                    budget=budget,
+                    task=group.task,
+                    agent=group.agent,
+                    made=len(runs),
+                    runs=group.runs,
+                    commits=commits,
+                    ended=Counter(run.ended for run in runs),
+                    cpu_s=sum(run.cpu_s for run in runs),
+                )
             )
     return rows
 

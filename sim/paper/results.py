@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FileError
@@ -21,10 +21,12 @@ RESULTS = Path("results")
 class RunName(StrictModel):
     """Coordinates of a run in the grid."""
 
-    task: str
-    agent: str
-    seed: int
-    budget: BudgetName = BudgetName.DEFAULT
+    task: str = Field(description="its name")
+    agent: str = Field(description="circuit, network or search of the paper")
+    seed: int = Field(description="of random numbers")
+    budget: BudgetName = Field(
+        default=BudgetName.DEFAULT, description="how long a run may take: quick, default or published"
+    )
 
     def __str__(self) -> str:
         return f"{self.budget} {self.task} {self.agent} {self.seed}"

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_start
 from rover_ncp.core.errors import ConfigError, UsageError
+from sim.learn.results import EpisodesResult
 from sim.learn.search.base import draw_seeds
 from sim.paper.evaluator import Evaluator
 from sim.paper.tasks import Benchmark, find_task
@@ -16,9 +17,18 @@ from sim.paper.tasks import Benchmark, find_task
 EPISODES = 100
 
 
+class BenchmarkResult(EpisodesResult):
+    """Score of a circuit in one of the paper's benchmarks; returns have the task's bonus, if it has one."""
+
+    task: str = Field(description="its name")
+    plain_return: float = Field(description="Gymnasium's")
+    success: bool = Field(description="whether the mean is past the threshold")
+    ranges: dict[str, float] = Field(description="of the sensors, by name")
+
+
 def score_circuit(
     file: str, task_name: str, ranges: Sequence[str] = (), episodes: int = EPISODES, seed: int = 0
-) -> dict[str, Any]:
+) -> BenchmarkResult:
     """Return the score of a circuit in episodes of a task, with other sensor ranges if such are given.
 
     Raises as `benchmark_policy`.
@@ -30,17 +40,16 @@ def score_circuit(
     vectors = np.tile(policy.parameters(), (episodes, 1))
     found = Evaluator(task, policy).run(vectors, draw_seeds(seed, (0,), episodes))
     returns, plain = found[:, :2].sum(axis=1), found[:, 0]
-    return {
-        "task": task_name,  #: its name
-        "episodes": episodes,  #: how many
-        "return": float(returns.mean()),  #: mean, with the bonus where the task has one
-        "std": float(returns.std()),
-        "plain_return": float(plain.mean()),  #: Gymnasium's
-        "successes": int((plain >= task.success).sum()),  #: episodes past the task's threshold
-        "success": bool(plain.mean() >= task.success),  #: whether the mean is past it
-        #: of the sensors, by name
-        "ranges": {channel.name: max(end for _, end in channel.sides) for channel in policy.sensing.channels},
-    }
+    return BenchmarkResult(
+        task=task_name,
+        episodes=episodes,
+        return_=float(returns.mean()),
+        std=float(returns.std()),
+        plain_return=float(plain.mean()),
+        successes=int((plain >= task.success).sum()),
+        success=bool(plain.mean() >= task.success),
+        ranges={channel.name: max(end for _, end in channel.sides) for channel in policy.sensing.channels},
+    )
 
 
 def benchmark_policy(file: str, task: Benchmark) -> Policy:

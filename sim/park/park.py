@@ -10,7 +10,8 @@ import shutil
 import signal
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+
+from pydantic import BaseModel, Field
 
 from deploy.view.page import drive_page
 from deploy.view.pictures import drive_picture, render
@@ -45,6 +46,44 @@ _DEPLOY_EXTRA_S = 300.0
 """For the start of the driver on a slow and busy machine."""
 
 
+class ParkTraining(BaseModel):
+    """Result of the training within ``park``."""
+
+    best_return: float = Field(description="of all agents")
+    returns: list[float] = Field(description="of each agent")
+    iterations: int = Field(description="of each agent")
+    iterations_per_s: float | None = Field(description="of all agents together")
+
+    def __str__(self) -> str:
+        return f"best return {self.best_return:.4f} after {self.iterations} iterations"
+
+
+class NotTrained(BaseModel):
+    """Result of the command ``park`` when no agent parks in simulation."""
+
+    parked: bool = Field(description="the verdict on the true pose")
+    reason: str = Field(description="why it did not park, or empty")
+    train: ParkTraining | None = Field(description="null with --policy")
+
+
+class ParkResult(NotTrained):
+    """Result of the command ``park`` after the drive."""
+
+    true_error_m: float = Field(description="distance to the last checkpoint at the end")
+    true_error_rad: float = Field(description="difference of its heading then")
+    estimate_error_m: float | None = Field(description="as deploy reports it")
+    estimate_error_rad: float | None = Field(description="as deploy reports it")
+    ticks: int = Field(description="as deploy reports them")
+    overruns: int = Field(description="as deploy reports them")
+    recording: str = Field(description="with the true pose as truth/pose")
+    picture: str = Field(description="of the true path")
+    report: str = Field(description="the page of the drive")
+    policy: str = Field(description="its name or file")
+    pids: dict[str, int] = Field(description="process ids of mock, bridge and deploy")
+    bytes_to_base: int | None = Field(description="over the bridge's line")
+    bytes_from_base: int | None = Field(description="over the bridge's line")
+
+
 def run_park(output: Output, options: ParkOptions) -> int:
     """Run ``park`` and return its exit code. Raises RoverNcpError when training or a process fails."""
     policy, course, model = options.policy, options.course, options.model
@@ -54,7 +93,7 @@ def run_park(output: Output, options: ParkOptions) -> int:
     slow_course, pace = slowed(load_course(course), robot)
     for name in ("run.mcap", f"log/{TRUTH}"):  # before a long training
         require_creatable(out / name, overwrite=overwrite)
-    training: dict[str, Any] | None = None
+    training: ParkTraining | None = None
     if policy is None and form != PIONEER:
         policy = TRACKING_POLICY
     if policy is None:
@@ -63,12 +102,12 @@ def run_park(output: Output, options: ParkOptions) -> int:
         )
         if reason:
             output.result(
-                {"parked": False, "reason": f"no agent parks: {reason}", "train": training},
-                f"not parked: no agent parks in simulation: {reason} ({_summary(training)}; the limit is "
+                NotTrained(parked=False, reason=f"no agent parks: {reason}", train=training).model_dump(),
+                f"not parked: no agent parks in simulation: {reason} ({training}; the limit is "
                 f"{ITERATIONS}); try another --seed, or a trained policy: --policy {TRACKING_POLICY}",
             )
             return 1
-        output.say(f"{_summary(training)}: it parks in simulation")
+        output.say(f"{training}: it parks in simulation")
     RoverInterface(load_policy(policy))  # one that drives no rover is found before anything is started
     recording, picture, report = out / "run.mcap", out / "trajectory.png", out / "run.html"
     ros2 = [] if form == PIONEER else ["--ros2"]
@@ -101,28 +140,27 @@ def run_park(output: Output, options: ParkOptions) -> int:
     write_atomic(picture, render(drive_picture(slow_course, true_path, estimates, outline_of(robot)), "png"))
     write_atomic(report, drive_page(drive))
     verdict = judge_truth(slow_course, truth, began_ns).with_contact(done.result["contact"] or "")
-    fields = {
-        "parked": verdict.parked,  #: the verdict on the true pose
-        "reason": verdict.reason,  #: why it did not park, or empty
-        "true_error_m": verdict.error_m,  #: distance to the last checkpoint at the end
-        "true_error_rad": verdict.error_rad,  #: difference of its heading then
-        **{
-            #: as deploy reports it
-            name: done.result[name]
-            for name in ("estimate_error_m", "estimate_error_rad", "ticks", "overruns")
-        },
-        "recording": str(recording),  #: with the true pose as truth/pose
-        "picture": str(picture),  #: of the true path
-        "report": str(report),  #: the page of the drive
-        "policy": policy,  #: its name or file
-        #: process ids of mock, bridge and deploy
-        "pids": {process.command: process.pid for process in run.processes},
-        **{name: bridge.result.get(name) for name in ("bytes_to_base", "bytes_from_base")},
-        "train": training,  #: null with --policy
-    }
+    result = ParkResult(
+        parked=verdict.parked,
+        reason=verdict.reason,
+        train=training,
+        true_error_m=verdict.error_m,
+        true_error_rad=verdict.error_rad,
+        estimate_error_m=done.result["estimate_error_m"],
+        estimate_error_rad=done.result["estimate_error_rad"],
+        ticks=done.result["ticks"],
+        overruns=done.result["overruns"],
+        recording=str(recording),
+        picture=str(picture),
+        report=str(report),
+        policy=policy,
+        pids={process.command: process.pid for process in run.processes},
+        bytes_to_base=bridge.result.get("bytes_to_base"),
+        bytes_from_base=bridge.result.get("bytes_from_base"),
+    )
     ending = "parked" if verdict.parked else f"not parked: {verdict.reason}"
     output.result(
-        fields,
+        result.model_dump(),
         f"{ending}; true final errors {1000 * verdict.error_m:.0f} mm and "
         f"{1000 * verdict.error_rad:.0f} mrad\n"
         f"picture: {picture}\nrecording: {recording}\nreport: {report}",
@@ -132,10 +170,10 @@ def run_park(output: Output, options: ParkOptions) -> int:
 
 def _train(
     output: Output, course: str, model: str, seed: int, folder: Path, *, overwrite: bool
-) -> tuple[dict[str, Any], str, str]:
+) -> tuple[ParkTraining, str, str]:
     """Train until the best agent parks with room to spare, for `ITERATIONS` at most.
 
-    Returns JSON fields, the policy's file, and the reason why the best agent does not park, if it does not.
+    Returns the training, the policy's file, and the reason why the best agent does not park, if it does not.
     """
     # The shipped settings name no robot for a 3-AT.
     described = None if model == DEFAULT_ROBOT else model
@@ -149,17 +187,13 @@ def _train(
             on_progress=progress.show,
             stop_when=_stop_rule(course_of(settings), settings.rover),
         )
-    fields = {
-        "best_return": result.agents.best.value,  #: of all agents
-        "returns": result.agents.returns,  #: of each agent
-        "iterations": result.agents.iterations,  #: of each agent
-        "iterations_per_s": result.iterations_per_s,  #: of all agents together
-    }
-    return fields, str(result.policy_path), result.verdict.reason
-
-
-def _summary(training: dict[str, Any]) -> str:
-    return f"best return {training['best_return']:.4f} after {training['iterations']} iterations"
+    training = ParkTraining(
+        best_return=result.agents.best.value,
+        returns=result.agents.returns,
+        iterations=result.agents.iterations,
+        iterations_per_s=result.iterations_per_s,
+    )
+    return training, str(result.policy_path), result.verdict.reason
 
 
 def _stop_rule(course: Course, rover: RoverModel) -> Callable[[Snapshot, Policy], bool]:

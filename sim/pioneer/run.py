@@ -6,6 +6,9 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, Field
 
 from bridge.pioneer.odometry import ROBOTS
 from bridge.ros2.discovery import Convention
@@ -29,6 +32,43 @@ from sim.world.randomization import Randomization
 
 FROM_STDIN = "-"
 """In place of a fault: read more faults from standard input."""
+
+
+class TruePose(BaseModel):
+    """Pose of the simulated rover."""
+
+    x: float = Field(description="in m")
+    y: float = Field(description="in m")
+    theta: float = Field(description="its heading in rad")
+
+
+class MockResult(BaseModel):
+    """Result of the command ``mock``."""
+
+    listen: str = Field(description="its address")
+    model: str = Field(description="the robot's description")
+    bytes_in: int = Field(description="of commands")
+    bytes_out: int = Field(description="of reports")
+    touched: bool = Field(description="whether the rover touched anything")
+    pose: TruePose = Field(description="the true one at the end")
+    truth: str | None = Field(description="the file of true poses")
+
+
+class PioneerMockResult(MockResult):
+    """Result of the mock of a Pioneer."""
+
+    connections: int = Field(description="on the line; a Pioneer's, as the other counters")
+    packets: int = Field(description="that were received whole")
+    bad_checksums: int = Field(description="packets that were dropped for it")
+    skipped_bytes: int = Field(description="between packets")
+    unknown_commands: int = Field(description="commands that a Pioneer does not have")
+    bad_arguments: int = Field(description="known commands with an argument of a wrong kind or size")
+
+
+class Ros2MockResult(MockResult):
+    """Result of the mock of a ROS 2 robot."""
+
+    ignored: int = Field(description="commands that were not applied, with --ros2")
 
 
 def run_mock(
@@ -84,33 +124,37 @@ def run_mock(
             server.serve(lambda: interrupts.raised, fault_lines)
     finally:
         server.close()
-    pose = rover.pose
-    came = f"{server.bytes_in} bytes of commands"
+    x, y, theta = rover.pose
+    fields: dict[str, Any] = {
+        "listen": f"{server.host}:{server.port}",
+        "model": model,
+        "bytes_in": server.bytes_in,
+        "bytes_out": server.bytes_out,
+        "touched": server.touched,
+        "pose": TruePose(x=x, y=y, theta=theta),
+        "truth": str(truth) if truth else None,
+    }
+    result: PioneerMockResult | Ros2MockResult
     if isinstance(server, Server):
-        came = f"{server.connections} connections, {server.firmware.decoder.packets} packets"
+        result = _of_pioneer(server, fields)
+        came = f"{result.connections} connections, {result.packets} packets"
+    else:
+        result = Ros2MockResult(**fields, ignored=server.robot.ignored)
+        came = f"{result.bytes_in} bytes of commands"
     output.result(
-        {
-            "listen": f"{server.host}:{server.port}",  #: its address
-            "model": model,  #: the description
-            "bytes_in": server.bytes_in,  #: of commands
-            "bytes_out": server.bytes_out,  #: of reports
-            **(_of_firmware(server) if isinstance(server, Server) else {"ignored": server.robot.ignored}),
-            "touched": server.touched,  #: whether the rover touched anything
-            "pose": {"x": pose.x, "y": pose.y, "theta": pose.theta},  #: the true one at the end, m and rad
-            "truth": str(truth) if truth else None,  #: the file of true poses
-        },
-        f"{came}; the rover stands at x={pose.x:.3f} m, y={pose.y:.3f} m, theta={pose.theta:.3f} rad",
+        result.model_dump(), f"{came}; the rover stands at x={x:.3f} m, y={y:.3f} m, theta={theta:.3f} rad"
     )
 
 
-def _of_firmware(server: Server) -> dict[str, int]:
-    """Return the counters of a Pioneer's line."""
+def _of_pioneer(server: Server, fields: dict[str, Any]) -> PioneerMockResult:
+    """Return the result with the counters of a Pioneer's line."""
     firmware = server.firmware
-    return {
-        "connections": server.connections,  #: not with --ros2, as the other counters
-        "packets": firmware.decoder.packets,
-        "bad_checksums": firmware.decoder.bad_checksums,
-        "skipped_bytes": firmware.decoder.skipped_bytes,
-        "unknown_commands": sum(firmware.unknown.values()),
-        "bad_arguments": sum(firmware.bad_arguments.values()),
-    }
+    return PioneerMockResult(
+        **fields,
+        connections=server.connections,
+        packets=firmware.decoder.packets,
+        bad_checksums=firmware.decoder.bad_checksums,
+        skipped_bytes=firmware.decoder.skipped_bytes,
+        unknown_commands=sum(firmware.unknown.values()),
+        bad_arguments=sum(firmware.bad_arguments.values()),
+    )

@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from pydantic import BaseModel, Field
 from scipy.stats import chi2
 
 from deploy.drive.control_loop import Drive, Phase
@@ -28,6 +29,32 @@ class Belief(NamedTuple):
     """Normalised innovation squared of the external poses, as `deploy` reports it."""
 
 
+class Percentiles(BaseModel):
+    """Percentiles of an error."""
+
+    p50: float = Field(description="median")
+    p95: float = Field(description="95th percentile")
+
+
+class MeanNis(BaseModel):
+    """Mean normalised innovation squared."""
+
+    standing: float | None = Field(description="while the rover stood")
+    moving: float | None = Field(description="while it moved")
+
+
+class EstimateSummary(BaseModel):
+    """The driver's estimates in many drives, against the truth."""
+
+    error_m: Percentiles | None = Field(description="of the driver's estimate at the goal")
+    predicted_error_m: Percentiles | None = Field(description="as deploy predicts it, without external poses")
+    inside: dict[str, float | None] = Field(
+        description="share of drives whose true position is inside the 50 % and the 95 % ellipse"
+    )
+    nis: MeanNis = Field(description="mean normalised innovation squared of external poses")
+    verdict_agrees: float = Field(description="share of drives of which the driver's verdict is the true one")
+
+
 def belief_of(drive: Drive, pose: Pose) -> Belief:
     """Return the belief of a driver whose rover ended at the true ``pose``."""
     error_m = squared = math.nan
@@ -41,45 +68,45 @@ def belief_of(drive: Drive, pose: Pose) -> Belief:
     return Belief(drive.phase is Phase.PARKED, error_m, squared, predicted_m, nis)
 
 
-def summary(beliefs: Sequence[Belief], parked: Sequence[bool]) -> dict[str, Any]:
-    """Return the estimates of drives that truly ended ``parked`` or not, as numbers for JSON."""
+def summary(beliefs: Sequence[Belief], parked: Sequence[bool]) -> EstimateSummary:
+    """Return the estimates of drives that truly ended ``parked`` or not."""
     squared = np.array([belief.squared for belief in beliefs if math.isfinite(belief.squared)])
-    return {
-        #: of the driver's estimate at the goal, against the truth
-        "error_m": _percentiles([belief.error_m for belief in beliefs]),
-        #: as deploy predicts it, without external poses
-        "predicted_error_m": _percentiles([belief.predicted_m for belief in beliefs]),
-        "inside": {  #: share of drives whose true position is inside the 50 % and the 95 % ellipse
+    return EstimateSummary(
+        error_m=_percentiles([belief.error_m for belief in beliefs]),
+        predicted_error_m=_percentiles([belief.predicted_m for belief in beliefs]),
+        inside={
             f"{share:.0%}": float(np.mean(squared <= chi2.ppf(share, 2))) if len(squared) else None
             for share in ELLIPSES
         },
-        #: mean normalised innovation squared of external poses, while the rover stood and moved
-        "nis": {name: _mean([belief.nis[name] for belief in beliefs]) for name in ("standing", "moving")},
-        #: share of drives of which the driver's verdict is the true one
-        "verdict_agrees": float(np.mean([belief.parked for belief in beliefs] == np.array(parked))),
-    }
+        nis=MeanNis(
+            standing=_mean([belief.nis["standing"] for belief in beliefs]),
+            moving=_mean([belief.nis["moving"] for belief in beliefs]),
+        ),
+        verdict_agrees=float(np.mean([belief.parked for belief in beliefs] == np.array(parked))),
+    )
 
 
-def words(fields: dict[str, Any]) -> Iterator[str]:
+def words(found: EstimateSummary) -> Iterator[str]:
     """Yield lines about a `summary`."""
-    error, predicted, inside = fields["error_m"], fields["predicted_error_m"], fields["inside"]
+    error, inside = found.error_m, found.inside
     if error is not None:
         yield (
-            f"estimate against truth: median {1000 * error['p50']:.0f}, 95th percentile "
-            f"{1000 * error['p95']:.0f} mm; inside its 50 % ellipse {inside['50%']:.0%}, "
+            f"estimate against truth: median {1000 * error.p50:.0f}, 95th percentile "
+            f"{1000 * error.p95:.0f} mm; inside its 50 % ellipse {inside['50%']:.0%}, "
             f"its 95 % ellipse {inside['95%']:.0%}"
         )
-    if predicted is not None:
-        yield f"predicted before the drive, without external poses: {1000 * predicted['p50']:.0f} mm in 95 %"
-    yield f"the driver's own verdict agrees with the truth: {fields['verdict_agrees']:.1%}"
+    if found.predicted_error_m is not None:
+        predicted_mm = 1000 * found.predicted_error_m.p50
+        yield f"predicted before the drive, without external poses: {predicted_mm:.0f} mm in 95 %"
+    yield f"the driver's own verdict agrees with the truth: {found.verdict_agrees:.1%}"
 
 
-def _percentiles(values: Sequence[float]) -> dict[str, float] | None:
+def _percentiles(values: Sequence[float]) -> Percentiles | None:
     known = [value for value in values if math.isfinite(value)]
     if not known:
         return None
     p50, p95 = np.percentile(known, [50, 95]).tolist()
-    return {"p50": p50, "p95": p95}
+    return Percentiles(p50=p50, p95=p95)
 
 
 def _mean(values: Sequence[float | None]) -> float | None:

@@ -1,5 +1,4 @@
 import json
-import os
 import re
 import subprocess
 import sys
@@ -11,19 +10,23 @@ import typer
 from rover_ncp import cli
 from rover_ncp.core.errors import NoBridge, SafetyStop, UsageError
 
-COMMANDS = sorted(point.name for point in entry_points(group=cli.GROUP))
+MODULES = {point.name: point.module for point in entry_points(group=cli.GROUP)}
 NO_BRIDGE = "--robot tcp/127.0.0.1:1"
 HEAVY = ["numba", "pymunk", "filterpy", "gymnasium", "matplotlib", "plotly", "zenoh", "rosbags", "scipy"]
 
 
-# Prints, for each command line, the exit code, the help, and the modules that are loaded by then.
+# Prints, for each command, the exit code of its help, the help, and the modules that are loaded by then.
 HELP = """
-import contextlib, io, json, sys
+import contextlib, io, json, os, sys
+import typer._adapters, typer.rich_utils
 from rover_ncp.cli import run
 for command in json.loads(sys.argv[1]):
-    with contextlib.redirect_stdout(io.StringIO()) as out:
-        code = run([*command, "--help"])
-    print(json.dumps([code, out.getvalue(), sorted(sys.modules)]))
+    if not (child := os.fork()):
+        with contextlib.redirect_stdout(io.StringIO()) as out:
+            code = run([*command.split(), "--help"])
+        print(json.dumps([code, out.getvalue(), sorted(sys.modules)]), flush=True)
+        os._exit(0)
+    os.waitpid(child, 0)
 """
 
 
@@ -34,44 +37,32 @@ def python(arguments, **how):
     )
 
 
-def help_of(commands):
-    """Ask for help on command lines, in one process; return (exit code, help, loaded modules) of each."""
-    done = python(["-c", HELP, json.dumps(commands)])
+def test_help_teaches_and_a_command_imports_nothing_heavy_and_no_other_command():
+    done = python(["-c", HELP, json.dumps(["", *MODULES])])
     assert done.stderr == ""
-    return [json.loads(line) for line in done.stdout.splitlines()]
-
-
-def test_help_teaches_and_imports_nothing_heavy():
-    answers = help_of([[], *[[name] for name in COMMANDS]])
-    assert len(answers) == 1 + len(COMMANDS)
-    for name, (code, text, loaded) in zip(["", *COMMANDS], answers, strict=True):
+    answers = [json.loads(line) for line in done.stdout.splitlines()]
+    for name, (code, text, loaded) in zip(["", *MODULES], answers, strict=True):
         assert (code, [module for module in HEAVY if module in loaded]) == (0, []), name
         assert "Usage: rover-ncp" in text
-        assert "--json" in text or not name
-
-
-@pytest.mark.parametrize("name", ["park", "train", "bench", "deploy", "report", "recover"])
-def test_a_command_imports_no_other_commands_module(name):
-    modules = {point.name: point.module for point in entry_points(group=cli.GROUP)}
-    [(_, _, loaded)] = help_of([[name]])
-    assert modules[name] in loaded
-    assert set(modules.values()) & set(loaded) == {modules[name]}
-
-
-def rover_ncp(*arguments, **environment):
-    """Run the command as a user does; return its output."""
-    return python(["-m", "rover_ncp", *arguments], env={**os.environ, **environment}).stdout
+        if name:
+            assert "--json" in text
+            assert set(MODULES.values()) & set(loaded) == {MODULES[name]}
 
 
 def test_the_version_is_that_of_the_distribution():
-    assert rover_ncp("--version") == f"rover-ncp {version('rover-ncp')}\n"
+    assert python(["-m", "rover_ncp", "--version"]).stdout == f"rover-ncp {version('rover-ncp')}\n"
 
 
-def test_shells_complete_commands_and_options():
-    asked = {"_ROVER_NCP_COMPLETE": "complete_bash", "COMP_WORDS": "rover-ncp tr", "COMP_CWORD": "1"}
-    assert rover_ncp(**asked).split() == ["train"]
-    asked |= {"COMP_WORDS": "rover-ncp train --ag", "COMP_CWORD": "2"}
-    assert rover_ncp(**asked).split() == ["--agents"]
+@pytest.mark.parametrize(
+    ("typed", "expected"), [("rover-ncp tr", "train"), ("rover-ncp train --ag", "--agents")]
+)
+def test_shells_complete_commands_and_options(typed, expected, monkeypatch, capsys):
+    monkeypatch.setenv("_ROVER_NCP_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", typed)
+    monkeypatch.setenv("COMP_CWORD", str(typed.count(" ")))
+    with pytest.raises(SystemExit):
+        cli.run([])
+    assert capsys.readouterr().out.split() == [expected]
 
 
 @pytest.fixture
@@ -139,14 +130,14 @@ NEEDS = {
         f"teleop {NO_BRIDGE}",
     ],
     "drive": [
-        f"deploy {NO_BRIDGE}",
+        f"deploy {NO_BRIDGE} --policy parking",
         "replay no.mcap",
         "identify no.mcap",
         "course check parking",
         "export no.yaml --to c --out exported",
         "export parking --to c --out exported",
     ],
-    "drive,report": [f"watch {NO_BRIDGE} --port 0", "report no.mcap"],
+    "drive,report": [f"watch {NO_BRIDGE} --port 0 --policy parking", "report no.mcap"],
     "keys": ["keys --out keys"],
     "train": [
         "train --course no.yaml",
@@ -161,46 +152,61 @@ NEEDS = {
 WITHOUT = """
 import json, os, sys
 from importlib.abc import MetaPathFinder
+import typer._adapters, typer.rich_utils
 from rover_ncp import cli
-
-missing, lines = json.loads(sys.argv[1])
+from rover_ncp.wire import zenoh
 
 class Missing(MetaPathFinder):
     def find_spec(self, name, path, target=None):
         if name.split(".")[0] in missing:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
-sys.meta_path.insert(0, Missing())
-for line in lines:
-    print("$", line, file=sys.stderr)
-    cli.run(line.split())
+zenoh.CLIENT["connect/timeout_ms"] = 100
+for missing, lines in json.loads(sys.argv[1]):
+    if "numba" not in missing:
+        import filterpy.kalman, numba, scipy.optimize, scipy.stats  # the extra "drive", once for all forks
+    if not (child := os.fork()):
+        sys.meta_path.insert(0, Missing())
+        for line in lines:
+            print("$", line, file=sys.stderr)
+            cli.run(line.split())
+        sys.stderr.flush()
+        os._exit(0)
+    os.waitpid(child, 0)
+    print("#", file=sys.stderr, flush=True)
 """
 
 
-def without(missing, lines, folder):
-    """Run command lines, one after the other, where these libraries cannot be found; return what they say."""
-    asked = json.dumps([sorted(missing), lines])
-    done = python(["-c", WITHOUT, asked], cwd=folder, stdin=subprocess.DEVNULL)
-    return [part.split("\n", 1) for part in done.stderr.split("$ ")[1:]]
+def brought(extras):
+    """Return the extras that a user has who installs these."""
+    return {*extras.split(","), *["drive"] * ("train" in extras)}
 
 
-def test_a_missing_library_names_an_extra_of_the_command_in_one_line(tmp_path):
-    lines = [line for extras, lines in NEEDS.items() if extras for line in lines]
-    told = without(cli._EXTRAS, lines, tmp_path)
-    assert [line for line, _ in told] == lines
-    for extras, own in NEEDS.items():
-        expected = "|".join([*extras.split(","), *["drive"] * ("train" in extras)])
-        for line, words in told:
-            if line in own:
-                pattern = rf"rover-ncp: \w+ is not installed: .* the extra ({expected}), as .*\n"
-                assert re.fullmatch(pattern, words), line
+@pytest.fixture(scope="module")
+def errors(tmp_path_factory):
+    """What the lines of NEEDS print: without any extra, and of each group with its extras."""
+    tasks = [(list(cli._EXTRAS), [line for extras, lines in NEEDS.items() if extras for line in lines])]
+    for extras, lines in NEEDS.items():
+        missing = {library for library, extra in cli._EXTRAS.items() if extra not in brought(extras)}
+        # Two extras bring matplotlib.
+        tasks.append((sorted(missing - ({"matplotlib"} if "report" in extras else set())), lines))
+    folder = tmp_path_factory.mktemp("extras")
+    done = python(["-c", WITHOUT, json.dumps(tasks)], cwd=folder, stdin=subprocess.DEVNULL)
+    answers = done.stderr.split("#\n")[:-1]
+    found = [dict(part.split("\n", 1) for part in answer.split("$ ")[1:]) for answer in answers]
+    assert [list(each) for each in found] == [lines for _, lines in tasks]
+    return dict(zip(["none", *NEEDS], found, strict=True))
+
+
+def test_a_missing_library_names_an_extra_of_the_command_in_one_line(errors):
+    for extras, lines in NEEDS.items():
+        expected = "|".join(brought(extras))
+        for line in lines if extras else ():
+            pattern = rf"rover-ncp: \w+ is not installed: .* the extra ({expected}), as .*\n"
+            assert re.fullmatch(pattern, errors["none"][line]), line
 
 
 @pytest.mark.parametrize("extras", NEEDS)
-def test_the_extras_that_are_named_are_enough(extras, tmp_path):
-    brought = set(extras.split(",")) | ({"drive"} if "train" in extras else set())
-    missing = {library for library, extra in cli._EXTRAS.items() if extra not in brought}
-    if "report" in brought:
-        missing -= {"matplotlib"}  # of both
-    for line, words in without(missing, NEEDS[extras], tmp_path):
+def test_the_extras_that_are_named_are_enough(extras, errors):
+    for line, words in errors[extras].items():
         assert "is not installed" not in words, line

@@ -11,71 +11,62 @@ import pytest
 from kit.paths import DATA, ROOT
 from kit.recorded_drives import write_drive
 
-from rover_ncp.cli import run
+from rover_ncp.cli import _app, get_command, run
+from rover_ncp.wire.zenoh import CLIENT
 
 LONG = "x" * 300
 ROBOT = "--robot tcp/127.0.0.1:1"
 BASE = "--base tcp/127.0.0.1:1"
 SHORT = DATA / "short_course.yaml"
 
-# Where a file is read: {} is in the place of its name.
-READERS = [
-    "park --policy {}",
-    "park --course {}",
-    "train --course {}",
-    "train --circuit {}",
-    "train --randomize {}",
-    "train --randomize mild --profile {}",
-    "train --resume --out {}",
-    "eval {}",
-    "eval course --course {}",
-    "eval course --randomize {}",
-    "eval course --profile {}",
-    "mock --course {}",
-    "mock --randomize {}",
-    "mock --profile {}",
-    f"bridge {BASE} --limits {{}}",
-    f"bridge {BASE} --zenoh-config {{}}",
-    f"deploy {ROBOT} --policy {{}}",
-    f"deploy {ROBOT} --course {{}}",
-    f"deploy {ROBOT} --profile {{}}",
-    f"deploy {ROBOT} --zenoh-config {{}}",
-    f"check --on-blocks {ROBOT} --zenoh-config {{}}",
-    "identify {}",
-    f"identify {ROBOT} --zenoh-config {{}}",
-    "course check {}",
-    "course new {}.csv --out new.yaml",
-    "replay {}",
-    "recover {}",
-    "explain {}",
-    "report {}",
-    f"watch {ROBOT} --policy {{}}",
-    f"watch {ROBOT} --course {{}}",
-    f"watch {ROBOT} --port 0 --zenoh-config {{}}",
-    "paper run --task parking --seed 0 --circuit {}",
-]
-# Where files are written.
-WRITERS = [
-    "park --policy parking --out {}",
-    "train --out {}",
-    f"deploy {ROBOT} --record {{}}",
-    f"identify {ROBOT} --record {{}}",
-    "identify drive.mcap --out {}",
-    "mock --truth {}",
-    "course check parking --out {}.png",
-    "course new poses.csv --name mine --out {}.yaml",
-    "explain parking --out {}",
-    "report drive.mcap --out {}",
-    "recover drive.mcap --out {}",
-    "keys --out {}",
-    "paper report --curves {}",
-    "paper run --task parking --agent circuit --seed 0 --again --budget quick --results {}",
-]
+# The line of a command in which {} is an option and its value, or an argument, if only that one is wrong.
+LINES = {
+    "bridge": f"bridge {BASE} {{}}",
+    "bridge --base-zenoh-config": "bridge --base ros2/tcp/127.0.0.1:1 --model husky-a200 {}",
+    "check": f"check --on-blocks {ROBOT} {{}}",
+    "course": "course check parking {}",
+    "course --out": "course check parking {}.png",
+    "course source": "course check {}",
+    "deploy": f"deploy {ROBOT} {{}}",
+    "eval": "eval course {}",
+    "eval policy": "eval {}",
+    "explain": "explain parking {}",
+    "explain --runs": "explain --task mountain-car {}",
+    "explain source": "explain {}",
+    "export": "export parking --to c --out new {}",
+    "export policy": "export {} --to c --out new",
+    "identify": f"identify {ROBOT} {{}}",
+    "identify --out": "identify drive.mcap {}",
+    "identify recording": "identify {}",
+    "paper": "paper run --task parking --agent circuit --seed 0 --again --budget quick {}",
+    "paper --circuit": "paper run --task parking --seed 0 {}",
+    "paper --curves": "paper report {}",
+    "park --out": "park --policy parking {}",
+    "recover --out": "recover drive.mcap {}",
+    "report --out": "report drive.mcap {}",
+    "train --profile": "train --randomize mild {}",
+    "watch": f"watch {ROBOT} --port 0 {{}}",
+}
+NAMES = {"policy", "course", "circuit", "model", "randomize", "source"}
+"""Options and arguments that take a file besides a name; those of the type path take one anyway."""
+
+
+def rows():
+    """Yield a command line for each option and argument that takes a file."""
+    group = get_command(_app())
+    context = group.make_context("rover-ncp", [], resilient_parsing=True)
+    for name in set(group.list_commands(context)) - {"teleop"}:  # it wants a terminal first
+        for option in group.get_command(context, name).params:
+            record = option.get_help_record(context)
+            if record and ("<path>" in record[0] or option.name in NAMES):
+                line = LINES.get(f"{name} {option.opts[0]}", LINES.get(name, f"{name} {{}}"))
+                yield line.format(f"{option.opts[0]} {{}}" if option.opts[0][0] == "-" else "{}")
+
+
+FILES = sorted({*rows(), "train --resume --out {}", "course new {}.csv --out new.yaml"})
 TABLE = [
-    *((command.format(LONG), "File name too long") for command in READERS),
-    *((command.format("file/x"), "file/x") for command in READERS),
-    *((command.format(LONG), "File name too long") for command in WRITERS),
-    *((command.format("file/x"), "Not a directory") for command in WRITERS),
+    *((line.format(LONG), "File name too long") for line in FILES),
+    *((line.format("file/x"), "file/x") for line in FILES),
     # recordings and runs that exist
     (f"deploy {ROBOT} --record drive.mcap", "drive.mcap: exists already"),
     (f"identify {ROBOT} --record drive.mcap", "drive.mcap: exists already"),
@@ -224,58 +215,47 @@ def test_a_mistake_is_one_line_and_exit_code_2_before_any_work(command, words, f
 )
 def test_no_bridge_is_one_line_and_exit_code_3(command, folder, monkeypatch, capfd):
     monkeypatch.chdir(folder)
+    monkeypatch.setitem(CLIENT, "connect/timeout_ms", 100)
     before = files(folder)
     assert run(shlex.split(f"{command} {ROBOT}")) == 3
     assert "nothing answers at tcp/127.0.0.1:1" in capfd.readouterr().err
     assert files(folder) == before
 
 
+@pytest.mark.parametrize("command", ["course check mine.yaml", "keys --out mine", "report drive.mcap"])
+def test_a_working_directory_that_is_gone_is_one_line(command, tmp_path, monkeypatch, capfd):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    assert run(shlex.split(command)) == 2
+    printed = capfd.readouterr().err
+    assert printed.count("\n") == 1
+    assert "no such file" in printed.lower()
+
+
 # Root may search and write any folder, unless it gives up the capabilities for it.
 AS_ANYBODY = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"] if os.geteuid() == 0 else []
 
 
-def in_process(arguments, **how):
-    return subprocess.run(
-        [*AS_ANYBODY, Path(sys.executable).with_name("rover-ncp"), *arguments],
+@pytest.mark.parametrize("command", ["course check locked/mine", "keys --out locked/mine", f"teleop {ROBOT}"])
+def test_mistake_that_only_a_process_shows_is_one_line(command, tmp_path):
+    """A folder that may not be searched; standard input that is no terminal."""
+    (tmp_path / "locked").mkdir(mode=0)
+    done = subprocess.run(
+        [*AS_ANYBODY, Path(sys.executable).with_name("rover-ncp"), *shlex.split(command)],
         capture_output=True,
         text=True,
         timeout=60,
         check=False,
-        **how,
+        cwd=tmp_path,
+        stdin=subprocess.DEVNULL,
     )
-
-
-@pytest.mark.parametrize("command", ["course check mine.yaml", "keys --out mine", "report drive.mcap"])
-def test_a_working_directory_that_is_gone_is_one_line(command, tmp_path):
-    gone = tmp_path / "gone"
-    gone.mkdir()
-    done = in_process(shlex.split(command), cwd=gone, preexec_fn=gone.rmdir)  # a system call alone
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
-    assert "No such file" in done.stderr or "no such file" in done.stderr
+    assert "Permission denied" in done.stderr or "expected a terminal as standard input" in done.stderr
 
 
-def test_teleop_without_a_terminal_is_one_line():
-    done = in_process(["teleop", *ROBOT.split()], stdin=subprocess.DEVNULL)
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
-    assert "expected a terminal as standard input" in done.stderr
-
-
-@pytest.mark.parametrize("command", ["course check {}", "identify {}", "keys --out {}"])
-def test_a_folder_that_may_not_be_searched_is_one_line(command, tmp_path):
-    locked = tmp_path / "locked"
-    locked.mkdir(mode=0)
-    done = in_process(shlex.split(command.format(locked / "mine")))
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
-    assert "Permission denied" in done.stderr
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        "report {} --out {}",
-        "identify {} --out {}",
-    ],
-)
+@pytest.mark.parametrize("command", ["report {} --out {}", "identify {} --out {}"])
 def test_a_result_never_replaces_a_recording(command, tmp_path, capfd):
     drive = tmp_path / "drive.mcap"
     write_drive(drive)

@@ -41,13 +41,13 @@ def test_a_command_is_held_against_the_sample_before_it():
     moments.pings, moments.pongs = [50 * MS, 150 * MS, 250 * MS], [51 * MS, 152 * MS]
     found = latencies(moments, 10.0)
     assert found["samples"] == 4
-    assert found["odometry_to_command_ms"]["p50"] == pytest.approx(2.5)
-    assert found["odometry_to_command_ms"]["max"] == pytest.approx(4.0)
-    assert found["bare_half_round_trip_ms"]["p50"] == pytest.approx(0.75)
-    assert found["above_bare_ms"]["p50"] == pytest.approx(1.75)
-    assert found["tick_jitter_ms"]["max"] == pytest.approx(1.0)
+    assert found["odometry_to_command_ms"].p50 == pytest.approx(2.5)
+    assert found["odometry_to_command_ms"].max == pytest.approx(4.0)
+    assert found["bare_half_round_trip_ms"].p50 == pytest.approx(0.75)
+    assert found["above_bare_ms"].p50 == pytest.approx(1.75)
+    assert found["tick_jitter_ms"].max == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(("count", "reported"), [(9_999, False), (10_000, True)])
 def test_99_9_percentile_needs_ten_thousand_samples(count, reported):
-    assert ("p99_9" in quantiles(np.linspace(0.0, 1.0, count))) is reported
+    assert (quantiles(np.linspace(0.0, 1.0, count)).p99_9 is not None) is reported

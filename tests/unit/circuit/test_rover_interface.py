@@ -50,9 +50,7 @@ def test_simulator_lanes_and_controller_agree_to_the_last_bit(name):
 
 def test_an_unknown_name_is_answered_with_the_known_ones():
     parking, course = api.load_policy("parking"), api.load_course(SHORT)
-    with pytest.raises(
-        ConfigError, match=r"unknown signals in its sensing: smell \(expected some of x, .*turn"
-    ):
+    with pytest.raises(ConfigError, match=r"unknown signals: smell \(expected some of x, .*turn"):
         api.CourseDriver(with_names(parking, ("x", "y", "smell", "start"), ("v", "omega")), course)
     with pytest.raises(ConfigError, match=r"outputs are left, right; expected v, omega"):
         api.CourseDriver(with_names(parking, ("x", "y", "theta", "start"), ("left", "right")), course)

@@ -166,7 +166,7 @@ def test_policies_that_do_not_fit_are_refused_with_every_reason(policy):
     odd = sensing.model_copy(update={"inputs": ("warmth", *sensing.inputs[1:]), "channels": channels})
     with pytest.raises(ConfigError) as caught:
         Controller(replace(policy, sensing=odd, substeps=5), COURSE, EstimatorSettings())
-    assert "unknown signals in its sensing: warmth (expected some of x, y, theta, start" in str(caught.value)
+    assert "unknown signals: warmth (expected some of x, y, theta, start" in str(caught.value)
     assert "its tick is 0.05 s, expected 0.1 s" in str(caught.value)
     first, second = policy.motors.channels
     turned = policy.motors.model_copy(update={"outputs": ("omega", "v"), "channels": (second, first)})

@@ -261,7 +261,7 @@ def test_a_policy_that_cannot_drive_is_refused():
     for build in (Evaluator, rollout):
         with pytest.raises(ConfigError, match=r"no neuron 'LFT'"):
             build(parking_policy(bench), COURSE)
-        with pytest.raises(ConfigError, match=r"unknown signals in its sensing: warmth"):
+        with pytest.raises(ConfigError, match=r"unknown signals: warmth"):
             other = parking_policy(load_circuit("parking"))
             object.__setattr__(other, "sensing", odd)
             build(other, COURSE)

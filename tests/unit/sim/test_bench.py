@@ -81,8 +81,8 @@ def test_rates_that_were_measured_are_kept_when_a_safety_rule_stops_another(monk
             raise ProcessError("deploy", 4, "stopped by odometry: it is 0.45 s old")
         drive = {"ticks": 9, "predicted": 0, "missed": 0, "tick_rate_hz": rate_hz, "cpu_share": 0.1}
         names = ("odometry_to_command_ms", "bare_half_round_trip_ms", "above_bare_ms")
-        times = {key: {"p50": 1.0, "p99": 2.0} for key in names}
-        return {"rate_hz": rate_hz, "stopped": None, **drive, **times}
+        times = {key: {"p50": 1.0, "p99": 2.0, "max": 3.0, "p99_9": None} for key in names}
+        return bench_deploy.RateResult(rate_hz=rate_hz, **drive, **times)
 
     monkeypatch.setattr(bench_deploy, "_measure", measure)
     monkeypatch.setattr(bench_deploy, "_circuit_us", lambda: 5.0)

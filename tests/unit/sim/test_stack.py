@@ -73,8 +73,8 @@ def test_drivers_beliefs_are_compared_with_the_truth(parking):
         assert trial.belief.squared < chi2.ppf(0.999, 2)
         assert trial.belief.error_m < trial.belief.predicted_m
     fields = summary([trial.belief for trial in found], [True, False])
-    assert fields["verdict_agrees"] == 0.5
-    assert fields["error_m"]["p95"] <= max(trial.belief.error_m for trial in found)
+    assert fields.verdict_agrees == 0.5
+    assert fields.error_m.p95 <= max(trial.belief.error_m for trial in found)
 
 
 def test_the_stack_drives_the_trials_of_plain_simulation(parking):

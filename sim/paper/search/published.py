@@ -1,8 +1,8 @@
 """The paper's own searches with their budget: Algorithm 1 as printed, and those of the published code.
 
-``reference.py`` has them literally; these make the same decisions in less time. Candidates are drawn ahead,
-as if those before them had failed (``sim/learn/search/random_search.py``). Rollouts stop where even the best
-possible rest would leave a candidate below its incumbent.
+``tests/kit/paper_reference.py`` has them literally; these make the same decisions in less time. Candidates
+are drawn ahead, as if those before them had failed (``sim/learn/search/random_search.py``). Rollouts stop
+where even the best possible rest would leave a candidate below its incumbent.
 
 The published code has a search for each task. On parking, which has no chance, it is that of
 ``sim/learn/search/published.py``; the others also estimate the incumbent anew, which counts as an iteration.

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit import paper_reference as reference
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.core.errors import FileError
@@ -14,7 +15,6 @@ from sim.paper import BudgetName
 from sim.paper.agents import build_agent
 from sim.paper.evaluator import Evaluator
 from sim.paper.runs import budget_for
-from sim.paper.search import reference
 from sim.paper.search.parking import ParkingEvaluator
 from sim.paper.search.published import SEARCHES, BenchmarkEstimator, Checkpoint, search_as_published
 from sim.paper.tasks import TASKS, Benchmark

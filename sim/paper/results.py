@@ -76,15 +76,6 @@ class Result(StrictModel):
     parameters: Packed
     """The trained vector (P,)."""
 
-    def steps_to(self, value: float) -> int | None:
-        """Return the environment steps until the estimate reached a value, all steps if it never did.
-
-        None if the curve does not contain that number.
-        """
-        if self.thinned or any(steps is None for _, steps, _ in self.curve):
-            return None
-        return next((steps for _, steps, estimate in self.curve if estimate >= value), self.steps)
-
     def value_after(self, iterations: int) -> float | None:
         """Return the incumbent's estimate after so many iterations; None if the curve does not contain it."""
         if self.thinned:

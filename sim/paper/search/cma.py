@@ -26,7 +26,7 @@ from sim.learn.search.cma import Cma
 from sim.learn.search.unit_box import UnitBox, reflected
 from sim.paper.agents import dead_parameters, untuned
 from sim.paper.evaluator import Evaluator
-from sim.paper.search.random import Budget, Found, Point, best_starts, confirmed
+from sim.paper.search.random import Budget, Found, Point, best_starts, confirmed, generator_of
 
 # Streams of random numbers; others are those of ``random.py``.
 _DRAW, _SEARCH, _TRIALS, _CHECKS, _FINALS = range(10, 15)
@@ -221,7 +221,7 @@ def _search_seed(seed: int, number: int) -> int:
 
 def _draw_starts(agent: Policy | Net, seed: int, count: int) -> Vector:
     """Draw untuned agents (count, P), layers at random: a few changes of layers of zeros move nothing."""
-    generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_DRAW,))))
+    generator = generator_of(seed, _DRAW)
     starts = untuned(agent, generator, count)
     if isinstance(agent, Policy):
         for block in agent.layout().blocks:

@@ -79,13 +79,8 @@ class Reestimating(Published):
         return adaptation.after_failure()
 
 
-def search_randomly(
-    evaluator: Evaluator, judge: Evaluator, agent: Policy | Net, seed: int, budget: Budget
-) -> Found:
-    """Search an agent's parameters on a benchmark. The same arguments give the same bits.
-
-    ``judge``, which may be the evaluator, confirms a return that is enough.
-    """
+def search_randomly(evaluator: Evaluator, agent: Policy | Net, seed: int, budget: Budget) -> Found:
+    """Search an agent's parameters on a benchmark. The same arguments give the same bits."""
     generator = generator_of(seed)
     starts = untuned(agent, generator, budget.starts)
     search = Reestimating(agent.layout(), best_starts(evaluator, starts, seed)[0], generator)
@@ -102,7 +97,7 @@ def search_randomly(
         search.tell(estimate(evaluator, vectors, seed, search.evaluations, search.to_beat, budget))
         assert search.value is not None
         if search.value >= enough:
-            search.value = confirmed(judge, search.incumbent, seed, search.evaluations)
+            search.value = confirmed(evaluator, search.incumbent, seed, search.evaluations)
         if not curve or curve[-1].value != search.value:
             curve.append(Point(search.evaluations, evaluator.steps, search.value))
         if search.value >= enough:

@@ -101,7 +101,7 @@ class ResultStore:
 
     def find(self, name: RunName) -> Result | None:
         """Return a run. Raises FileError."""
-        return self._runs(self.path(name.task, name.budget)).get(_key(name))
+        return self._runs(self.path(name.task, name.budget)).get((name.agent, name.seed))
 
     def results(self, task: str, agent: str, budget: BudgetName = BudgetName.DEFAULT) -> list[Result]:
         """Return the finished runs of an agent, by seed. Raises FileError."""
@@ -125,10 +125,6 @@ class ResultStore:
         return self._read[path]
 
 
-def _key(name: RunName) -> tuple[str, int]:
-    return name.agent, name.seed
-
-
 def _load(path: Path) -> dict[tuple[str, int], Result]:
     found = {}
     for number, line in enumerate(read_text(path).splitlines(), start=1):
@@ -136,5 +132,5 @@ def _load(path: Path) -> dict[tuple[str, int], Result]:
             result = Result.model_validate(json.loads(line))
         except (ValueError, ValidationError) as error:
             raise FileError(f"{path}: line {number} is damaged or is no run; delete the line") from error
-        found[_key(result.name)] = result
+        found[result.name.agent, result.name.seed] = result
     return found

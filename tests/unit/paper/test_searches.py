@@ -70,8 +70,9 @@ def test_a_return_that_the_judge_does_not_confirm_is_not_enough(monkeypatch):
     place = Evaluator(replace(TASKS["roboschool"], enough=1100.0), built, for_search=True)
     asked = []
     monkeypatch.setattr(cma, "confirmed", lambda *_: asked.append(1) or 900.0 + len(asked))
-    budget = default_budget("roboschool", steps=2_000_000, starts=100)
+    budget = default_budget("roboschool", steps=1_000_000, starts=100)
     found = search_by_cma(place, place, built, 0, budget)
+    assert asked
     assert found.ended == "steps"
     assert found.curve[-1].value == 900.0 + len(asked)
 

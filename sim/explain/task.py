@@ -19,8 +19,7 @@ from sim.explain.explain import Explanation, Progress, command_line, explain_dri
 from sim.explain.what_if import Outcome
 from sim.learn.engine.environment import EnvironmentEvaluator, Play
 from sim.learn.search.base import Seeds
-from sim.paper.agents import build_agent
-from sim.paper.play import BenchmarkEpisodes
+from sim.paper.interpretation import BenchmarkEpisodes, best_circuit, trained
 from sim.paper.results import ResultStore
 from sim.paper.score_file import benchmark_policy
 from sim.paper.tasks import TASKS, Benchmark, Task
@@ -95,15 +94,12 @@ def explain_task(
 
 def stored_policy(task: Task, runs: Path = RUNS) -> tuple[str, Policy]:
     """Return the best stored circuit of one of the paper's tasks, and its name. Raises UsageError."""
-    results = ResultStore(runs).results(task.name, "circuit")
-    if not results:
+    best = best_circuit(ResultStore(runs), task.name)
+    if best is None:
         raise UsageError(
             f"{runs}: no circuit is stored for {task.name}: rover-ncp paper run --task {task.name}"
         )
-    best = max(results, key=lambda result: (result.success, result.mean))
-    untrained = build_agent(task, "circuit", best.name.seed)
-    assert isinstance(untrained, Policy)
-    return f"paper run {best.name}", untrained.with_parameters(best.parameters.array())
+    return f"paper run {best.name}", trained(best)
 
 
 def _subject(source: str | None, task: str, runs: Path) -> tuple[str, Policy, Episodes]:

@@ -1,15 +1,15 @@
 """The paper's claims (``claims.yaml``) and their verdicts, from the stored runs.
 
 Five tests: ``rate`` of successes, ``value`` of a mean, ``compare`` of two agents, ``sign`` of Definition 1,
-``fact`` about circuits and settings. A verdict is *reproduced* only where an interval excludes the opposite,
-or lies within a stated margin of equality. Holm's correction is for the claims from one place of the paper.
+``fact`` about circuits. A verdict is *reproduced* only where an interval excludes the opposite, or lies
+within a stated margin of equality. Holm's correction is for the claims from one place of the paper.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -17,10 +17,10 @@ from pydantic import Field
 from rover_ncp.core.config import StrictModel, parse_yaml
 from rover_ncp.core.files import read_text
 from sim.paper import BudgetName
-from sim.paper.facts import FACTS
-from sim.paper.interpretation import drives, readings
+from sim.paper.agents import build_agent
+from sim.paper.interpretation import drives, readings, time_constants
 from sim.paper.results import Result, ResultStore
-from sim.paper.statistics import LEVEL, Summary, fisher, holm, mean_text, measure, welch, wilson
+from sim.paper.statistics import LEVEL, Summary, fisher, holm, mean_text, permutation, welch, wilson
 from sim.paper.tasks import TASKS
 
 CLAIMS = Path(__file__).parent / "claims.yaml"
@@ -39,24 +39,13 @@ class Verdict(StrEnum):
     NOT_TESTED = "not tested"
 
 
-class Test(StrEnum):
-    """Name of a test."""
-
-    RATE = "rate"
-    VALUE = "value"
-    COMPARE = "compare"
-    SIGN = "sign"
-    FACT = "fact"
-    NONE = "none"
-
-
 class Claim(StrictModel):
     """A claim of the paper and the test that decides on it."""
 
     name: str
     words: str
     where: str
-    test: Test
+    test: Literal["rate", "value", "compare", "sign", "fact", "none"]
     arguments: dict[str, Any] = Field(default_factory=dict)
     why: str = ""
     """Reason that a claim is not tested, or a deviation from the paper."""
@@ -74,13 +63,13 @@ class Outcome:
     """Result of a test before Holm's correction."""
 
     figure: str
-    runs: str = ""
+    verdict: Verdict | None = None
+    """None: p decides."""
+    why: str = ""
+    """Reason of a verdict that is open, or the numbers of runs behind p."""
     p: float | None = None
-    holds: bool = False
-    """Whether the interval shows the claim: it excludes the opposite, or lies within the margin."""
-    significant: bool | None = None
-    """What a significant p means: True for the claim, False against it."""
-    tested: bool = True
+    significant: Verdict = Verdict.DIFFERS
+    """What a significant p means."""
 
 
 class Judged(StrictModel):
@@ -107,7 +96,7 @@ def load_claims() -> ClaimsFile:
 def judge_claims(store: ResultStore, claims: Sequence[Claim]) -> list[Judged]:
     """Return the verdicts on claims. Raises FileError."""
     outcomes = [_TESTS[claim.test](store, **claim.arguments) for claim in claims]
-    groups: dict[tuple[str, Test], list[int]] = {}
+    groups: dict[tuple[str, str], list[int]] = {}
     for number, (claim, outcome) in enumerate(zip(claims, outcomes, strict=True)):
         if outcome.p is not None:
             groups.setdefault((claim.where, claim.test), []).append(number)
@@ -119,30 +108,24 @@ def judge_claims(store: ResultStore, claims: Sequence[Claim]) -> list[Judged]:
 
 
 def _judged(claim: Claim, outcome: Outcome) -> Judged:
-    verdict, why = Verdict.INCONCLUSIVE, claim.why
-    if not outcome.tested:
-        verdict, why = Verdict.NOT_TESTED, claim.why or outcome.runs
-    elif outcome.holds:
-        verdict = Verdict.REPRODUCED
-    elif outcome.p is None:
-        verdict = Verdict.INCONCLUSIVE if outcome.significant is None else Verdict.DIFFERS
-        why = outcome.runs if outcome.significant is None else claim.why
-    elif outcome.p < LEVEL:
-        verdict = Verdict.REPRODUCED if outcome.significant else Verdict.DIFFERS
-    else:
-        why = f"p = {outcome.p:.2g}, {outcome.runs}"
+    verdict, why = outcome.verdict, claim.why
+    if verdict is None:
+        assert outcome.p is not None
+        verdict = outcome.significant if outcome.p < LEVEL else Verdict.INCONCLUSIVE
+    if verdict is Verdict.INCONCLUSIVE:
+        why = outcome.why if outcome.p is None else f"p = {outcome.p:.2g}, {outcome.why}"
+    elif verdict is Verdict.NOT_TESTED:
+        why = claim.why or outcome.why
     data = claim.model_dump(include={"name", "words", "where"})
     return Judged(**data, verdict=verdict, figure=outcome.figure, why=why)
 
 
-def too_few(count: int) -> Outcome:
-    """Return the outcome of a test without enough runs."""
-    return Outcome("", f"{count} of at least {MIN_RUNS} runs exist", tested=False)
+def _too_few(count: int) -> Outcome:
+    return Outcome("", Verdict.NOT_TESTED, f"{count} of at least {MIN_RUNS} runs exist")
 
 
-def runs_of(store: ResultStore, task: str, agent: str, budget: str) -> list[Result]:
-    """Return the finished runs of an agent on a task with a budget."""
-    return store.results(task, agent, BudgetName(budget))
+def _reproduced(holds: bool) -> Verdict | None:
+    return Verdict.REPRODUCED if holds else None
 
 
 def rate(  # noqa: PLR0917
@@ -151,27 +134,25 @@ def rate(  # noqa: PLR0917
     hits: int,
     of: int,
     budget: str = "published",
-    agent: str = "circuit",
     within: int | None = None,
 ) -> Outcome:
-    """Compare a success rate with another one; ``within`` counts runs that succeed in so many iterations."""
-    runs = runs_of(store, task, agent, budget)
+    """Compare the circuit's success rate with another one; ``within`` counts successes in some iterations."""
+    runs = store.results(task, "circuit", BudgetName(budget))
     if len(runs) < MIN_RUNS:
-        return too_few(len(runs))
+        return _too_few(len(runs))
     succeeded = [run.success for run in runs]
     if within is not None:
         values = [run.value_after(within) for run in runs]
         if any(each is None for each in values):
-            return Outcome("", "the curves are not complete", tested=False)
+            return Outcome("", Verdict.NOT_TESTED, "the curves are not complete")
         succeeded = [each is not None and each >= TASKS[task].success for each in values]
     found = fisher(sum(succeeded), len(runs), hits, of)
     low, high = wilson(sum(succeeded), len(runs))
     return Outcome(
-        figure=f"{sum(succeeded)} of {len(runs)} ({low:.0%} to {high:.0%}) against {hits} of {of}",
-        runs=f"n = {len(runs)} and {of}",
-        p=found.p,
-        holds=found.interval[0] > -RATE_MARGIN and found.interval[1] < RATE_MARGIN,
-        significant=False,
+        f"{sum(succeeded)} of {len(runs)} ({low:.0%} to {high:.0%}) against {hits} of {of}",
+        _reproduced(found.low > -RATE_MARGIN and found.high < RATE_MARGIN),
+        f"n = {len(runs)} and {of}",
+        found.p,
     )
 
 
@@ -186,19 +167,24 @@ def value(  # noqa: PLR0917
     budget: str = "published",
 ) -> Outcome:
     """Compare mean and standard deviation of returns with the paper's, where ``rate`` of the runs succeed."""
-    runs = runs_of(store, task, agent, budget)
+    runs = store.results(task, agent, BudgetName(budget))
     if len(runs) < MIN_RUNS:
-        return too_few(len(runs))
-    returns = [run.mean for run in runs]
-    ours = Summary(float(np.mean(returns)), float(np.std(returns, ddof=1)), len(returns))
+        return _too_few(len(runs))
+    ours = summary(runs)
     found, margin = welch(ours, Summary(mean, std, of)), TASKS[task].margin
     return Outcome(
-        figure=f"{mean_text(ours.mean, ours.std)} against {mean_text(mean, std)}",
-        runs=f"n = {len(runs)} and {of}",
-        p=found.p,
-        holds=-margin < found.interval[0] and found.interval[1] < margin,
-        significant=False,
+        f"{mean_text(ours.mean, ours.std)} against {mean_text(mean, std)}",
+        _reproduced(-margin < found.low and found.high < margin),
+        f"n = {len(runs)} and {of}",
+        found.p,
     )
+
+
+def summary(runs: Sequence[Result]) -> Summary:
+    """Return mean and standard deviation of the returns of one or more runs."""
+    returns = [run.mean for run in runs]
+    std = float(np.std(returns, ddof=min(len(runs) - 1, 1)))
+    return Summary(float(np.mean(returns)), std, len(runs))
 
 
 def compare(  # noqa: PLR0917
@@ -209,27 +195,20 @@ def compare(  # noqa: PLR0917
     other_budget: str | None = None,
     better: bool = False,
 ) -> Outcome:
-    """Compare the circuit's returns with those of another agent: ``better``, or at least equal.
-
-    Where all runs end at the return that is enough, their steps to success decide whether it is better.
-    """
-    pair = [runs_of(store, task, "circuit", budget), runs_of(store, task, other, other_budget or budget)]
-    if min(map(len, pair)) < MIN_RUNS:
-        return too_few(min(map(len, pair)))
-    returns = [np.array([run.mean for run in runs]) for runs in pair]
-    found, what, sign = measure(*returns), "return", 1.0
-    if better and all(run.ended == "enough" for runs in pair for run in runs):
-        steps = [[run.steps_to(TASKS[task].success) for run in runs] for runs in pair]
-        if any(each is None for row in steps for each in row):
-            return Outcome("", "all runs reach the limit, and their curves are not complete", tested=False)
-        found, what, sign = measure(*(np.array(row, np.float64) for row in steps)), "steps", -1.0
+    """Compare the circuit's returns with those of another agent: ``better``, or at least equal."""
+    ours = store.results(task, "circuit", BudgetName(budget))
+    theirs = store.results(task, other, BudgetName(other_budget or budget))
+    if min(len(ours), len(theirs)) < MIN_RUNS:
+        return _too_few(min(len(ours), len(theirs)))
+    returns = [np.array([run.mean for run in runs]) for runs in (ours, theirs)]
+    found = permutation(*returns)
     means = " against ".join(mean_text(float(row.mean())) for row in returns)
     return Outcome(
-        figure=f"{means}; difference of {what} {found.text()}",
-        runs=f"n = {len(pair[0])} and {len(pair[1])}",
-        p=found.p,
-        holds=not better and found.interval[0] > -TASKS[task].margin,
-        significant=sign * found.difference > 0.0,
+        f"{means}; difference of return {found.text()}",
+        _reproduced(not better and found.low > -TASKS[task].margin),
+        f"n = {len(ours)} and {len(theirs)}",
+        found.p,
+        Verdict.REPRODUCED if found.value > 0.0 else Verdict.DIFFERS,
     )
 
 
@@ -237,36 +216,72 @@ def sign(store: ResultStore, source: str, destination: str, expected: str) -> Ou
     """Compare the sign of a contribution with the paper's, in circuits where all readings agree."""
     found = [readings(policy, drive, source, destination) for policy, drive in drives(store)]
     if len(found) < MIN_RUNS:
-        return too_few(len(found))
+        return _too_few(len(found))
     clear = [next(iter(signs)) for signs in found if len(signs) == 1]
     hits = sum(each == expected for each in clear)
     figure = f"{hits} of {len(clear)} circuits that have a sign, of {len(found)}"
     if len(clear) < MIN_RUNS:
-        return Outcome(figure, f"no evidence: {len(clear)} of {len(found)} circuits have a sign")
+        why = f"no evidence: {len(clear)} of {len(found)} circuits have a sign"
+        return Outcome(figure, Verdict.INCONCLUSIVE, why)
     low, high = wilson(hits, len(clear))
-    against = False if high < 0.5 else None
-    return Outcome(figure, f"{low:.0%} to {high:.0%}, n = {len(clear)}", holds=low > 0.5, significant=against)
+    against = Verdict.DIFFERS if high < 0.5 else Verdict.INCONCLUSIVE
+    verdict = Verdict.REPRODUCED if low > 0.5 else against
+    return Outcome(figure, verdict, f"{low:.0%} to {high:.0%}, n = {len(clear)}")
 
 
 def fact(store: ResultStore, of: str, expected: Any, **arguments: Any) -> Outcome:
     """Compare a fact with the paper's."""
-    found = FACTS[of](store, **arguments)
+    found = _FACTS[of](store, **arguments)
     if found is None:
-        return too_few(0)
-    figure = f"{found}" if found == expected else f"{found} against {expected}"
-    return Outcome(figure, holds=found == expected, significant=False)
+        return _too_few(0)
+    if found == expected:
+        return Outcome(str(found), Verdict.REPRODUCED)
+    return Outcome(f"{found} against {expected}", Verdict.DIFFERS)
 
 
-def none(_: ResultStore) -> Outcome:
-    """Return the outcome of a claim without a test."""
-    return Outcome("", tested=False)
+def _size(_: ResultStore, task: str) -> str:
+    circuit = TASKS[task].circuit()
+    return f"{circuit.size} neurons, {circuit.synapse_count} synapses"
 
 
-_TESTS: dict[Test, Callable[..., Outcome]] = {
-    Test.RATE: rate,
-    Test.VALUE: value,
-    Test.COMPARE: compare,
-    Test.SIGN: sign,
-    Test.FACT: fact,
-    Test.NONE: none,
+def _sparsity(_: ResultStore) -> float:
+    circuit = TASKS["pendulum"].circuit()
+    return round(1.0 - circuit.synapse_count / circuit.size**2, 2)
+
+
+def _fewest_parameters(_: ResultStore, task: str) -> str:
+    agents = ("circuit", "mlp", "lstm")
+    sizes = {agent: build_agent(TASKS[task], agent, 0).layout().size for agent in agents}
+    fewest = min(sizes, key=sizes.__getitem__)
+    return f"{fewest} with {sizes[fewest]}"
+
+
+def _overlapping_time_constants(
+    store: ResultStore, task: str, ranges: Mapping[str, tuple[float, float]]
+) -> str | None:
+    ours = time_constants(store, task)
+    same = [n for n, (low, high) in ranges.items() if n in ours and ours[n][0] <= high and low <= ours[n][1]]
+    return f"{len(same)} of {len(ranges)} ranges overlap" if ours else None
+
+
+def _varying_time_constants(store: ResultStore) -> str | None:
+    ours = time_constants(store, "parking")
+    varying = sum(high > 1.01 * low for low, high in ours.values())
+    return f"{varying} of {len(ours)} neurons" if ours else None
+
+
+_FACTS: Mapping[str, Callable[..., Any]] = {
+    "size": _size,
+    "sparsity": _sparsity,
+    "parameters": _fewest_parameters,
+    "time-constants": _overlapping_time_constants,
+    "varying": _varying_time_constants,
+}
+_TESTS: Mapping[str, Callable[..., Outcome]] = {
+    "rate": rate,
+    "value": value,
+    "compare": compare,
+    "sign": sign,
+    "fact": fact,
+    "none": lambda _: Outcome("", Verdict.NOT_TESTED),
 }

@@ -23,7 +23,7 @@ _SELECTION = {"task", "agent", "seed", "budget"}
 _OPTIONS = {
     What.RUN: _SELECTION | {"circuit", "again", "processes", "cluster", "checkpoint"},
     What.REPLAY: _SELECTION | {"circuit"},
-    What.REPORT: {"long", "curves", "budget"},
+    What.REPORT: {"long", "curves"},
 }
 """Options of each action, besides --results and --json."""
 
@@ -61,7 +61,8 @@ def paper(
     results: Annotated[Path, typer.Option(help="Folder of the runs.")] = Path("results"),
     long: Annotated[bool, typer.Option("--long", help="report: the tables of all claims and runs.")] = False,
     curves: Annotated[
-        Path | None, typer.Option(help="report: write the learning curves to this PNG.", show_default=False)
+        Path | None,
+        typer.Option(help="report: write the published search's curves to this PNG.", show_default=False),
     ] = None,
     again: Annotated[bool, typer.Option("--again", help="Repeat runs that exist already.")] = False,
     processes: Annotated[
@@ -110,11 +111,11 @@ def paper(
 
     given: dict[str, Any] = {"task": task, "agent": agent, "seed": seed, "circuit": circuit, "budget": budget}
     given |= {"long": long, "curves": curves, "again": again, "processes": processes, "cluster": cluster}
-    given |= {"checkpoint": checkpoint}
+    given["checkpoint"] = checkpoint
     reject(f"has no effect on {what}", **{k: v for k, v in given.items() if k not in _OPTIONS[what]})
     output, store = Output(json), ResultStore(results)
     if what is What.REPORT:
-        return _report(output, store, long=long, curves=curves, budget=budget or BudgetName.PUBLISHED)
+        return _report(output, store, long=long, curves=curves)
     if what is What.REPLAY:
         agents = agent if agent or circuit else AGENTS  # no stored run needs torch to be scored
         return _replay(output, store, select(task, agents, seed, circuit, [budget] if budget else BudgetName))
@@ -122,22 +123,17 @@ def paper(
         raise UsageError("--cluster cannot be combined with --processes, --circuit or --checkpoint")
     names = select(task, agent, seed, circuit, [budget or BudgetName.DEFAULT])
     left = [name for name in names if again or store.find(name) is None]
-    made = []
-    if left:
-        minutes = 5.0 if checkpoint is None else checkpoint
-        options = {"circuit": circuit, "cluster": cluster, "every_s": 60.0 * minutes}
-        made = _make(output, store, left, processes, options)
+    every_s = 60.0 * (5.0 if checkpoint is None else checkpoint)
+    options = {"circuit": circuit, "cluster": cluster, "processes": processes, "every_s": every_s}
+    made = _make(output, store, left, options) if left else []
     result = MadeResult(made=made, found=len(names) - len(left))
     output.result(result.model_dump(), f"{len(made)} runs made")
     return 0
 
 
-def _make(
-    output: Output, store: Any, names: list[Any], processes: int | None, options: dict[str, Any]
-) -> list[Any]:
+def _make(output: Output, store: Any, names: list[Any], options: dict[str, Any]) -> list[Any]:
     """Make runs; return a summary of each."""
     from rover_ncp.core.files import require_writable
-    from sim.learn.workers import available_processes
     from sim.paper.command_results import MadeRun
     from sim.paper.runs import make_runs
 
@@ -159,12 +155,12 @@ def _make(
         )
 
     require_writable(store.path(names[0].task, names[0].budget))
-    make_runs(names, store, processes=processes or available_processes(), on_result=on_result, **options)
+    make_runs(names, store, on_result=on_result, **options)
     return made
 
 
-def _report(output: Output, store: Any, *, long: bool, curves: Path | None, budget: BudgetName) -> int:
-    """Print the report; write the learning curves of a budget if wanted."""
+def _report(output: Output, store: Any, *, long: bool, curves: Path | None) -> int:
+    """Print the report; write the learning curves if wanted."""
     from rover_ncp.core.files import require_writable, write_atomic
     from sim.paper.claims import judge_claims, load_claims
     from sim.paper.command_results import ReportResult
@@ -173,7 +169,7 @@ def _report(output: Output, store: Any, *, long: bool, curves: Path | None, budg
 
     if curves is not None:
         require_writable(curves)
-        write_atomic(curves, curves_png(store, budget))
+        write_atomic(curves, curves_png(store))
     file = load_claims()
     judged = judge_claims(store, file.claims)
     text = long_report(store, judged) if long else short_report(store, file, judged)

@@ -1,4 +1,4 @@
-"""Learning curves of all runs of a budget, mean and standard deviation, as in the paper's figure 4."""
+"""Learning curves of the published search, mean and standard deviation, as in the paper's figure 4."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from sim.learn.curve import png_of
-from sim.paper import FAITHFUL, BudgetName
+from sim.paper import BudgetName
 from sim.paper.agents import PAPERS
 from sim.paper.results import Result, ResultStore
 from sim.paper.tasks import TASKS
@@ -18,17 +18,12 @@ _COLORS = dict(zip(PAPERS, ("tab:blue", "tab:orange", "tab:green", "tab:red"), s
 _COLUMNS = 3
 
 
-def curves_png(store: ResultStore, budget: BudgetName) -> bytes:
-    """Return the learning curves of a budget as PNG. Raises FileError."""
+def curves_png(store: ResultStore) -> bytes:
+    """Return the learning curves as PNG. Raises FileError."""
     from matplotlib.figure import Figure
 
-    against = "iterations" if budget in FAITHFUL else "steps of the environment"
     found = {
-        name: {
-            agent: runs
-            for agent in PAPERS
-            if (runs := [run for run in store.results(name, agent, budget) if run.curve])
-        }
+        name: {agent: runs for agent in PAPERS if (runs := store.results(name, agent, BudgetName.PUBLISHED))}
         for name in TASKS
     }
     tasks = [TASKS[name] for name, agents in found.items() if agents]
@@ -37,7 +32,7 @@ def curves_png(store: ResultStore, budget: BudgetName) -> bytes:
     panels: list[Any] = list(figure.subplots(rows, _COLUMNS, squeeze=False).flat)
     for axes, task in zip(panels, tasks, strict=False):
         for agent, runs in found[task.name].items():
-            marks, middle, spread = average(runs, budget)
+            marks, middle, spread = average(runs)
             axes.fill_between(
                 marks, middle - spread, middle + spread, color=_COLORS[agent], alpha=0.15, linewidth=0
             )
@@ -51,17 +46,15 @@ def curves_png(store: ResultStore, budget: BudgetName) -> bytes:
         axes.legend(fontsize=7)
     for axes in panels[len(tasks) :]:
         axes.set_visible(False)
-    figure.supxlabel(against, fontsize=9)
+    figure.supxlabel("iterations", fontsize=9)
     figure.supylabel("estimated return of the best so far", fontsize=9)
     return png_of(figure)
 
 
-def average(runs: Sequence[Result], budget: BudgetName) -> tuple[Any, Any, Any]:
-    """Return iterations or steps (n,), and mean and standard deviation (n,) of the estimates of all runs."""
-    column = 0 if budget in FAITHFUL else 1
-    curves = [np.array([(point[column], point[2]) for point in run.curve], np.float64) for run in runs]
-    ends = [run.evaluations - 1 if column == 0 else run.steps for run in runs]
-    marks = np.geomspace(max(min(curve[0, 0] for curve in curves), 1.0), max(*ends, 2), _POINTS)
+def average(runs: Sequence[Result]) -> tuple[Any, Any, Any]:
+    """Return iterations (n,), and mean and standard deviation (n,) of the estimates of all runs."""
+    curves = [np.array([(point[0], point[2]) for point in run.curve], np.float64) for run in runs]
+    marks = np.geomspace(1.0, max(2, *(run.evaluations - 1 for run in runs)), _POINTS)
     # Before a run's first estimate, that one counts.
     rows = [
         curve[np.maximum(np.searchsorted(curve[:, 0], marks, side="right") - 1, 0), 1] for curve in curves

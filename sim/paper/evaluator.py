@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.kernels.jit import kernel
 from rover_ncp.kernels.vectors import WIDTH
-from sim.learn.engine.commander import Commander, circuit_commander
+from sim.learn.engine.commander import circuit_commander
 from sim.learn.engine.networks import Net, network_commander
 from sim.learn.search.base import Seeds
 from sim.paper.plants.lanes import NO_MUJOCO, Plants, observe, reset_plant, step_plant
@@ -107,13 +107,6 @@ def make_plants(task: Benchmark, count: int, *, for_search: bool = False) -> tup
     return plants, pool
 
 
-def commander_for(agent: Policy | Net) -> tuple[Commander, tuple[int, int]]:
-    """Return an agent's commander, and the numbers of its inputs and outputs."""
-    if isinstance(agent, Policy):
-        return circuit_commander(agent), (len(agent.sensing.inputs), len(agent.motors.outputs))
-    return network_commander(agent), (len(agent.scale), len(agent.high))
-
-
 class Evaluator:
     """Scores parameter vectors of one agent by episodes of a benchmark. One thread at a time.
 
@@ -133,7 +126,11 @@ class Evaluator:
         uses_mujoco = task.model is not None and not (for_search and task.search_plant is not None)
         count = lanes or (_MUJOCO_LANES if uses_mujoco else _LANES)
         self._plants, self._pool = make_plants(task, count, for_search=for_search)
-        commander, self._shape = commander_for(agent)
+        if isinstance(agent, Policy):
+            commander = circuit_commander(agent)
+            self._shape = len(agent.sensing.inputs), len(agent.motors.outputs)
+        else:
+            commander, self._shape = network_commander(agent), (len(agent.scale), len(agent.high))
         self._arrays = commander.allocate(count)
         self._kernel = episode_kernel(commander.start_lane, commander.tick_lanes)
 

@@ -10,7 +10,7 @@ import numpy as np
 from rover_ncp.core.files import read_text
 from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import AGENTS, GRADIENTS, LIQUID
-from sim.paper.claims import ClaimsFile, Judged, Test, Verdict
+from sim.paper.claims import ClaimsFile, Judged, Verdict, summary
 from sim.paper.command_results import Group
 from sim.paper.interpretation import drives, readings, time_constants
 from sim.paper.results import Result, ResultStore
@@ -79,26 +79,23 @@ def answers(file: ClaimsFile, judged: Sequence[Judged]) -> str:
     by_name = {claim.name: claim for claim in judged}
     rows: list[Row] = [("question", "answer: ours against the paper's")]
     for number, (question, names) in enumerate(file.questions.items(), start=1):
-        found = [by_name[name] for name in names]
         parts = []
         for verdict in Verdict:
-            claims = [claim for claim in found if claim.verdict is verdict]
+            claims = [by_name[name] for name in names if by_name[name].verdict is verdict]
+            found = "; ".join(f"`{each.name}` {each.figure}" for each in claims)
             if claims and verdict is Verdict.NOT_TESTED:
                 reasons = ", ".join(dict.fromkeys(claim.why for claim in claims))
-                parts.append(
-                    f"**not tested yet**: {', '.join(f'`{each.name}`' for each in claims)} ({reasons})"
-                )
-            elif claims:
-                parts.append(
-                    f"**{verdict}**: " + "; ".join(f"`{each.name}` {each.figure}" for each in claims)
-                )
+                found = ", ".join(f"`{each.name}`" for each in claims) + f" ({reasons})"
+            if claims:
+                yet = " yet" if verdict is Verdict.NOT_TESTED else ""
+                parts.append(f"**{verdict}{yet}**: {found}")
         rows.append((f"{number}. {question}", ". ".join(parts)))
     return markdown(rows)
 
 
 def paper_table(store: ResultStore, file: ClaimsFile, name: str) -> str:
     """Return one of Tables II to IV in the paper's layout, theirs beside ours."""
-    claims = [claim for claim in file.claims if claim.test is Test.VALUE]
+    claims = [claim for claim in file.claims if claim.test == "value"]
     claims.sort(key=lambda claim: claim.where == name)
     paper = {(claim.arguments["task"], claim.arguments["agent"]): claim.arguments for claim in claims}
     columns = [task for task in _COLUMNS if all((task, agent) in paper for agent in LAYOUTS[name])]
@@ -121,10 +118,9 @@ def paper_table(store: ResultStore, file: ClaimsFile, name: str) -> str:
 def _score(runs: Sequence[Result]) -> str:
     if not runs:
         return "not tested yet"
-    returns = [run.mean for run in runs]
-    std = float(np.std(returns, ddof=min(len(runs) - 1, 1)))
     share = sum(run.success for run in runs) / len(runs)
-    return f"{mean_text(float(np.mean(returns)), std)} ({share:.0%})"
+    mean, std, _ = summary(runs)
+    return f"{mean_text(mean, std)} ({share:.0%})"
 
 
 def iqm_table(store: ResultStore, budgets: Sequence[BudgetName]) -> str:
@@ -161,20 +157,14 @@ def sign_table(store: ResultStore, file: ClaimsFile) -> str:
     """Return, for each pair, the circuits in which all readings of Definition 1 give one sign."""
     rows: list[Row] = [("pair", "paper", "circuits with one sign", "readings of the best circuit")]
     for claim in file.claims:
-        if claim.test is not Test.SIGN:
+        if claim.test != "sign":
             continue
         pair = claim.arguments["source"], claim.arguments["destination"]
         found = [readings(policy, drive, *pair) for policy, drive in drives(store)]
-        clear = Counter(next(iter(signs)) for signs in found if len(signs) == 1)
+        clear = Counter(next(iter(each)) for each in found if len(each) == 1)
         best = _counts(found[0]) if found else ""
-        rows.append(
-            (
-                " → ".join(pair),
-                claim.arguments["expected"],
-                f"{_counts(clear) or 'none'} of {len(found)}",
-                best,
-            )
-        )
+        signs = f"{_counts(clear) or 'none'} of {len(found)}"
+        rows.append((" → ".join(pair), claim.arguments["expected"], signs, best))
     return markdown(rows)
 
 
@@ -227,17 +217,8 @@ def coverage(store: ResultStore) -> list[Group]:
 
 def settings_table() -> str:
     """Return the settings of the experiments, and their thresholds of success."""
-    head = (
-        "task",
-        "horizon",
-        "iterations",
-        "rollouts",
-        "worst",
-        "parameters",
-        "success",
-        "margin of equality",
-    )
-    rows: list[Row] = [head]
+    columns = ("task", "horizon", "iterations", "rollouts", "worst", "parameters", "success")
+    rows: list[Row] = [(*columns, "margin of equality")]
     for task in TASKS.values():
         numbers = (task.horizon, *task.settings, task.policy(task.circuit()).layout().size)
         threshold = f"{task.success:g} ({task.threshold_from})"

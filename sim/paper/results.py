@@ -78,15 +78,6 @@ class Result(StrictModel):
     parameters: Packed
     """The trained vector (P,)."""
 
-    def steps_to(self, value: float) -> int | None:
-        """Return the environment steps until the estimate reached a value, all steps if it never did.
-
-        None if the curve does not contain that number.
-        """
-        if self.thinned or any(steps is None for _, steps, _ in self.curve):
-            return None
-        return next((steps for _, steps, estimate in self.curve if estimate >= value), self.steps)
-
     def value_after(self, iterations: int) -> float | None:
         """Return the incumbent's estimate after so many iterations; None if the curve does not contain it."""
         if self.thinned:
@@ -112,7 +103,7 @@ class ResultStore:
 
     def find(self, name: RunName) -> Result | None:
         """Return a run. Raises FileError."""
-        return self._runs(self.path(name.task, name.budget)).get(_key(name))
+        return self._runs(self.path(name.task, name.budget)).get((name.agent, name.seed))
 
     def results(self, task: str, agent: str, budget: BudgetName = BudgetName.DEFAULT) -> list[Result]:
         """Return the finished runs of an agent, by seed. Raises FileError."""
@@ -136,10 +127,6 @@ class ResultStore:
         return self._read[path]
 
 
-def _key(name: RunName) -> tuple[str, int]:
-    return name.agent, name.seed
-
-
 def _load(path: Path) -> dict[tuple[str, int], Result]:
     found = {}
     for number, line in enumerate(read_text(path).splitlines(), start=1):
@@ -147,5 +134,5 @@ def _load(path: Path) -> dict[tuple[str, int], Result]:
             result = Result.model_validate(json.loads(line))
         except (ValueError, ValidationError) as error:
             raise FileError(f"{path}: line {number} is damaged or is no run; delete the line") from error
-        found[_key(result.name)] = result
+        found[result.name.agent, result.name.seed] = result
     return found

@@ -18,7 +18,7 @@ from sim.learn.cluster import DaskCluster
 from sim.learn.engine.networks import Net
 from sim.learn.record import made_with
 from sim.learn.search.base import Vector, draw_seeds
-from sim.learn.workers import ProcessPool
+from sim.learn.workers import ProcessPool, available_processes
 from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import GRADIENTS, NETWORKS, build_agent, load_agent
 from sim.paper.evaluator import Evaluator
@@ -27,7 +27,7 @@ from sim.paper.search.cma import CMA, HALVING, search_by_cma, search_by_halving
 from sim.paper.search.parking import ParkingEvaluator, search_parking
 from sim.paper.search.published import BenchmarkEstimator, Checkpoint, search_as_published
 from sim.paper.search.random import Budget, Found, search_randomly
-from sim.paper.tasks import Benchmark, SearchName, Task, find_task
+from sim.paper.tasks import Benchmark, Task, find_task
 
 _FINAL = 99
 """Stream of the fresh episodes that a run is judged by."""
@@ -45,22 +45,20 @@ replay is compared by its verdict."""
 def budget_for(task: Task, name: BudgetName, agent: str = "circuit") -> Budget:
     """Return a budget: the paper's, one of some core-minutes at most, or one of seconds."""
     settings = task.settings
-    starts = task.untuned if isinstance(task, Benchmark) else 1
-    default = Budget(settings.rollouts, settings.worst, _UNLIMITED, task.steps, starts, patience=15_000)
+    default = Budget(settings.rollouts, settings.worst, _UNLIMITED, task.steps, task.untuned, patience=15_000)
     if name is BudgetName.PUBLISHED and agent in NETWORKS:
         return Budget(*_NETWORK_SETTINGS, _UNLIMITED, 1, _UNLIMITED, "published-network")
     if name in FAITHFUL:
         strategy = task.published_search if name is BudgetName.PUBLISHED else "algorithm1"
-        warm_up = task.warm_up if isinstance(task, Benchmark) else 0
         limits = (settings.iterations, _UNLIMITED, 1, _UNLIMITED)
-        return Budget(settings.rollouts, settings.worst, *limits, strategy, warm_up)
+        return Budget(settings.rollouts, settings.worst, *limits, strategy, task.warm_up)
     if name is BudgetName.QUICK:
         return replace(
             default,
             rollouts=min(settings.rollouts, 3),
             worst=min(settings.worst, 3),
             steps=_QUICK_STEPS,
-            starts=min(starts, 300 if task.horizon < 1000 else 100),
+            starts=min(task.untuned, 300 if task.horizon < 1000 else 100),
         )
     return default
 
@@ -110,42 +108,35 @@ def _search(
     task: Task, agent: Policy | Net, seed: int, budget: Budget, checkpoint: Checkpoint
 ) -> tuple[Found, int, dict[str, Any]]:
     """Return what the search found, the steps it took, and the settings to record."""
+    if budget.strategy:
+        estimator = (
+            BenchmarkEstimator(task, agent, seed, budget)
+            if isinstance(task, Benchmark)
+            else ParkingEvaluator(task, agent)
+        )
+        return search_as_published(estimator, agent, seed, budget, checkpoint), estimator.steps, vars(budget)
     if not isinstance(task, Benchmark):
         parking = ParkingEvaluator(task, agent)
-        if budget.strategy:
-            found = search_as_published(parking, agent, seed, budget, checkpoint)
-        else:
-            found = search_parking(parking, agent, seed, budget)
-        return found, parking.steps, vars(budget)
-    if budget.strategy:
-        estimator = BenchmarkEstimator(task, agent, seed, budget)
-        found = search_as_published(estimator, agent, seed, budget, checkpoint)
-        return found, estimator.steps, vars(budget)
-    judge = Evaluator(task, agent)
-    evaluator = judge if task.search_plant is None else Evaluator(task, agent, for_search=True)
+        return search_parking(parking, agent, seed, budget), parking.steps, vars(budget)
+    evaluator = Evaluator(task, agent, for_search=True)
     limits = {"steps": budget.steps, "starts": budget.starts}
-    if task.search is SearchName.RANDOM:
-        found = search_randomly(evaluator, judge, agent, seed, budget)
-        settings = vars(budget)
-    elif task.search is SearchName.CMA:
-        found = search_by_cma(evaluator, judge, agent, seed, budget)
-        settings = limits | CMA
-    else:
-        found = search_by_halving(evaluator, agent, seed, budget)
-        settings = limits | HALVING
-    return found, evaluator.steps + (0 if judge is evaluator else judge.steps), settings
+    if task.search == "random":
+        return search_randomly(evaluator, agent, seed, budget), evaluator.steps, vars(budget)
+    if task.search == "halving":
+        return search_by_halving(evaluator, agent, seed, budget), evaluator.steps, limits | HALVING
+    judge = Evaluator(task, agent)
+    found = search_by_cma(evaluator, judge, agent, seed, budget)
+    return found, evaluator.steps + judge.steps, limits | CMA
 
 
 def _train_by_gradients(task: Task, name: RunName) -> tuple[Found, int, dict[str, Any]]:
-    from sim.paper.search.gradients import CELLS, train_actor, training_of  # needs the extra paper
+    from sim.paper.search.gradients import train_actor  # needs the extra paper
 
     if name.budget in FAITHFUL:
         raise UsageError(f"the paper states no budget for {name.agent}")
     if not isinstance(task, Benchmark):
         raise UsageError(f"{name.agent} is not trained on {task.name}")
-    actor, steps = train_actor(task, name.agent, name.seed, quick=name.budget is BudgetName.QUICK)
-    training = training_of(task, name.agent)
-    settings = {"cells": CELLS, "environments": training.environments, **training.options}
+    actor, steps, settings = train_actor(task, name.agent, name.seed, quick=name.budget is BudgetName.QUICK)
     return Found(actor.vector(), 0, (), "steps"), steps, settings
 
 
@@ -216,7 +207,7 @@ def make_runs(
     store: ResultStore,
     circuit: Path | None,
     *,
-    processes: int,
+    processes: int | None = None,
     cluster: str | None = None,
     every_s: float = 300.0,
     on_result: Callable[[Result], None],
@@ -240,7 +231,7 @@ def make_runs(
                 keep(run)
         return
     death = "; repeat the command to continue"
-    with ProcessPool(min(processes, len(names)), death) as pool:
+    with ProcessPool(min(processes or available_processes(), len(names)), death) as pool:
         runs = [pool.submit(train_run, name, circuit, store.checkpoint(name), every_s) for name in names]
         for run in as_completed(runs):
             keep(run)

@@ -1,5 +1,6 @@
 """Score of a circuit file on one of the paper's benchmarks: ``rover-ncp eval FILE --task NAME``."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -79,22 +80,17 @@ def benchmark_policy(file: str, task: Benchmark) -> Policy:
 
 def _with_ranges(policy: Policy, ranges: Sequence[str]) -> Policy:
     """Return a policy with other sensor ranges, each as ``NAME=LIMIT``. Raises UsageError."""
-    known = [channel.name for channel in policy.sensing.channels]
-    limits = {}
+    channels = {channel.name: channel for channel in policy.sensing.channels}
     for text in ranges:
         name, _, number = text.partition("=")
+        if name not in channels:
+            raise UsageError(f"--range {text}: expected NAME=LIMIT; the task senses {', '.join(channels)}")
         try:
-            limits[name] = float(number)
+            limit = float(number)
         except ValueError:
-            raise UsageError(f"--range {text}: expected NAME=LIMIT, with a number") from None
-        if name not in known:
-            raise UsageError(f"--range {text}: the task senses {', '.join(known)}")
-        if not 0.0 < limits[name] < np.inf:
-            raise UsageError(f"--range {text}: a range reaches from -LIMIT to LIMIT, which must be above 0")
-    channels = tuple(
-        channel.model_copy(update={"maximum": limits[channel.name], "minimum": -limits[channel.name]})
-        if channel.name in limits
-        else channel
-        for channel in policy.sensing.channels
-    )
-    return replace(policy, sensing=policy.sensing.model_copy(update={"channels": channels}))
+            limit = math.nan
+        if not 0.0 < limit < math.inf:
+            raise UsageError(f"--range {text}: expected NAME=LIMIT with a number above 0")
+        channels[name] = channels[name].model_copy(update={"maximum": limit, "minimum": -limit})
+    sensing = policy.sensing.model_copy(update={"channels": tuple(channels.values())})
+    return replace(policy, sensing=sensing)

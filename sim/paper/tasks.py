@@ -1,16 +1,13 @@
 """The paper's tasks: environment, mappings, settings, and success.
 
 Mappings and settings: Hasani et al. (ICRA 2020), Tables S3, S4 and S6; half-cheetah's are those of the
-published code. Thresholds are Gymnasium's where it has
-one. A pendulum's return has the paper's bonus of 0.2 (1 - |x|) on every rewarded step, so it ends at 1200.
+published code. Thresholds are Gymnasium's where it has one.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import StrEnum
-from functools import partial
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,19 +39,6 @@ class MujocoModel(NamedTuple):
     frames: int
 
 
-class SearchName(StrEnum):
-    """A benchmark's default search."""
-
-    RANDOM = "random"
-    """``search/random.py``: the paper's, with cheaper estimates."""
-    CMA = "cma"
-    CMA_HALVING = "cma-halving"
-    """``search/cma.py``."""
-
-
-_TAP_WITHDRAWAL = partial(load_circuit, "tap_withdrawal")
-
-
 @dataclass(frozen=True)
 class Task:
     """One row of the paper's tables."""
@@ -77,8 +61,16 @@ class Task:
     """Origin of ``success``; the paper states no threshold."""
     published_search: str = "published-parking"
     """The search of its published code."""
-    circuit: Callable[[], Circuit] = _TAP_WITHDRAWAL
-    """The untuned tap-withdrawal circuit with the task's motor neurons."""
+    wiring: str = "tap_withdrawal"
+    """Name of the tap-withdrawal circuit with the task's motor neurons."""
+    warm_up: int = 0
+    """Ticks of a circuit before the first step of an episode, in the task's published code."""
+    untuned: int = 1
+    """Untuned agents that are tried before the default search begins."""
+
+    def circuit(self) -> Circuit:
+        """Return the untuned circuit."""
+        return load_circuit(self.wiring)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,14 +85,14 @@ class Benchmark(Task):
     model: MujocoModel | None = None
     search_plant: int | None = None
     """A faster plant for the search; reported results are those of ``plant``."""
-    search: SearchName = SearchName.RANDOM
+    search: Literal["random", "cma", "halving"] = "random"
+    """The default search: of ``search/random.py``, or one of ``search/cma.py``."""
     bonus: float = 0.0
+    """Added to every rewarded step, times 1 - |x| of the cart."""
     warm_up: int = 1
-    """Ticks of a circuit before the first step of an episode, in the task's published code."""
     most: float = math.inf
     """Upper bound of a return, with bonus."""
     untuned: int = 3000
-    """Untuned agents that are tried before the search begins."""
 
 
 def two_signals(name: str, inputs: dict[str, float], limit: float) -> Callable[[Circuit], Policy]:
@@ -146,26 +138,6 @@ def _cheetah_policy(circuit: Circuit) -> Policy:
     return Policy(circuit, sensing, motors, input_layer=layers[0], output_layer=layers[1])
 
 
-def _car_start(generator: np.random.Generator) -> FloatArray:
-    return np.array([generator.uniform(-0.6, -0.4), 0.0])
-
-
-def _cart_pole_start(generator: np.random.Generator) -> FloatArray:
-    return generator.uniform(-0.05, 0.05, 4)
-
-
-def _pendulum_start(generator: np.random.Generator) -> FloatArray:
-    return generator.uniform(-0.01, 0.01, 4)
-
-
-def _roboschool_start(generator: np.random.Generator) -> FloatArray:
-    return np.array([0.0, generator.uniform(-0.1, 0.1), 0.0, 0.0])
-
-
-def _cheetah_start(generator: np.random.Generator) -> FloatArray:
-    return np.concatenate([generator.uniform(-0.1, 0.1, 9), 0.1 * generator.standard_normal(9)])
-
-
 def _pendulum(name: str, title: str, roboschool: bool) -> Benchmark:
     return Benchmark(
         name=name,
@@ -179,18 +151,20 @@ def _pendulum(name: str, title: str, roboschool: bool) -> Benchmark:
         policy=two_signals("pendulum", {"angle": 0.12, "cart": 1.0}, 0.3),
         threshold_from="Gymnasium",
         plant=PENDULUM,
-        start=_roboschool_start if roboschool else _pendulum_start,
+        start=lambda rng: (
+            np.array([0.0, rng.uniform(-0.1, 0.1), 0.0, 0.0]) if roboschool else rng.uniform(-0.01, 0.01, 4)
+        ),
         environment="InvertedPendulum-v5",
         model=MujocoModel("inverted_pendulum.xml", *((0.0165, 1) if roboschool else (0.02, 2))),
         search_plant=WRITTEN_PENDULUM,
-        search=SearchName.CMA,
+        search="cma",
         bonus=0.2,
         most=1200.0,
         untuned=5000,
     )
 
 
-def _parking(name: str, title: str, circuit: Callable[[], Circuit]) -> Task:
+def _parking(name: str, title: str, wiring: str) -> Task:
     return Task(
         name=name,
         title=title,
@@ -200,7 +174,7 @@ def _parking(name: str, title: str, circuit: Callable[[], Circuit]) -> Task:
         enough=-0.03,
         steps=320 * 100_000,
         policy=parking_policy,
-        circuit=circuit,
+        wiring=wiring,
     )
 
 
@@ -220,7 +194,7 @@ _ALL = (
         threshold_from="Gymnasium",
         published_search="published-mountain-car",
         plant=MOUNTAIN_CAR,
-        start=_car_start,
+        start=lambda rng: np.array([rng.uniform(-0.6, -0.4), 0.0]),
         most=100.0,
         environment="MountainCarContinuous-v0",
     ),
@@ -235,10 +209,10 @@ _ALL = (
         steps=6_000_000,
         policy=_cheetah_policy,
         plant=HALF_CHEETAH,
-        start=_cheetah_start,
+        start=lambda rng: np.concatenate([rng.uniform(-0.1, 0.1, 9), 0.1 * rng.standard_normal(9)]),
         environment="HalfCheetah-v5",
         model=MujocoModel("half_cheetah.xml", 0.01, 5),
-        search=SearchName.CMA_HALVING,
+        search="halving",
         untuned=400,
     ),
     Benchmark(
@@ -254,12 +228,12 @@ _ALL = (
         policy=two_signals("cart-pole", {"angle": 0.15, "rate": 1.0}, 1.0),
         threshold_from="Gymnasium",
         plant=CART_POLE,
-        start=_cart_pole_start,
+        start=lambda rng: rng.uniform(-0.05, 0.05, 4),
         most=500.0,
         environment="CartPole-v1",
     ),
-    _parking("parking", "Parking", partial(load_circuit, "parking")),
-    _parking("four-dof", "Parking, four degrees of freedom", partial(load_circuit, "four_dof")),
+    _parking("parking", "Parking", "parking"),
+    _parking("four-dof", "Parking, four degrees of freedom", "four_dof"),
 )
 TASKS = {task.name: task for task in _ALL}
 

@@ -1,14 +1,9 @@
 """Runs of the paper's grid: made once, the same bits again, replayed to their returns."""
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import pytest
+from kit.dask_cluster import Cluster
 from kit.json_fields import assert_on_page
 
 from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
@@ -29,13 +24,17 @@ def car():
     return train_run(CAR)
 
 
+def comparable(result):
+    return result.model_dump(exclude={"wall_s", "cpu_s"})
+
+
 def replays(result):
     return all(getattr(result, field) == value for field, value in replay(result).items())
 
 
 def test_the_same_run_gives_the_same_bits_and_replays(car):
     again = train_run(CAR)
-    assert again.model_dump(exclude={"wall_s", "cpu_s"}) == car.model_dump(exclude={"wall_s", "cpu_s"})
+    assert comparable(again) == comparable(car)
     assert replays(car)
     assert car.steps <= 2 * budget_for(TASKS["mountain-car"], QUICK).steps
     other = train_run(CAR.model_copy(update={"seed": 1}))
@@ -96,47 +95,37 @@ def test_command_makes_runs_once_and_replays_them(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("task", "iterations", "rollouts", "worst", "search"),
+    ("task", "agent", "iterations", "rollouts", "worst", "search", "warm_up"),
     [
-        ("pendulum", 25_000, 20, 10, "published-benchmarks"),
-        ("mountain-car", 50_000, 20, 20, "published-mountain-car"),
-        ("parking", 20_000, 1, 1, "published-parking"),
+        ("pendulum", "circuit", 25_000, 20, 10, "published-benchmarks", 1),
+        ("mountain-car", "circuit", 50_000, 20, 20, "published-mountain-car", 1),
+        ("parking", "circuit", 20_000, 1, 1, "published-parking", 0),
+        ("pendulum", "mlp", 20_000, 10, 5, "published-network", 0),
     ],
 )
-def test_the_published_budget_is_the_papers(task, iterations, rollouts, worst, search):
-    budget = budget_for(TASKS[task], BudgetName.PUBLISHED)
-    assert (budget.evaluations, budget.starts, budget.strategy) == (iterations, 1, search)
-    assert (budget.rollouts, budget.worst) == (rollouts, worst)
-    assert budget.warm_up == (task != "parking")
+def test_the_published_budget_is_the_papers(task, agent, iterations, rollouts, worst, search, warm_up):
+    budget = budget_for(TASKS[task], BudgetName.PUBLISHED, agent)
+    assert (budget.evaluations, budget.rollouts, budget.worst) == (iterations, rollouts, worst)
+    assert (budget.starts, budget.strategy, budget.warm_up) == (1, search, warm_up)
     assert budget_for(TASKS[task], BudgetName.ALGORITHM1).strategy == "algorithm1"
 
 
 @pytest.mark.long
-def test_runs_in_processes_are_those_of_one_process_and_an_interrupt_ends_them_all(tmp_path):
-    code = "from rover_ncp.entry import main; main()"
-    runs = ["--results", str(tmp_path), "--again", "--task", "cart-pole", "--processes", "2"]
-    command = [sys.executable, "-c", code, "paper", "run", *runs, "--agent", "mlp"]
-    quick = [*command, "--seed", "0", "--seed", "1", "--budget", "quick"]
-    subprocess.run(quick, check=True, capture_output=True, timeout=110)
-    for seed in (0, 1):
-        name = RunName(task="cart-pole", agent="mlp", seed=seed, budget=QUICK)
-        assert ResultStore(tmp_path).find(name).parameters == train_run(name).parameters
-    long = [*command, "--budget", "published"]
-    process = subprocess.Popen(
-        long, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True
-    )
-    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
-    wait_for(lambda: len(children.read_text().split()) >= 3)  # the resource tracker, and two runs
-    started = children.read_text().split()
-    os.killpg(process.pid, signal.SIGINT)
-    _, stderr = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert b"Traceback" not in stderr
-    wait_for(lambda: not any(Path(f"/proc/{child}").exists() for child in started))
-
-
-def wait_for(condition):
-    deadline = time.monotonic() + 60
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+@pytest.mark.usefixtures("no_git")
+def test_runs_in_processes_and_on_a_cluster_are_those_of_one_process(tmp_path):
+    runs = ["--task", "cart-pole", "--agent", "mlp", "--budget", "quick", "--seed", "0", "--seed", "1"]
+    # First here, so that the cluster's workers find all kernels compiled.
+    expected = [
+        train_run(CAR.model_copy(update={"task": "cart-pole", "agent": "mlp", "seed": s})) for s in (0, 1)
+    ]
+    cluster = Cluster(tmp_path)
+    try:
+        for _ in range(2):
+            cluster.add_worker()
+        for way in (["--processes", "2"], ["--cluster", cluster.address]):
+            folder = tmp_path / way[0]
+            assert run(["paper", "run", *runs, *way, "--results", str(folder)]) == 0
+            found = ResultStore(folder).results("cart-pole", "mlp", QUICK)
+            assert [comparable(result) for result in found] == [comparable(result) for result in expected]
+    finally:
+        cluster.stop()

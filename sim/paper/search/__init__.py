@@ -1,1 +1,1 @@
-"""Searches of the paper's tasks: the paper's own with their references, and the faster default ones."""
+"""Searches of the paper's tasks: the paper's own, and the faster default ones."""

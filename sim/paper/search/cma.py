@@ -1,16 +1,12 @@
 """CMA-ES on the pendulums and on the half-cheetah, over the unit cube of the parameters' bounds.
 
-Pendulums (``search_by_cma``): their motion follows from the start alone, so candidates are compared without
-noise by their mean return from one set of starts. A few starts that cover the environment's own give nearly
-as much information as many random ones. A new best candidate must be best from some more starts too. Such a
-return has many steps and cliffs; a distribution averages over them where single changes get stuck. The first
-searches begin at the best untuned agents, the others at the best candidate so far.
+Pendulums (``search_by_cma``): the start alone decides a motion, so candidates are compared without noise by
+their mean return from a few starts that lie far apart; a new best one must be best from more of them. The
+first searches begin at the best untuned agents, the others at the best candidate so far.
 
-Half-cheetah (``search_by_halving``): its reward comes evenly over an episode and depends little on chance, so
-short episodes show which candidates are better. Each of the best starts begins a search. After every stage
-the better half of the searches goes on, with longer and more episodes for each candidate. Early stages reward
-speed without a fall; the last ones show which candidates fall from some starts. The winner is the mean of a
-distribution with the best return in fresh whole episodes.
+Half-cheetah (``search_by_halving``): short episodes show which candidates are better. Each of the best starts
+begins a search; after every stage the better half goes on, with longer and more episodes. The winner is the
+mean of a distribution with the best return in fresh whole episodes.
 """
 
 from itertools import count
@@ -26,7 +22,7 @@ from sim.learn.search.cma import Cma
 from sim.learn.search.unit_box import UnitBox, reflected
 from sim.paper.agents import dead_parameters, untuned
 from sim.paper.evaluator import Evaluator
-from sim.paper.search.random import Budget, Found, Point, best_starts, confirmed
+from sim.paper.search.random import Budget, Found, Point, best_starts, confirmed, generator_of
 
 # Streams of random numbers; others are those of ``random.py``.
 _DRAW, _SEARCH, _TRIALS, _CHECKS, _FINALS = range(10, 15)
@@ -221,7 +217,7 @@ def _search_seed(seed: int, number: int) -> int:
 
 def _draw_starts(agent: Policy | Net, seed: int, count: int) -> Vector:
     """Draw untuned agents (count, P), layers at random: a few changes of layers of zeros move nothing."""
-    generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_DRAW,))))
+    generator = generator_of(seed, _DRAW)
     starts = untuned(agent, generator, count)
     if isinstance(agent, Policy):
         for block in agent.layout().blocks:

@@ -1,17 +1,13 @@
 """PPO and A2C of stable-baselines3 on the paper's tasks, with a network of eleven cells.
 
-They get Gymnasium's observations. A run keeps the actor: one hidden layer of tanh cells, and the
-normalisation of observations. A few lines of numpy score it without torch, so a stored run can be replayed
-wherever MuJoCo is installed.
-
-Several environments run side by side, which shares the cost of each call of torch. On mountain car
-exploration depends on the state (Raffin et al. 2021, gSDE) and lasts for some steps: without that, training
-never gets a reward.
+A run keeps the actor: one hidden layer of tanh cells, and the normalisation of observations. A few lines of
+numpy score it without torch. On mountain car exploration depends on the state (Raffin et al. 2021, gSDE) and
+lasts for some steps: without that, training never gets a reward.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -85,8 +81,7 @@ class PaperEnvironment(gymnasium.Wrapper[Any, Any, Any, Any]):
         return seen, float(plain) + bonus, terminated, truncated, {**info, "bonus": bonus}
 
 
-@dataclass(frozen=True, eq=False)
-class Actor:
+class Actor(NamedTuple):
     """Result of a training: means and variances of observations, weights of cells and of the output."""
 
     center: FloatArray
@@ -98,17 +93,13 @@ class Actor:
 
     def vector(self) -> Vector:
         """Return all numbers as one vector."""
-        parts = (self.center, self.variance, self.hidden, self.output)
-        return np.concatenate([part.ravel() for part in parts])
+        return np.concatenate([part.ravel() for part in self])
 
     @classmethod
     def of(cls, vector: Vector, observations: int, actions: int) -> "Actor":
         """Return the actor of a vector. Raises ValueError for one of another length."""
         shapes = ((observations,), (observations,), (CELLS, observations + 1), (actions, CELLS + 1))
-        ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
-        if len(vector) != ends[-1]:
-            raise ValueError(f"an actor here has {ends[-1]} numbers, not {len(vector)}")
-        parts = np.split(vector, ends[:-1])
+        parts = np.split(vector, np.cumsum([int(np.prod(shape)) for shape in shapes[:-1]]))
         return cls(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
 
     def act(self, seen: FloatArray) -> FloatArray:
@@ -119,19 +110,14 @@ class Actor:
         return action
 
 
-def training_of(task: Benchmark, agent: str) -> Training:
-    """Return how ``ppo`` or ``a2c`` is trained on a task."""
-    return (_CAR if task.plant == MOUNTAIN_CAR else _PENDULUM)[agent]
-
-
-def train_actor(task: Benchmark, agent: str, seed: int, *, quick: bool) -> tuple[Actor, int]:
-    """Train by ``ppo`` or ``a2c``; return the actor and the steps taken."""
+def train_actor(task: Benchmark, agent: str, seed: int, *, quick: bool) -> tuple[Actor, int, dict[str, Any]]:
+    """Train by ``ppo`` or ``a2c``; return the actor, the steps taken and the settings."""
     import torch
     from stable_baselines3 import A2C, PPO
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
     torch.set_num_threads(1)
-    training = training_of(task, agent)
+    training = (_CAR if task.plant == MOUNTAIN_CAR else _PENDULUM)[agent]
     options = training.options
     worlds = DummyVecEnv([lambda: PaperEnvironment(task)] * training.environments)
     world = VecNormalize(worlds, gamma=options.get("gamma", 0.99))
@@ -145,7 +131,8 @@ def train_actor(task: Benchmark, agent: str, seed: int, *, quick: bool) -> tuple
         np.column_stack([layer.weight.detach().numpy(), layer.bias.detach().numpy()]).astype(np.float64)
         for layer in layers
     )
-    return Actor(np.array(seen.mean), np.array(seen.var), hidden, output), int(model.num_timesteps)
+    settings = {"cells": CELLS, "environments": training.environments, **options}
+    return Actor(np.array(seen.mean), np.array(seen.var), hidden, output), int(model.num_timesteps), settings
 
 
 def score_actor(task: Benchmark, vector: Vector, seeds: NDArray[np.uint64]) -> tuple[FloatArray, FloatArray]:

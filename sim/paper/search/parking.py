@@ -18,7 +18,7 @@ from sim.learn.engine.networks import Net, network_commander
 from sim.learn.search.base import Vector
 from sim.learn.search.strategies import start_search
 from sim.paper.agents import dead_parameters
-from sim.paper.search.random import Budget, Found, Point
+from sim.paper.search.random import Budget, Found, Point, generator_of
 from sim.paper.tasks import Task
 
 _CREEP = 5.0
@@ -68,7 +68,7 @@ def search_parking(evaluator: ParkingEvaluator, agent: Policy | Net, seed: int, 
     A return says little about whether the rover stands at the end. So the result is the best candidate that
     parks, if any does.
     """
-    generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(0,))))
+    generator = generator_of(seed)
     first = agent.parameters() if isinstance(agent, Policy) else agent.start(generator)
     search = start_search("gauss-newton", agent.layout(), first, generator, dead_parameters(agent))
     curve: list[Point] = []

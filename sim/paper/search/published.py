@@ -1,8 +1,8 @@
 """The paper's own searches with their budget: Algorithm 1 as printed, and those of the published code.
 
-``reference.py`` has them literally; these make the same decisions in less time. Candidates are drawn ahead,
-as if those before them had failed (``sim/learn/search/random_search.py``). Rollouts stop where even the best
-possible rest would leave a candidate below its incumbent.
+``tests/kit/paper_reference.py`` has them literally; these make the same decisions in less time. Candidates
+are drawn ahead, as if those before them had failed (``sim/learn/search/random_search.py``). Rollouts stop
+where even the best possible rest would leave a candidate below its incumbent.
 
 The published code has a search for each task. On parking, which has no chance, it is that of
 ``sim/learn/search/published.py``; the others also estimate the incumbent anew, which counts as an iteration.
@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -25,11 +25,12 @@ from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text, write_atomic
 from sim.learn.engine.networks import Net
 from sim.learn.search.algorithm1 import ALPHA, ESTIMATE_AFTER, START_SCALE
-from sim.learn.search.base import Strategy, Vector, draw_seeds, dump_state
+from sim.learn.search.base import Strategy, Vector, dump_state
 from sim.learn.search.published import FAILURES_TO_WIDEN, RULES, Caps, KindRule, Published
 from sim.learn.search.random_search import RandomSearch
 from sim.paper.evaluator import Evaluator
-from sim.paper.search.random import Budget, Found, Point
+from sim.paper.search.parking import ParkingEvaluator
+from sim.paper.search.random import Budget, Found, Point, estimate, generator_of
 from sim.paper.tasks import Benchmark
 
 _CAR_WEIGHTS, _CAR_WEIGHTS_AGAIN = 16, 12
@@ -43,13 +44,9 @@ _CAR_RULES: Mapping[ParameterKind, KindRule] = {
     ParameterKind.CAPACITANCE: KindRule(4, 7, 0.01, 0.3),
 }
 _LAYERS = (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER)
-# Streams of random numbers.
-_SEARCH, _ROLLOUTS = range(2)
 _MIN_AHEAD, _MAX_AHEAD = 3, 48
 _AMPLITUDES = (0.01, 1.0)
 """Smallest and largest amplitude of a network's noise."""
-_STOPS = (1, 3, 9)
-"""Rollouts after which candidates may be rejected."""
 
 
 class EstimateCaps(Caps):
@@ -214,18 +211,6 @@ SEARCHES: Mapping[str, type[Strategy]] = {
 }
 
 
-class Estimator(Protocol):
-    """Estimates the returns of candidates, and counts the steps that it takes."""
-
-    steps: int
-
-    def estimate(self, vectors: Vector, number: int, to_beat: Vector) -> Vector:
-        """Return the estimates (k,) of vectors (k, P), exact where they exceed ``to_beat`` (k,).
-
-        ``number`` is that of the first one among all evaluations.
-        """
-
-
 class Checkpoint:
     """The saved state of an unfinished run, or none; it holds all that a continued run depends on."""
 
@@ -263,23 +248,40 @@ class Checkpoint:
         self._saved = time.monotonic()
 
 
+class BenchmarkEstimator(Evaluator):
+    """The paper's estimate on a benchmark: the mean of the worst k of N rollouts."""
+
+    def __init__(self, task: Benchmark, agent: Policy | Net, seed: int, budget: Budget) -> None:
+        super().__init__(task, agent, for_search=True, warm_up=budget.warm_up)
+        self._seed, self._budget = seed, budget
+
+    def estimate(self, vectors: Vector, number: int, to_beat: Vector) -> Vector:
+        """Return the estimates (k,) of vectors (k, P), exact where they exceed ``to_beat`` (k,).
+
+        ``number`` is that of the first one among all evaluations.
+        """
+        return estimate(self, vectors, self._seed, number, to_beat, self._budget, self.task.most)
+
+
 def search_as_published(
-    evaluator: Estimator, agent: Policy | Net, seed: int, budget: Budget, checkpoint: Checkpoint
+    evaluator: BenchmarkEstimator | ParkingEvaluator,
+    agent: Policy | Net,
+    seed: int,
+    budget: Budget,
+    checkpoint: Checkpoint,
 ) -> Found:
     """Search an agent's parameters to the last iteration. The same arguments give the same bits.
 
     Raises FileError if the state of an interrupted run does not fit.
     """
-    generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_SEARCH,))))
+    generator = generator_of(seed)
     first = agent.parameters() if isinstance(agent, Policy) else agent.start(generator)
     search = SEARCHES[budget.strategy].begin(agent.layout(), first, generator)
     curve: list[Point] = []
     ahead = _MIN_AHEAD
     if saved := checkpoint.load():
         search.restore(saved["search"])
-        curve = [
-            Point(int(iteration), int(steps), float(value)) for iteration, steps, value in saved["curve"]
-        ]
+        curve = [Point(*point) for point in saved["curve"]]
         ahead, evaluator.steps = int(saved["ahead"]), int(saved["steps"])
 
     def state() -> dict[str, Any]:
@@ -295,32 +297,3 @@ def search_as_published(
         ahead = min(2 * ahead, _MAX_AHEAD) if search.value == before else _MIN_AHEAD
         checkpoint.save(state)
     return Found(search.incumbent, search.evaluations, tuple(curve), "evaluations")
-
-
-class BenchmarkEstimator(Evaluator):
-    """The paper's estimate on a benchmark: the mean of the worst k of N rollouts."""
-
-    def __init__(self, task: Benchmark, agent: Policy | Net, seed: int, budget: Budget) -> None:
-        super().__init__(task, agent, for_search=True, warm_up=budget.warm_up)
-        self._seed, self._rollouts, self._worst = seed, budget.rollouts, budget.worst
-        # Without an upper bound of a return no candidate can be rejected early.
-        early = [stop for stop in _STOPS if stop < budget.rollouts and math.isfinite(task.most)]
-        self._stops = [*early, budget.rollouts]
-
-    def estimate(self, vectors: Vector, number: int, to_beat: Vector) -> Vector:
-        """Return the estimates (k,) of vectors (k, P), exact where they exceed ``to_beat`` (k,)."""
-        keys = [(_ROLLOUTS, number + place) for place in range(len(vectors))]
-        seeds = np.array([draw_seeds(self._seed, key, self._rollouts) for key in keys])
-        # Rollouts that are still to come count as the best possible: an upper bound of the estimate.
-        returns = np.full((len(vectors), self._rollouts), self.task.most)
-        bounds = np.full(len(vectors), np.inf)
-        left, done = np.arange(len(vectors)), 0
-        for stop in self._stops:
-            found = self.run(np.repeat(vectors[left], stop - done, axis=0), seeds[left, done:stop].ravel())
-            returns[left, done:stop] = found[:, :2].sum(axis=1).reshape(len(left), -1)
-            lowest = np.sort(returns[left], axis=1)[:, : self._worst]
-            bounds[left] = [math.fsum(row) / self._worst for row in lowest]
-            left, done = left[bounds[left] > to_beat[left]], stop
-            if not len(left):
-                break
-        return bounds

@@ -1,11 +1,10 @@
 """The published random search on a benchmark, from the best of many starts, with pruned estimates.
 
-The search of mountain car and cart-pole. It deviates from the published search
-(``published.py``) to need less time for the same end:
+The search of mountain car and cart-pole. It deviates from the published search (``published.py``) to need
+less time for the same end:
   * It starts from the best of many untuned agents: some tasks reward nothing before the goal.
-  * Candidates that trail their incumbent after 1, 3 or 9 rollouts are pruned, judged by the same share of
-    worst rollouts. A candidate that takes all rollouts gets the paper's estimate. A search compares a
-    candidate only with its incumbent, so this loses only candidates that would have won by late luck.
+  * Candidates that trail their incumbent after 1, 3 or 9 rollouts are pruned. A candidate that takes all
+    rollouts gets the paper's estimate.
   * After 50 failures the incumbent, which may have been lucky, is estimated in place of a candidate.
   * The search stops at a return that is confirmed as enough, or when for long nothing got better.
 """
@@ -18,7 +17,7 @@ import numpy as np
 
 from rover_ncp.circuit.policy import Policy
 from sim.learn.engine.networks import Net
-from sim.learn.search.base import Seeds, Vector, draw_seeds
+from sim.learn.search.base import Vector, draw_seeds
 from sim.learn.search.published import FAILURES_TO_WIDEN, Caps, Published
 from sim.paper.agents import untuned
 from sim.paper.evaluator import Evaluator
@@ -29,6 +28,8 @@ _MIN_AHEAD, _MAX_AHEAD = 4, 48
 _START_ROUNDS = (1, 2, 4, 8, 16)
 """Episodes of each start in a round; a quarter of the starts goes on to the next round."""
 _CONFIRMATIONS = 100
+_STOPS = (1, 3, 9)
+"""Rollouts after which a candidate may be pruned."""
 
 
 @dataclass(frozen=True)
@@ -78,14 +79,9 @@ class Reestimating(Published):
         return adaptation.after_failure()
 
 
-def search_randomly(
-    evaluator: Evaluator, judge: Evaluator, agent: Policy | Net, seed: int, budget: Budget
-) -> Found:
-    """Search an agent's parameters on a benchmark. The same arguments give the same bits.
-
-    ``judge``, which may be the evaluator, confirms a return that is enough.
-    """
-    generator = search_generator(seed)
+def search_randomly(evaluator: Evaluator, agent: Policy | Net, seed: int, budget: Budget) -> Found:
+    """Search an agent's parameters on a benchmark. The same arguments give the same bits."""
+    generator = generator_of(seed)
     starts = untuned(agent, generator, budget.starts)
     search = Reestimating(agent.layout(), best_starts(evaluator, starts, seed)[0], generator)
     enough = evaluator.task.enough
@@ -98,12 +94,10 @@ def search_randomly(
             break
         ahead = min(_MIN_AHEAD + search.adaptation.failures, _MAX_AHEAD)
         vectors = search.ask(min(ahead, budget.evaluations - search.evaluations))
-        keys = [(_ROLLOUTS, search.evaluations + number) for number in range(len(vectors))]
-        seeds = np.array([draw_seeds(seed, key, budget.rollouts) for key in keys])
-        search.tell(estimate(evaluator, vectors, seeds, search.to_beat, budget))
+        search.tell(estimate(evaluator, vectors, seed, search.evaluations, search.to_beat, budget))
         assert search.value is not None
         if search.value >= enough:
-            search.value = confirmed(judge, search.incumbent, seed, search.evaluations)
+            search.value = confirmed(evaluator, search.incumbent, seed, search.evaluations)
         if not curve or curve[-1].value != search.value:
             curve.append(Point(search.evaluations, evaluator.steps, search.value))
         if search.value >= enough:
@@ -117,30 +111,39 @@ def search_randomly(
     return Found(search.incumbent, search.evaluations, tuple(curve), ended)
 
 
-def search_generator(seed: int) -> np.random.Generator:
-    """Return the generator of a search, which first draws its untuned starts."""
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_SEARCH,))))
+def generator_of(seed: int, stream: int = _SEARCH) -> np.random.Generator:
+    """Return the generator of a random stream of a search."""
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(stream,))))
 
 
-def estimate(evaluator: Evaluator, vectors: Vector, seeds: Seeds, to_beat: Vector, budget: Budget) -> Vector:
-    """Return the estimates (k,) of vectors (k, P), each in the episodes of its seeds (k, rollouts).
+def estimate(  # noqa: PLR0917
+    evaluator: Evaluator,
+    vectors: Vector,
+    seed: int,
+    number: int,
+    to_beat: Vector,
+    budget: Budget,
+    most: float | None = None,
+) -> Vector:
+    """Return the means (k,) of the worst returns of vectors (k, P); ``number`` is that of the first.
 
-    The estimate of a candidate that is pruned is that of the rollouts that it had. Minus infinity in
-    ``to_beat`` (k,) asks for all rollouts.
+    A candidate takes no more rollouts once its estimate is not above ``to_beat`` (k,). Until then the
+    estimate is that of the rollouts so far or, with ``most``, one in which all others return the most.
     """
-    rounds = [3**n for n in range(10) if 3**n < budget.rollouts]
-    returns = np.full((len(vectors), budget.rollouts), np.nan)
-    estimates = np.full(len(vectors), -np.inf)
-    left, done = np.arange(len(vectors)), 0
-    for rollouts in (*rounds, budget.rollouts):
-        repeated = np.repeat(vectors[left], rollouts - done, axis=0)
-        found = evaluator.run(repeated, seeds[left, done:rollouts].ravel())
-        returns[left, done:rollouts] = found[:, :2].sum(axis=1).reshape(len(left), -1)
-        worst = max(round(budget.worst * rollouts / budget.rollouts), 1)
-        lowest = np.sort(returns[left, :rollouts], axis=1)[:, :worst]
+    count, rollouts = len(vectors), budget.rollouts
+    seeds = np.array([draw_seeds(seed, (_ROLLOUTS, number + place), rollouts) for place in range(count)])
+    returns = np.full((count, rollouts), np.nan if most is None else most)
+    estimates = np.full(count, np.inf)
+    left, done = np.arange(count), 0
+    early = [] if most == math.inf else [stop for stop in _STOPS if stop < rollouts]
+    for stop in (*early, rollouts):
+        found = evaluator.run(np.repeat(vectors[left], stop - done, axis=0), seeds[left, done:stop].ravel())
+        returns[left, done:stop] = found[:, :2].sum(axis=1).reshape(len(left), -1)
+        known = stop if most is None else rollouts
+        worst = max(round(budget.worst * known / rollouts), 1)
+        lowest = np.sort(returns[left, :known], axis=1)[:, :worst]
         estimates[left] = [math.fsum(row) / worst for row in lowest]
-        left = left[(estimates[left] > to_beat[left]) | np.isneginf(to_beat[left])]
-        done = rollouts
+        left, done = left[estimates[left] > to_beat[left]], stop
         if not len(left):
             break
     return estimates

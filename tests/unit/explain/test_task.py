@@ -14,7 +14,7 @@ from sim.explain.files import markdown, page
 from sim.explain.task import EPISODES, explain_task, stored_policy
 from sim.explain.what_if import without_neuron
 from sim.learn.engine.environment import EnvironmentEvaluator
-from sim.paper.play import BenchmarkEpisodes
+from sim.paper.interpretation import BenchmarkEpisodes
 from sim.paper.tasks import TASKS
 
 [PAGE] = [page for page in PAGES if page.stem == "own_task"]

@@ -30,7 +30,7 @@ def test_an_actor_is_its_vector():
     normal = np.clip((seen - actor.center) / np.sqrt(actor.variance + 1e-8), -10, 10)
     cells = np.tanh(actor.hidden @ [*normal, 1.0])
     np.testing.assert_allclose(actor.act(seen), actor.output @ [*cells, 1.0])
-    with pytest.raises(ValueError, match="numbers"):
+    with pytest.raises(ValueError, match="reshape"):
         Actor.of(actor.vector()[1:], 4, 1)
 
 

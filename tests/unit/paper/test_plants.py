@@ -19,6 +19,8 @@ class Plant:
     def __init__(self, name, *, for_search=False):
         self.task = TASKS[name]
         self.plants, self.pool = make_plants(self.task, LANES, for_search=for_search)
+        inputs = self.task.policy(self.task.circuit()).sensing.inputs
+        self._seen = np.full((len(inputs), LANES), np.nan)
 
     @property
     def state(self):
@@ -28,10 +30,8 @@ class Plant:
         reset_plant(self.plants, LANE, np.array(start, float))
 
     def observe(self):
-        policy = self.task.policy(self.task.circuit())
-        seen = np.full((len(policy.sensing.inputs), LANES), np.nan)
-        observe(self.plants, LANE, seen)
-        return seen[:, LANE].tolist()
+        observe(self.plants, LANE, self._seen)
+        return self._seen[:, LANE].tolist()
 
     def step(self, *commands):
         column = np.zeros((len(commands), LANES))
@@ -49,7 +49,7 @@ def push(seed):
     return np.repeat(np.clip(rng.normal(0.0, 1.2, 300), -1.0, 1.0), 7).tolist()
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_mountain_car_moves_as_gymnasiums_to_the_last_bit(seed):
     env, plant = gymnasium.make("MountainCarContinuous-v0").unwrapped, Plant("mountain-car")
     first, _ = env.reset(seed=seed)
@@ -67,14 +67,14 @@ def test_mountain_car_moves_as_gymnasiums_to_the_last_bit(seed):
         assert (got_reward, bonus) == (pytest.approx(reward, rel=1e-15), 0.0)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_cart_pole_is_gymnasiums_with_the_force_scaled(seed):
+def test_cart_pole_is_gymnasiums_with_the_force_scaled():
     env, plant = gymnasium.make("CartPole-v1").unwrapped, Plant("cart-pole")
-    env.reset(seed=seed)
-    assert start_of("cart-pole", seed).tolist() == env.state.tolist()
+    for seed in range(6):
+        env.reset(seed=seed)
+        assert start_of("cart-pole", seed).tolist() == env.state.tolist()
     plant.reset(env.state)
-    rng = np.random.default_rng(seed)
-    for action in push(seed):
+    rng = np.random.default_rng(0)
+    for action in push(0):
         env.state = plant.state[:] = rng.uniform((-2.4, -3, -0.21, -3), (2.4, 3, 0.21, 3))
         env.force_mag = 10.0 * action
         env.steps_beyond_terminated = None
@@ -151,13 +151,12 @@ def test_steered_alike_the_written_pendulum_stays_mujocos_for_a_whole_episode():
         np.testing.assert_allclose(written.state, mujoco.state, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_half_cheetah_is_gymnasiums_to_the_last_bit(seed):
+def test_half_cheetah_is_gymnasiums_to_the_last_bit():
     env, plant = gymnasium.make("HalfCheetah-v5").unwrapped, Plant("half-cheetah")
-    first, _ = env.reset(seed=seed)
-    plant.reset(start_of("half-cheetah", seed))
+    first, _ = env.reset(seed=0)
+    plant.reset(start_of("half-cheetah", 0))
     assert plant.observe() == first.tolist()
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     for _ in range(200):
         action = rng.uniform(-1.0, 1.0, 6)
         seen, reward, _, _, _ = env.step(action)

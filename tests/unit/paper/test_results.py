@@ -38,13 +38,11 @@ def test_damaged_line_is_named(tmp_path):
         ResultStore(tmp_path).find(saved.name)
 
 
-def test_steps_and_values_come_from_complete_curves():
-    found = result("cart-pole", "mlp", 0, 480.0, curve=((0, 10, 20.0), (7, 90, 480.0)), steps=500)
-    assert [found.steps_to(value) for value in (20.0, 475.0, 490.0)] == [10, 90, 500]
+def test_values_come_from_complete_curves():
+    found = result("cart-pole", "mlp", 0, 480.0, curve=((0, 10, 20.0), (7, 90, 480.0)))
     assert [found.value_after(count) for count in (0, 6, 7)] == [20.0, 20.0, 480.0]
-    assert found.model_copy(update={"thinned": True}).steps_to(20.0) is None
-    unknown = found.model_copy(update={"curve": ((None, 10, 20.0),)})
-    assert (unknown.steps_to(20.0), unknown.value_after(9)) == (10, None)
+    assert found.model_copy(update={"thinned": True}).value_after(7) is None
+    assert found.model_copy(update={"curve": ((None, 10, 20.0),)}).value_after(9) is None
 
 
 def test_replay_may_differ_by_a_billionth_but_not_in_its_verdict():

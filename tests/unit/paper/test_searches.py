@@ -70,8 +70,9 @@ def test_a_return_that_the_judge_does_not_confirm_is_not_enough(monkeypatch):
     place = Evaluator(replace(TASKS["roboschool"], enough=1100.0), built, for_search=True)
     asked = []
     monkeypatch.setattr(cma, "confirmed", lambda *_: asked.append(1) or 900.0 + len(asked))
-    budget = default_budget("roboschool", steps=2_000_000, starts=100)
+    budget = default_budget("roboschool", steps=1_000_000, starts=100)
     found = search_by_cma(place, place, built, 0, budget)
+    assert asked
     assert found.ended == "steps"
     assert found.curve[-1].value == 900.0 + len(asked)
 
@@ -79,13 +80,12 @@ def test_a_return_that_the_judge_does_not_confirm_is_not_enough(monkeypatch):
 def test_an_estimate_is_the_papers_except_for_pruned_candidates():
     place, policy = evaluator("cart-pole")
     vectors = np.tile(policy.parameters(), (3, 1))
-    seeds = np.array([draw_seeds(5, (1, number), 20) for number in range(3)])
     budget = default_budget("cart-pole")
-    full = estimate(place, vectors, seeds, np.full(3, -np.inf), budget)
-    returns = place.returns(vectors[:1], seeds[0])[0]
+    full = estimate(place, vectors, 5, 0, np.full(3, -np.inf), budget)
+    returns = place.returns(vectors[:1], draw_seeds(5, (1, 0), 20))[0]
     assert full[0] == pytest.approx(np.sort(returns)[:10].mean())
     steps = place.steps
-    pruned = estimate(place, vectors, seeds, np.full(3, 400.0), budget)
+    pruned = estimate(place, vectors, 5, 0, np.full(3, 400.0), budget)
     assert np.all(pruned <= 400.0)
     assert place.steps - steps < 3 * 60  # one rollout each
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.paper.statistics import Summary, fisher, holm, improvement, interquartile_mean, measure, welch
+from sim.paper.statistics import Summary, fisher, holm, improvement, interquartile_mean, permutation, welch
 
 
 def test_holms_correction_is_that_of_the_textbook():
@@ -15,32 +15,28 @@ def test_holms_correction_is_that_of_the_textbook():
 
 def test_permutation_test_of_few_runs_is_exact():
     # 6 against 2 of 8 runs: 28 ways to divide them, of which one each way is as far apart.
-    effect = measure(np.arange(10.0, 16.0), np.array([1.0, 2.0]))
+    effect = permutation(np.arange(10.0, 16.0), np.array([1.0, 2.0]))
     assert effect.p == pytest.approx(2 / 28)
-    assert effect.difference == pytest.approx(12.5 - 1.5)
-    assert effect.interval[0] > 8.0
-    equal = measure(np.full(10, 1000.0), np.full(5, 1000.0))
-    assert (equal.difference, equal.interval, equal.p) == (0.0, (0.0, 0.0), 1.0)
-
-
-def test_p_values_of_equal_distributions_are_uniform():
-    rng = np.random.default_rng(0)
-    low = sum(measure(rng.normal(size=8), rng.normal(size=8)).p < 0.2 for _ in range(60))
-    assert 3 <= low <= 22  # 12 expected
+    assert effect.value == pytest.approx(12.5 - 1.5)
+    assert effect.low > 8.0
+    equal = permutation(np.full(10, 1000.0), np.full(5, 1000.0))
+    assert equal == (0.0, 0.0, 0.0, 1.0)
 
 
 def test_interval_of_a_difference_of_rates_is_newcombes():
     # Newcombe (1998), method 10, example (a): 56 of 70 and 48 of 80.
     found = fisher(56, 70, 48, 80)
-    assert found.difference == pytest.approx(0.2)
-    assert found.interval == pytest.approx((0.0524, 0.3339), abs=5e-5)
+    assert found.value == pytest.approx(0.2)
+    assert (found.low, found.high) == pytest.approx((0.0524, 0.3339), abs=5e-5)
 
 
 def test_welchs_test_is_that_of_the_textbook():
     # t = (20.6 - 22.1) / sqrt(3.0 / 10 + 6.5 / 10), 15.9 degrees of freedom, whose quantile is 2.121.
     found = welch(Summary(20.6, 3.0**0.5, 10), Summary(22.1, 6.5**0.5, 10))
     assert found.p == pytest.approx(0.143, abs=0.002)
-    assert found.interval == pytest.approx((-1.5 - 2.121 * 0.95**0.5, -1.5 + 2.121 * 0.95**0.5), abs=0.002)
+    assert (found.low, found.high) == pytest.approx(
+        (-1.5 - 2.121 * 0.95**0.5, -1.5 + 2.121 * 0.95**0.5), abs=0.002
+    )
     assert welch(Summary(1.0, 0.0, 10), Summary(1.0, 0.0, 10)).p == 1.0
     assert welch(Summary(1.1, 0.0, 10), Summary(1.0, 0.0, 10)).p == 0.0
 
@@ -48,7 +44,7 @@ def test_welchs_test_is_that_of_the_textbook():
 def test_interquartile_mean_leaves_out_the_outer_quarters():
     found = interquartile_mean(np.array([-1e9, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 1e9]))
     assert found.value == pytest.approx(3.5)
-    assert interquartile_mean(np.full(10, 7.0)) == (7.0, 7.0, 7.0)
+    assert interquartile_mean(np.full(10, 7.0)) == (7.0, 7.0, 7.0, 1.0)
     draws = np.random.default_rng(1).normal(10.0, 1.0, 40)
     found = interquartile_mean(draws)
     assert found.low < found.value < found.high < 11.0
@@ -60,5 +56,5 @@ def test_probability_of_improvement_counts_ties_by_half():
     assert alone.value == pytest.approx((3 * 1 + 2 * 2 * 0.5 + 2) / 9)
     assert alone.low <= alone.value <= alone.high
     sure = np.array([9.0, 8.0]), np.array([1.0, 2.0])
-    assert improvement([sure]) == (1.0, 1.0, 1.0)
+    assert improvement([sure]) == (1.0, 1.0, 1.0, 1.0)
     assert improvement([pair, sure]).value == pytest.approx((alone.value + 1.0) / 2)

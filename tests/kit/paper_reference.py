@@ -1,7 +1,7 @@
 """The paper's searches, literally: slow, and written to be read beside the paper.
 
 ``evaluate`` returns f(theta) of fresh rollouts. Every function yields the incumbent and its value after each
-iteration. The tests compare them with the fast searches (``published.py``), decision by decision.
+iteration. The tests compare them with the fast searches (``sim/paper/search/published.py``).
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -26,7 +26,7 @@ class Kind(NamedTuple):
     noise: tuple[float, float]
 
 
-def algorithm1(  # noqa: PLR0917  # the symbols of the paper
+def algorithm1(  # the symbols of the paper
     evaluate: Evaluate,
     start: Vector,
     lower: Vector,
@@ -53,7 +53,7 @@ def algorithm1(  # noqa: PLR0917  # the symbols of the paper
         yield theta, value
 
 
-def published_circuit_search(  # noqa: PLR0917
+def published_circuit_search(
     evaluate: Evaluate,
     defaults: Vector,
     lower: Vector,

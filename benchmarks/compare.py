@@ -65,7 +65,7 @@ NETWORKS = {
     "ltc": (NetKind.LTC, LIQUID_CELLS),
 }
 """Kind and number of cells: as many as the circuit has neurons, or about as many numbers as it has."""
-RESULTS = Path("runs/compare"), Path("sim/paper/random_robots")
+RESULTS = Path("runs/compare"), Path("results/random-robots")
 """Folders of results, AGENT.json each."""
 
 _RANDOM_COURSES = RobustSettings().random_courses

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from kit.paths import ROOT
 from kit.tutorials import PAGES, write_files
 
 from rover_ncp.cli import run
@@ -60,7 +61,7 @@ def test_a_knock_out_is_the_mean_return_of_the_same_episodes(folder):
 
 
 def test_a_stored_circuit_of_the_paper_plays_as_it_is_scored():
-    name, policy = stored_policy(TASKS["mountain-car"])
+    name, policy = stored_policy(TASKS["mountain-car"], ROOT / "results")
     assert name.startswith("paper run default mountain-car circuit")
     episodes = BenchmarkEpisodes(TASKS["mountain-car"], policy)
     seeds = np.array([5, 6], np.uint64)
@@ -93,7 +94,8 @@ def test_what_cannot_be_explained_is_named(source, task, error, words):
         explain_task(source, task)
 
 
-def test_a_stored_parking_circuit_is_explained_as_a_drive():
+def test_a_stored_parking_circuit_is_explained_as_a_drive(monkeypatch):
+    monkeypatch.chdir(ROOT)
     found = api.explain_task(None, "four-dof")
     assert found.task is None
     assert found.verdict.parked
@@ -102,6 +104,7 @@ def test_a_stored_parking_circuit_is_explained_as_a_drive():
 
 
 def test_the_paper_circuit_is_explained_in_words(monkeypatch):
+    monkeypatch.chdir(ROOT)
     monkeypatch.setattr("sim.explain.task.EPISODES", 2)
     found = api.explain_task(None, "mountain-car")
     text = markdown(found)

@@ -15,11 +15,9 @@ from sim.paper.claims import Claim, Verdict, judge_claims, load_claims
 from sim.paper.curves import average, curves_png
 from sim.paper.interpretation import counts, sign_of
 from sim.paper.report import LAYOUTS, long_report, short_report
-from sim.paper.results import RESULTS, ResultStore
+from sim.paper.results import ResultStore
 from sim.paper.selection import grid
 from sim.paper.tasks import TASKS
-
-STORE = ResultStore(RESULTS)
 
 
 @pytest.fixture
@@ -131,13 +129,13 @@ def test_vertical_steps_count_only_if_wanted_and_still_ones_never():
     assert sign_of(0, 0, 2.0) is Sign.NONE
 
 
-def test_sign_has_a_verdict_only_where_all_readings_agree(monkeypatch):
+def test_sign_has_a_verdict_only_where_all_readings_agree(store, monkeypatch):
     signs = iter([{Sign.POSITIVE: 12}] * 6 + [{Sign.POSITIVE: 8, Sign.NONE: 4}] * 9 + [{Sign.POSITIVE: 12}])
     monkeypatch.setattr(claims, "drives", lambda _: [(None, None)] * 8)
     monkeypatch.setattr(claims, "readings", lambda *_: next(signs))
     sign = {"source": "AVA", "destination": "RGT", "expected": "positive"}
-    assert verdict(STORE, "sign", **sign).verdict is Verdict.REPRODUCED
-    found = verdict(STORE, "sign", **sign)
+    assert verdict(store, "sign", **sign).verdict is Verdict.REPRODUCED
+    found = verdict(store, "sign", **sign)
     assert (found.verdict, "no evidence" in found.why) == (Verdict.INCONCLUSIVE, True)
 
 

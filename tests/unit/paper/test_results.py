@@ -2,17 +2,19 @@
 
 import pytest
 from kit.paper_runs import result
+from kit.paths import ROOT
 
 from rover_ncp.cli import run
 from rover_ncp.core.errors import FileError
 from sim.paper import BudgetName
-from sim.paper.results import RESULTS, ResultStore
+from sim.paper.results import ResultStore
 from sim.paper.runs import agrees
 
+RESULTS = ROOT / "results"
 STORED = [
     run
     for path in sorted(RESULTS.glob("*/*.jsonl"))
-    for run in ResultStore().results(path.stem, "circuit", BudgetName(path.parent.name))[:1]
+    for run in ResultStore(RESULTS).results(path.stem, "circuit", BudgetName(path.parent.name))[:1]
 ]
 
 
@@ -58,4 +60,4 @@ def test_replay_may_differ_by_a_billionth_but_not_in_its_verdict():
 def test_shipped_run_of_each_budget_and_task_replays(stored):
     name = stored.name
     selected = ["--task", name.task, "--agent", "circuit", "--seed", str(name.seed), "--budget", name.budget]
-    assert run(["paper", "replay", *selected]) == 0
+    assert run(["paper", "replay", *selected, "--results", str(RESULTS)]) == 0

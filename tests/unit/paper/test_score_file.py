@@ -5,6 +5,7 @@ import json
 import pytest
 from kit.bnn_text import circuit_to_bnn
 from kit.json_fields import assert_on_page
+from kit.paths import ROOT
 
 from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
 from rover_ncp.cli import run
@@ -16,7 +17,7 @@ from sim.paper.tasks import TASKS
 @pytest.fixture(scope="module")
 def trained():
     """Return the shipped mountain-car run of seed 0 and its circuit."""
-    result = ResultStore().results("mountain-car", "circuit")[0]
+    result = ResultStore(ROOT / "results").results("mountain-car", "circuit")[0]
     policy = build_agent(TASKS["mountain-car"], "circuit", 0)
     return result, policy.with_parameters(result.parameters.array()).circuit
 

@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from kit.paths import ROOT
 
+from benchmarks import compare
 from benchmarks.compare import find_agent
 from benchmarks.paired import Paired, paired
 
@@ -22,6 +24,14 @@ def test_agents_start_inside_their_bounds(name, numbers):
 def test_networks_draw_their_start_from_the_seed():
     starts = [find_agent("mlp", seed).box.start for seed in (1, 2)]
     assert not np.array_equal(*starts)
+
+
+@pytest.mark.parametrize("name", ["circuit", "cfc", "ltc"])
+def test_stored_agent_drives_as_a_policy(name, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    found = getattr(compare, name)
+    found.reset()
+    assert np.isfinite(found(np.zeros(len(found.signals)))).all()
 
 
 def test_unknown_agent_is_refused():

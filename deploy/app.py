@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from deploy.drive.config import DriveConfig
-from deploy.drive.control_loop import Drive, Phase
+from deploy.drive.control_loop import Drive
 from deploy.drive.controller import ORIGIN, Controller
 from deploy.drive.publisher import Publisher
 from deploy.drive.records import attachments
@@ -19,7 +19,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.console import Output, printable
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import Interrupts
-from rover_ncp.course.course import TICK_S, Course
+from rover_ncp.course.course import TICK_S, Course, Parked
 from rover_ncp.wire.messages import (
     COURSE_FRAME,
     neurons,
@@ -95,16 +95,18 @@ def prepare_for_real_time() -> None:
 
 def _result(drive: Drive, config: DriveConfig) -> dict[str, Any]:
     report, verdict = drive.keeper.report(), drive.verdict
-    parked = drive.phase is Phase.PARKED
     if drive.stop is not None:
         code = drive.stop.exit_code
     elif verdict is None:
         code = INTERRUPTED
     else:
-        code = 0 if parked or config.dry_run else 1
+        fails = {Parked.NO, Parked.UNCERTAIN} if config.require_certainty else {Parked.NO}
+        code = 1 if verdict.words in fails and not config.dry_run else 0
     latencies_ms = np.array(drive.latencies_ns or [0]) / 1e6
     return {
-        "parked": parked,  #: by the estimate
+        #: parked, "parked, uncertain" or not parked, by the estimate; null if the drive did not reach its end
+        "verdict": verdict.words.value if verdict else None,
+        "probability": verdict.probability if verdict else None,  #: that the rover is within the tolerances
         "state": drive.phase.value,  #: in which the drive ended
         "reason": drive.reason,  #: in words
         "stopped_by": drive.stop.rule if drive.stop else None,  #: the safety rule
@@ -136,11 +138,12 @@ def _words(fields: dict[str, Any]) -> str:
     elif fields["estimate_error_m"] is None:
         first = "interrupted; the rover was stopped"
     else:
-        ending = "parked" if fields["parked"] else f"not parked: {fields['reason']}"
         first = (
-            f"{ending}; by the estimate {1000 * fields['estimate_error_m']:.0f} mm and "
+            f"{fields['verdict']}; by the estimate {1000 * fields['estimate_error_m']:.0f} mm and "
             f"{1000 * fields['estimate_error_rad']:.0f} mrad from the goal"
         )
+        if fields["reason"]:
+            first += f"\n{fields['reason']}"
     latency = fields["odometry_to_command_ms"]
     lines = [
         ("dry run, " if fields["dry_run"] else "") + first,

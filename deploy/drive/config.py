@@ -50,9 +50,7 @@ class DriveConfig(Timeouts):
         default=0.2, gt=0, description="how far from the course's start it may begin, in x and y"
     )
     start_rad: float = Field(default=0.35, gt=0, description="how far from the start's heading it may begin")
-    require_accuracy_m: float | None = Field(
-        default=None, gt=0, description="without external poses, the largest predicted error at the goal"
-    )
+    require_certainty: bool = Field(default=False, description="whether 'parked, uncertain' is a failure")
     estimator: EstimatorSettings = EstimatorSettings()
     rover: RoverProfile | None = Field(default=None, description="what was measured of this robot")
     described: RobotDescription | None = Field(default=None, description="what is known of its model")

@@ -30,7 +30,7 @@ from deploy.estimator.settings import Outcome
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, wrap_angle
 from rover_ncp.core.process import Clock
-from rover_ncp.course.course import TICK_S, Verdict
+from rover_ncp.course.course import TICK_S, Parked, Verdict
 from rover_ncp.wire.messages import OdometrySample
 from rover_ncp.wire.protocol import DriverStatus
 
@@ -39,7 +39,7 @@ POLL_S = 0.02
 
 
 class Phase(Enum):
-    """Phase of a drive. PARKED, ENDED and FAULT are final: another drive is another process."""
+    """Phase of a drive. From PARKED on they are final: another drive is another process."""
 
     WAITING = "waiting"
     """Waiting for the bridge, for the permission to command, and for a rover that stands still."""
@@ -47,8 +47,10 @@ class Phase(Enum):
     """The start pose is known; the driver requests the motors."""
     DRIVING = "driving"
     """The driver holds the lease and the circuit drives, or in a dry run would."""
-    PARKED = "parked"
-    """The course's time is over; by the estimate the rover is parked."""
+    PARKED = Parked.YES.value
+    """The course's time is over; the rover is parked."""
+    UNCERTAIN = Parked.UNCERTAIN.value
+    """By the estimate the rover is parked, but the estimate is not sure enough."""
     ENDED = "ended"
     """The rover is not parked, or a termination signal was received."""
     FAULT = "fault"
@@ -166,7 +168,10 @@ class Drive:
             self._enter(Phase.ENDED, "interrupted")
         else:
             self.verdict = self._controller.verdict().with_contact(self._monitor.contact)
-            self._enter(Phase.PARKED if self.verdict.parked else Phase.ENDED, self.verdict.reason)
+            ends = {Parked.YES: Phase.PARKED, Parked.UNCERTAIN: Phase.UNCERTAIN, Parked.NO: Phase.ENDED}
+            words = self.verdict.words
+            reason = self._why_uncertain() if words is Parked.UNCERTAIN else self.verdict.reason
+            self._enter(ends[words], reason)
         self._publisher.finish()
 
     def _arm(self, attachments: dict[str, int]) -> None:
@@ -206,23 +211,33 @@ class Drive:
             )
 
     def _predict_accuracy(self) -> None:
-        """Predict the error at the goal. Raises SafetyStop when it is more than required."""
-        required = self._config.require_accuracy_m
-        if required is None and not self._controller.plans:
+        """Predict the error of the estimate at the goal."""
+        if not self._controller.plans:
             return
         readings = self.measurements.gyro()
         self._apply(readings)
         error = self.predicted_error_m = self._controller.predicted_error_m(gyro=bool(readings))
-        if self._placed:
-            return
-        words = f"predicted position error of the estimate at the goal: {error:.2f} m in 95 % of drives"
-        absent = {"a gyro": not readings, "a profile of 'identify'": self._config.rover is None}
-        remedies = ["external poses", *(remedy for remedy, missing in absent.items() if missing)]
-        advice = f"{' or '.join(remedies)} would reduce it"
-        if required is not None and error > required:
-            raise SafetyStop("accuracy", f"{words}, expected {required:g} m at most; {advice}")
-        if not readings:
-            _LOGGER.info(f"{words}; {advice}")
+        if not self._placed:
+            words = f"predicted position error of the estimate at the goal: {error:.2f} m in 95 % of drives"
+            _LOGGER.info(f"{words}; {self._remedies()}")
+
+    def _why_uncertain(self) -> str:
+        verdict, estimate = self.verdict, self.estimate
+        assert verdict is not None and verdict.probability is not None and estimate is not None
+        return (
+            f"within the tolerances with a probability of {verdict.probability:.0%} by the estimate, whose "
+            f"error is up to {1000 * estimate.error_95_m:.0f} mm in 95 % of drives; {self._remedies()}"
+        )
+
+    def _remedies(self) -> str:
+        """Return what would make the estimate more certain, in words."""
+        absent = {
+            "external poses": not self._placed,
+            "a gyro": not self.measurements.taken["imu"],
+            "a profile of 'identify'": self._config.rover is None,
+        }
+        remedies = [remedy for remedy, missing in absent.items() if missing]
+        return f"{' or '.join(remedies) or 'more or better external poses'} would reduce it"
 
     def _drive(self) -> None:
         """Run all ticks, and record the estimate at the end of the last."""
@@ -315,5 +330,6 @@ class Drive:
                 t_s=keeper.index * TICK_S,
                 overruns=keeper.overruns,
                 warning=warning,
+                error_95_m=None if self.estimate is None else self.estimate.error_95_m,
             )
         )

@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from deploy.drive.control_loop import Drive, Phase
+from deploy.drive.control_loop import Drive
 from rover_ncp.core.geometry import Pose, distance
+from rover_ncp.course.course import Parked
 
 ELLIPSES = 0.5, 0.95
 
@@ -16,8 +17,8 @@ ELLIPSES = 0.5, 0.95
 class Belief(NamedTuple):
     """The driver's verdict and estimate at the end of a drive."""
 
-    parked: bool
-    """The driver's verdict."""
+    verdict: Parked | None
+    """The driver's; None if a safety rule stopped the drive."""
     error_m: float
     """Position error of the estimate; NaN if a safety rule stopped the drive."""
     squared: float
@@ -38,11 +39,14 @@ def belief_of(drive: Drive, pose: Pose) -> Belief:
         squared = float(error @ np.linalg.solve(estimate.covariance[:2, :2], error))
     predicted_m = math.nan if drive.predicted_error_m is None else drive.predicted_error_m
     nis = drive.measurements_used["pose"]["nis"]
-    return Belief(drive.phase is Phase.PARKED, error_m, squared, predicted_m, nis)
+    verdict = None if drive.verdict is None else drive.verdict.words
+    return Belief(verdict, error_m, squared, predicted_m, nis)
 
 
 def summary(beliefs: Sequence[Belief], parked: Sequence[bool]) -> dict[str, Any]:
     """Return the estimates of drives that truly ended ``parked`` or not, as numbers for JSON."""
+    sure = np.array([belief.verdict is Parked.YES for belief in beliefs])
+    denied = np.array([belief.verdict in {None, Parked.NO} for belief in beliefs])
     squared = np.array([belief.squared for belief in beliefs if math.isfinite(belief.squared)])
     return {
         #: of the driver's estimate at the goal, against the truth
@@ -55,8 +59,12 @@ def summary(beliefs: Sequence[Belief], parked: Sequence[bool]) -> dict[str, Any]
         },
         #: mean normalised innovation squared of external poses, while the rover stood and moved
         "nis": {name: _mean([belief.nis[name] for belief in beliefs]) for name in ("standing", "moving")},
-        #: share of drives of which the driver's verdict is the true one
-        "verdict_agrees": float(np.mean([belief.parked for belief in beliefs] == np.array(parked))),
+        #: share of drives of which the driver's verdict is parked or not parked, and true
+        "verdict_agrees": float(np.mean(np.where(parked, sure, denied))),
+        #: share of drives of which the driver's verdict is "parked, uncertain"
+        "verdict_uncertain": float(np.mean([belief.verdict is Parked.UNCERTAIN for belief in beliefs])),
+        #: share of the verdicts parked that are false; null if there is none
+        "quiet_misses": float(np.mean(~np.array(parked)[sure])) if sure.any() else None,
     }
 
 
@@ -71,7 +79,12 @@ def words(fields: dict[str, Any]) -> Iterator[str]:
         )
     if predicted is not None:
         yield f"predicted before the drive, without external poses: {1000 * predicted['p50']:.0f} mm in 95 %"
-    yield f"the driver's own verdict agrees with the truth: {fields['verdict_agrees']:.1%}"
+    yield (
+        f"the driver's own verdict is true: {fields['verdict_agrees']:.1%}, "
+        f"uncertain: {fields['verdict_uncertain']:.1%}"
+    )
+    if fields["quiet_misses"] is not None:
+        yield f"not parked although the driver's verdict is parked: {fields['quiet_misses']:.1%} of these"
 
 
 def _percentiles(values: Sequence[float]) -> dict[str, float] | None:

@@ -46,6 +46,9 @@ class DriveConfig(Timeouts):
     still_rad: float = Field(default=0.005, gt=0)
     pose: PoseUse = "auto"
     pose_wait_s: float = Field(default=10.0, gt=0, description="for the first external pose, if required")
+    pose_age_s: float = Field(
+        default=3.0, gt=0, description="of motion without an external pose, if required"
+    )
     start_m: float = Field(
         default=0.2, gt=0, description="how far from the course's start it may begin, in x and y"
     )

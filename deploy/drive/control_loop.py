@@ -28,7 +28,7 @@ from deploy.drive.start import StartDetector
 from deploy.estimator.estimator import Estimate
 from deploy.estimator.settings import Outcome
 from rover_ncp.core.errors import SafetyStop
-from rover_ncp.core.geometry import Pose, wrap_angle
+from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from rover_ncp.core.process import Clock
 from rover_ncp.course.course import TICK_S, Parked, Verdict
 from rover_ncp.wire.messages import OdometrySample
@@ -36,6 +36,10 @@ from rover_ncp.wire.protocol import DriverStatus
 
 _LOGGER = logging.getLogger("rover_ncp")
 POLL_S = 0.02
+
+
+STANDING = Velocity(0.005, 0.01)
+"""Slower estimates are those of a rover that stands, whose localisation may have nothing new to publish."""
 
 
 class Phase(Enum):
@@ -83,6 +87,8 @@ class Drive:
         self._monitor = SafetyMonitor(link, self.measurements, interrupted, config, clock)
         self._placed = False
         """Whether external poses gave the start pose."""
+        self._poses_used, self._posed_ns = 0, 0
+        """External poses that the filter accepted, and when that number grew or the rover last stood."""
         self._warned = ""
         self.keeper = RateKeeper(self._period_ns, 0)
         self.phase = Phase.WAITING
@@ -268,6 +274,7 @@ class Drive:
         sequence = None
         if tick is not None and not self._config.dry_run:
             self._monitor.check_command(tick.command, estimate.velocity)
+            self._check_poses(estimate.velocity, now_ns)
             sequence = self._link.command(tick.command)
         if not predicted:
             self.latencies_ns.append(self._clock.monotonic_ns() - newest.arrival_ns)
@@ -310,6 +317,16 @@ class Drive:
         estimator = self._controller.estimator
         if estimator.fault:
             raise SafetyStop(estimator.fault_rule, estimator.fault)
+
+    def _check_poses(self, velocity: Velocity, now_ns: int) -> None:
+        """Raise SafetyStop if external poses are required and none is used while the rover moves."""
+        used, config = self._controller.estimator.poses[Outcome.ACCEPTED], self._config
+        stands = abs(velocity.v) < STANDING.v and abs(velocity.omega) < STANDING.omega
+        if used != self._poses_used or stands:
+            self._poses_used, self._posed_ns = used, now_ns
+        elif config.pose == "required" and now_ns - self._posed_ns > config.pose_age_s * NS:
+            words = f"the rover has moved for {config.pose_age_s:g} s without an external pose that fits"
+            raise SafetyStop("pose-age", words)
 
     def _enter(self, phase: Phase, reason: str = "") -> None:
         self.phase, self.reason = phase, reason

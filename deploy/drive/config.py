@@ -108,6 +108,7 @@ def _described(robot: RobotDescription) -> EstimatorSettings:
         "heading_rad": max(default.heading_rad, odometry.noise_rad),
         "speed_m_s": math.hypot(default.speed_m_s, odometry.noise_m_s),
         "turn_rad_s": math.hypot(default.turn_rad_s, odometry.noise_rad_s),
+        "uses_speeds": odometry.speed_mean_s == 0.0,
         "acceleration": max(motion.accel, motion.decel) ** 2 / odometry.rate_hz,
         "angular_acceleration": max(motion.alpha, motion.alpha_decel) ** 2 / odometry.rate_hz,
         "rejected_in_a_row": max(default.rejected_in_a_row, math.ceil(REJECTED_S * odometry.rate_hz)),

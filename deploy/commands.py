@@ -55,15 +55,10 @@ def deploy(
             "or ignore them."
         ),
     ] = "auto",
-    require_accuracy: Annotated[
-        float | None,
-        typer.Option(
-            min=0.001,
-            help="Without external poses, do not drive if the predicted position error at the goal is more "
-            "than so many metres (exit 4, accuracy).",
-            show_default=False,
-        ),
-    ] = None,
+    require_certainty: Annotated[
+        bool,
+        typer.Option("--require-certainty", help="Exit 1 if the rover is 'parked, uncertain'."),
+    ] = False,
     profile: Annotated[
         Path | None,
         typer.Option(
@@ -83,8 +78,9 @@ def deploy(
     them, and later poses correct odometry. Ctrl-C stops the rover first. The motors are off after every end
     of the drive.
 
-    Ends with 0 parked, 1 not parked (judged on the estimate; never parked after a bumper or a stall), 3 no
-    bridge, no robot, not authorised or another driver, 4 stopped by a safety rule, which is named, 130
+    The estimate is judged: parked; not parked, also after a bumper or a stall; or "parked, uncertain" if the
+    rover may be outside the tolerances with a probability of more than 5 %. Ends with 0 parked, 1 not parked,
+    3 no bridge, no robot, not authorised or another driver, 4 stopped by a safety rule, which is named, 130
     interrupted.
     """
     if record is None:
@@ -116,7 +112,7 @@ def deploy(
         dry_run=dry_run,
         ticks=goal.ticks if duration is None else min(goal.ticks, round(duration / TICK_S)),
         pose=pose,
-        require_accuracy_m=require_accuracy,
+        require_certainty=require_certainty,
         estimator=settings_for(rover, described),
         rover=rover,
         described=described,

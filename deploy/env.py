@@ -93,7 +93,7 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
     requests the motors. It raises what ``rover-ncp deploy`` would report: RoverNcpError with its exit code.
 
     *Terminated*: the course's horizon is reached. *Truncated*: a safety rule stopped the rover; ``info`` has
-    its name as ``stopped_by``. At every end ``info`` holds ``parked`` (by the estimate) and ``reason``.
+    its name as ``stopped_by``. At every end ``info`` holds ``verdict`` (by the estimate) and ``reason``.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # gymnasium declares it so
@@ -228,7 +228,7 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
         gain = 0.0 if stop else self._reward(self._tick, ticks, pose)
         info = {
             "time_s": TICK_S * drive.keeper.index,
-            "parked": bool(drive.verdict and drive.verdict.parked),
+            "verdict": drive.verdict.words.value if drive.verdict else None,
             "reason": drive.reason,
             "stopped_by": stop.rule if stop else None,
         }

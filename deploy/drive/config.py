@@ -46,13 +46,14 @@ class DriveConfig(Timeouts):
     still_rad: float = Field(default=0.005, gt=0)
     pose: PoseUse = "auto"
     pose_wait_s: float = Field(default=10.0, gt=0, description="for the first external pose, if required")
+    pose_age_s: float = Field(
+        default=3.0, gt=0, description="of motion without an external pose, if required"
+    )
     start_m: float = Field(
         default=0.2, gt=0, description="how far from the course's start it may begin, in x and y"
     )
     start_rad: float = Field(default=0.35, gt=0, description="how far from the start's heading it may begin")
-    require_accuracy_m: float | None = Field(
-        default=None, gt=0, description="without external poses, the largest predicted error at the goal"
-    )
+    require_certainty: bool = Field(default=False, description="whether 'parked, uncertain' is a failure")
     estimator: EstimatorSettings = EstimatorSettings()
     rover: RoverProfile | None = Field(default=None, description="what was measured of this robot")
     described: RobotDescription | None = Field(default=None, description="what is known of its model")
@@ -107,6 +108,7 @@ def _described(robot: RobotDescription) -> EstimatorSettings:
         "heading_rad": max(default.heading_rad, odometry.noise_rad),
         "speed_m_s": math.hypot(default.speed_m_s, odometry.noise_m_s),
         "turn_rad_s": math.hypot(default.turn_rad_s, odometry.noise_rad_s),
+        "uses_speeds": odometry.speed_mean_s == 0.0,
         "acceleration": max(motion.accel, motion.decel) ** 2 / odometry.rate_hz,
         "angular_acceleration": max(motion.alpha, motion.alpha_decel) ** 2 / odometry.rate_hz,
         "rejected_in_a_row": max(default.rejected_in_a_row, math.ceil(REJECTED_S * odometry.rate_hz)),

@@ -26,10 +26,11 @@ from deploy.drive.records import StartRecord, TickRecord, numbers
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.start import StartDetector
 from deploy.estimator.estimator import Estimate
+from deploy.estimator.settings import Outcome
 from rover_ncp.core.errors import SafetyStop
-from rover_ncp.core.geometry import Pose, wrap_angle
+from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from rover_ncp.core.process import Clock
-from rover_ncp.course.course import TICK_S, Verdict
+from rover_ncp.course.course import TICK_S, Parked, Verdict
 from rover_ncp.wire.messages import OdometrySample
 from rover_ncp.wire.protocol import DriverStatus
 
@@ -37,8 +38,12 @@ _LOGGER = logging.getLogger("rover_ncp")
 POLL_S = 0.02
 
 
+STANDING = Velocity(0.005, 0.01)
+"""Slower estimates are those of a rover that stands, whose localisation may have nothing new to publish."""
+
+
 class Phase(Enum):
-    """Phase of a drive. PARKED, ENDED and FAULT are final: another drive is another process."""
+    """Phase of a drive. From PARKED on they are final: another drive is another process."""
 
     WAITING = "waiting"
     """Waiting for the bridge, for the permission to command, and for a rover that stands still."""
@@ -46,8 +51,10 @@ class Phase(Enum):
     """The start pose is known; the driver requests the motors."""
     DRIVING = "driving"
     """The driver holds the lease and the circuit drives, or in a dry run would."""
-    PARKED = "parked"
-    """The course's time is over; by the estimate the rover is parked."""
+    PARKED = Parked.YES.value
+    """The course's time is over; the rover is parked."""
+    UNCERTAIN = Parked.UNCERTAIN.value
+    """By the estimate the rover is parked, but the estimate is not sure enough."""
     ENDED = "ended"
     """The rover is not parked, or a termination signal was received."""
     FAULT = "fault"
@@ -80,6 +87,8 @@ class Drive:
         self._monitor = SafetyMonitor(link, self.measurements, interrupted, config, clock)
         self.placed = False
         """Whether external poses gave the start pose."""
+        self._poses_used, self._posed_ns = 0, 0
+        """External poses that the filter accepted, and when that number grew or the rover last stood."""
         self._warned = ""
         self.keeper = RateKeeper(self._period_ns, 0)
         self.phase = Phase.WAITING
@@ -134,7 +143,10 @@ class Drive:
             self._enter(Phase.ENDED, "interrupted")
         else:
             self.verdict = self.controller.verdict().with_contact(self._monitor.contact)
-            self._enter(Phase.PARKED if self.verdict.parked else Phase.ENDED, self.verdict.reason)
+            ends = {Parked.YES: Phase.PARKED, Parked.UNCERTAIN: Phase.UNCERTAIN, Parked.NO: Phase.ENDED}
+            words = self.verdict.words
+            reason = self._why_uncertain() if words is Parked.UNCERTAIN else self.verdict.reason
+            self._enter(ends[words], reason)
         self._publisher.finish()
 
     def _arm(self, attachments: dict[str, int]) -> None:
@@ -174,23 +186,33 @@ class Drive:
             )
 
     def _predict_accuracy(self) -> None:
-        """Predict the error at the goal. Raises SafetyStop when it is more than required."""
-        required = self.config.require_accuracy_m
-        if required is None and not self.controller.plans:
+        """Predict the error of the estimate at the goal."""
+        if not self.controller.plans:
             return
         readings = self.measurements.gyro()
         self._apply(readings)
         error = self.predicted_error_m = self.controller.predicted_error_m(gyro=bool(readings))
-        if self.placed:
-            return
-        words = f"predicted position error of the estimate at the goal: {error:.2f} m in 95 % of drives"
-        absent = {"a gyro": not readings, "a profile of 'identify'": self.config.rover is None}
-        remedies = ["external poses", *(remedy for remedy, missing in absent.items() if missing)]
-        advice = f"{' or '.join(remedies)} would reduce it"
-        if required is not None and error > required:
-            raise SafetyStop("accuracy", f"{words}, expected {required:g} m at most; {advice}")
-        if not readings:
-            _LOGGER.info(f"{words}; {advice}")
+        if not self.placed:
+            words = f"predicted position error of the estimate at the goal: {error:.2f} m in 95 % of drives"
+            _LOGGER.info(f"{words}; {self._remedies()}")
+
+    def _why_uncertain(self) -> str:
+        verdict, estimate = self.verdict, self.estimate
+        assert verdict is not None and verdict.probability is not None and estimate is not None
+        return (
+            f"within the tolerances with a probability of {verdict.probability:.0%} by the estimate, whose "
+            f"error is up to {1000 * estimate.error_95_m:.0f} mm in 95 % of drives; {self._remedies()}"
+        )
+
+    def _remedies(self) -> str:
+        """Return what would make the estimate more certain, in words."""
+        absent = {
+            "external poses": not self.placed,
+            "a gyro": not self.measurements.taken["imu"],
+            "a profile of 'identify'": self.config.rover is None,
+        }
+        remedies = [remedy for remedy, missing in absent.items() if missing]
+        return f"{' or '.join(remedies) or 'more or better external poses'} would reduce it"
 
     def _drive(self) -> None:
         """Run all ticks, and record the estimate at the end of the last."""
@@ -221,6 +243,7 @@ class Drive:
         sequence = None
         if tick is not None and not self.config.dry_run:
             self._monitor.check_command(tick.command, estimate.velocity)
+            self._check_poses(estimate.velocity, now_ns)
             sequence = self._link.command(tick.command)
         if not predicted:
             self.latencies_ns.append(self._clock.monotonic_ns() - newest.arrival_ns)
@@ -264,6 +287,16 @@ class Drive:
         if estimator.fault:
             raise SafetyStop(estimator.fault_rule, estimator.fault)
 
+    def _check_poses(self, velocity: Velocity, now_ns: int) -> None:
+        """Raise SafetyStop if external poses are required and none is used while the rover moves."""
+        used, config = self.controller.estimator.poses[Outcome.ACCEPTED], self.config
+        stands = abs(velocity.v) < STANDING.v and abs(velocity.omega) < STANDING.omega
+        if used != self._poses_used or stands:
+            self._poses_used, self._posed_ns = used, now_ns
+        elif config.pose == "required" and now_ns - self._posed_ns > config.pose_age_s * NS:
+            words = f"the rover has moved for {config.pose_age_s:g} s without an external pose that fits"
+            raise SafetyStop("pose-age", words)
+
     def _enter(self, phase: Phase, reason: str = "") -> None:
         self.phase, self.reason = phase, reason
         self._publish_status()
@@ -283,5 +316,6 @@ class Drive:
                 t_s=keeper.index * TICK_S,
                 overruns=keeper.overruns,
                 warning=warning,
+                error_95_m=None if self.estimate is None else self.estimate.error_95_m,
             )
         )

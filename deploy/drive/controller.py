@@ -17,9 +17,8 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
-from deploy.estimator.estimator import Estimate, Estimator
+from deploy.estimator.estimator import Estimate, Estimator, error_95_m
 from deploy.estimator.settings import TURN_GAINS, EstimatorSettings, Outcome
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
@@ -121,11 +120,7 @@ class Controller:
         reference = self._reference or plan_reference(self._course)
         ticks = [reference.tick(index) for index in range(0, reference.ticks + 1, FORECAST_TICKS)]
         path, motion = zip(*ticks, strict=True)
-        covariance = self.estimator.forecast(path, motion, FORECAST_TICKS * TICK_S, gyro=gyro)
-        # The squared distance is a sum of two scaled χ²; one of the same mean and variance stands for it.
-        variances = np.linalg.eigvalsh(covariance[:2, :2])
-        scale = float(np.square(variances).sum() / variances.sum())
-        return math.sqrt(scale * chi2.ppf(0.95, float(variances.sum()) / scale))
+        return error_95_m(self.estimator.forecast(path, motion, FORECAST_TICKS * TICK_S, gyro=gyro))
 
     def take(self, sample: OdometrySample | TurnSample | PoseSample, t: float) -> Outcome | None:
         """Give the estimator a sample that was measured at time ``t``; None for a gyro reading."""
@@ -193,18 +188,19 @@ class Controller:
         return self._reference is not None
 
     def verdict(self) -> Verdict:
-        """Judge the drive so far on the estimate: the last pose, and the motion that led there.
+        """Judge the drive so far on the estimate: the last pose with its covariance, and the motion before.
 
         Earlier poses follow from the motion alone, because external poses also move the estimate of a rover
         that stands. Contact is not judged here.
         """
         if not self._estimates:
             return self._course.judge([], [], touched=False)
-        path = [self._estimates[-1].pose]
+        last = self._estimates[-1]
+        path = [last.pose]
         for before, after in pairwise(reversed(self._estimates)):
             v, omega = 0.5 * (np.array(before.velocity) + after.velocity) * (after.t - before.t)
             path.append(compose(path[-1], Pose(v, 0.0, omega)))
-        return self._course.judge(self._times, path[::-1], touched=False)
+        return self._course.judge(self._times, path[::-1], False, last.covariance[:3, :3])
 
     def _observation(self, pose: Pose, index: int, start: float) -> list[float]:
         reference = self._reference.tick(index) if self._reference else None

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, Field
 
-from deploy.drive.control_loop import Drive, Phase
+from deploy.drive.control_loop import Drive
 from deploy.estimator.settings import Outcome
 from rover_ncp.core.console import printable
+from rover_ncp.course.course import Parked
 
 INTERRUPTED = 130
 
@@ -69,7 +70,10 @@ class Latency(BaseModel):
 class DriveResult(RecordingResult):
     """Result of a drive."""
 
-    parked: bool = Field(description="by the estimate")
+    verdict: Parked | None = Field(
+        description="parked, 'parked, uncertain' or not parked, by the estimate; null if it ended before"
+    )
+    probability: float | None = Field(description="that the rover is within the tolerances")
     state: str = Field(description="in which the drive ended")
     reason: str = Field(description="in words")
     stopped_by: str | None = Field(description="the safety rule")
@@ -104,11 +108,12 @@ class DriveResult(RecordingResult):
         elif self.estimate_error_m is None or self.estimate_error_rad is None:
             first = "interrupted; the rover was stopped"
         else:
-            ending = "parked" if self.parked else f"not parked: {self.reason}"
             first = (
-                f"{ending}; by the estimate {1000 * self.estimate_error_m:.0f} mm and "
+                f"{self.verdict}; by the estimate {1000 * self.estimate_error_m:.0f} mm and "
                 f"{1000 * self.estimate_error_rad:.0f} mrad from the goal"
             )
+            if self.reason:
+                first += f"\n{self.reason}"
         latency = self.odometry_to_command_ms
         lines = [
             ("dry run, " if self.dry_run else "") + first,
@@ -129,13 +134,13 @@ class DriveResult(RecordingResult):
 def result_of(drive: Drive, recording: Mapping[str, Any]) -> DriveResult:
     """Return the result of a drive that is over; ``recording`` are the fields of its recording."""
     report, verdict, config = drive.keeper.report(), drive.verdict, drive.config
-    parked = drive.phase is Phase.PARKED
     if drive.stop is not None:
         code = drive.stop.exit_code
     elif verdict is None:
         code = INTERRUPTED
     else:
-        code = 0 if parked or config.dry_run else 1
+        fails = {Parked.NO, Parked.UNCERTAIN} if config.require_certainty else {Parked.NO}
+        code = 1 if verdict.words in fails and not config.dry_run else 0
     latencies_ms = np.array(drive.latencies_ns or [0]) / 1e6
     estimator, outcomes = drive.controller.estimator, drive.controller.estimator.poses
     odometry, gyro, pose = (
@@ -143,7 +148,8 @@ def result_of(drive: Drive, recording: Mapping[str, Any]) -> DriveResult:
         for topic in ("odom", "imu", "pose")
     )
     return DriveResult(
-        parked=parked,
+        verdict=verdict.words if verdict else None,
+        probability=verdict.probability if verdict else None,
         state=drive.phase.value,
         reason=drive.reason,
         stopped_by=drive.stop.rule if drive.stop else None,

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from deploy.estimator.history import TURN_S, History
 from deploy.estimator.motion import (
@@ -59,6 +60,11 @@ class Estimate:
     """True turn over odometry's."""
     rotation_center_m: float
     """How far the centre of rotation lies behind the middle."""
+
+    @property
+    def error_95_m(self) -> float:
+        """Position error that 95 % of such estimates do not exceed."""
+        return error_95_m(self.covariance)
 
 
 class _Gyro:
@@ -271,6 +277,17 @@ class Estimator:
     def _fail(self, rule: str, words: str) -> None:
         if not self.fault:
             self.fault, self.fault_rule = words, rule
+
+
+def error_95_m(covariance: Array) -> float:
+    """Return the position error in m that 95 % of estimates with a covariance (≥ 2, ≥ 2) do not exceed."""
+    # The squared distance is a sum of two scaled χ²; one of the same mean and variance stands for it.
+    variances = np.clip(np.linalg.eigvalsh(covariance[:2, :2]), 0.0, None)
+    total = float(variances.sum())
+    if total == 0.0:
+        return 0.0
+    scale = float(np.square(variances).sum()) / total
+    return math.sqrt(scale * chi2.ppf(0.95, total / scale))
 
 
 def completed(covariance: Array, settings: EstimatorSettings) -> Array | None:

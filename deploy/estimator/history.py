@@ -11,7 +11,9 @@ Rules of this file:
    the same: it does not move the estimate, and the next pose can correct it.
 4. The rover stands between two odometry samples that report no motion and the same place, both within their
    declared noise. Its pose then stays the same, and noise does not move the estimate.
-5. A gyro's turn that does not fit is a disturbance, if one explains it, and otherwise rejected. The heading
+5. Odometry whose speeds are means, or contradict its pose, or whose steps alternate, is irregular: its pose
+   alone is applied, with the noise of a stamp that is some milliseconds off. Otherwise it is rejected.
+6. A gyro's turn that does not fit is a disturbance, if one explains it, and otherwise rejected. The heading
    follows a disturbance, with a standard deviation that also covers a false reading. A turn that would move
    the turn gain out of its limits is rejected, and so is a long disturbance.
 """
@@ -51,6 +53,8 @@ REST_M_S, REST_RAD_S = 0.0005, 0.001
 """Slower motion counts as none: less than half a step of a Pioneer's rounding."""
 STILL_SIGMAS = 5.0
 """Limit for no motion between two samples, in standard deviations of odometry's noise."""
+STAMP_STD_S = 0.02
+"""Standard deviation of the stamps of irregular odometry: robots report poses of other moments than these."""
 TURN_S = 0.08
 """Minimum time over which a gyro's turn is compared with odometry's."""
 MAX_DISTURBANCE_RAD = 0.2
@@ -82,6 +86,7 @@ class Odometry(NamedTuple):
     z: Array
     ends_turn: bool = True
     turn: Turn | None = None
+    irregular: bool = False
 
 
 class Applied(NamedTuple):
@@ -174,10 +179,13 @@ class History:
             self._turn_began = began, math.nan
         if t < self.t:
             return Applied(Outcome.OUT_OF_ORDER)
-        if t > self.t + GAP_S or not self._predicted(z, t)[0] <= self._settings.gate:
+        if t > self.t + GAP_S:
+            return Applied(Outcome.OUTLIER)
+        irregular = not (self._predicted(z, t)[0] <= self._settings.gate and self._settings.uses_speeds)
+        if irregular and not self._pose_fits(z):
             return Applied(Outcome.OUTLIER)
         stood, turn, turn_outcome = self._stands(z), None, None
-        self._correct_by_odometry(z, stood)
+        self._correct_by_odometry(z, stood, irregular)
         turned, seconds = angle - before, t - began
         ends_turn = math.isnan(turned) or seconds >= TURN_S
         if ends_turn:
@@ -185,7 +193,7 @@ class History:
         if ends_turn and math.isfinite(turned):
             turn = self._apply_turn(turned, seconds)
             turn_outcome = Outcome.ACCEPTED if turn else Outcome.OUTLIER
-        self._entries.append(self._entry(t, stood, Odometry(z, ends_turn, turn)))
+        self._entries.append(self._entry(t, stood, Odometry(z, ends_turn, turn, irregular)))
         self._last = t, z
         self._valid += 1
         due = bisect_right(self._waiting, t, key=lambda waiting: waiting[0])
@@ -297,7 +305,7 @@ class History:
         elif isinstance(measured, Disturbance):
             ekf.P[POSE, POSE] += measured.covariance
         else:
-            self._correct_by_odometry(measured.z, stood)
+            self._correct_by_odometry(measured.z, stood, measured.irregular)
             if measured.turn is not None:
                 self._correct_by_turn(measured.turn)
         return self._entry(t, stood, measured)
@@ -308,7 +316,21 @@ class History:
             ekf.x[angle] = wrap_angle(ekf.x[angle])
         return _Entry(t, stood, measured, ekf.x.copy(), ekf.P.copy())
 
-    def _correct_by_odometry(self, z: Array, stood: bool) -> None:
+    def _irregular_covariance(self) -> Array:
+        """Return the covariance (3, 3) of a pose of irregular odometry."""
+        v, omega = STAMP_STD_S * self._ekf.x[MOTION]
+        covariance: Array = self._odometry_covariance[:3, :3] + np.diag(np.square([v, v, omega]))
+        return covariance
+
+    def _pose_fits(self, z: Array) -> bool:
+        """Return whether the pose of irregular odometry fits; the filter is predicted to its time."""
+        covariance = self._ekf.P[OWN, OWN] + self._irregular_covariance()
+        return _nis(_residual(z[:3], self._ekf.x[OWN]), covariance) <= self._settings.pose_gate
+
+    def _correct_by_odometry(self, z: Array, stood: bool, irregular: bool) -> None:
+        if irregular:
+            self._correct(_residual(z[:3], self._ekf.x[OWN]), _ALL[OWN], self._irregular_covariance())
+            return
         for rows in _BLOCKS:
             part = slice(rows.start - OWN.start, rows.stop - OWN.start)
             if not (stood and rows is MOTION):

@@ -19,6 +19,7 @@ class EstimatorSettings(StrictModel):
     heading_rad: float = Field(default=0.0007, gt=0, description="odometry, heading: steps of 0.09°")
     speed_m_s: float = Field(default=0.003, gt=0, description="odometry, speed: whole mm/s per wheel")
     turn_rad_s: float = Field(default=0.006, gt=0, description="odometry, turn rate: from whole mm/s")
+    uses_speeds: bool = Field(default=True, description="whether odometry's speeds are of the moment")
     acceleration: float = Field(default=0.01, gt=0, description="process noise of v in (m/s)²/s")
     angular_acceleration: float = Field(default=0.16, gt=0, description="process noise of ω in (rad/s)²/s")
     slip: float = Field(default=1e-6, gt=0, description="process noise of x and y in m²/s")
@@ -39,7 +40,9 @@ class EstimatorSettings(StrictModel):
     rotation_center_std_m: float = Field(default=0.06, gt=0)
     downhill_x_m: float = Field(default=0.0, description="slide per turn, along the heading at the start")
     downhill_y_m: float = Field(default=0.0, description="slide per turn, to the left of it")
-    downhill_std_m: float = Field(default=0.004, gt=0, description="slide per turn: a floor of half a degree")
+    downhill_std_m: float = Field(
+        default=0.015, gt=0, description="slide per turn: a slope of 1 to 3 degrees"
+    )
     drift_std_rad_s: float = Field(default=0.0005, gt=0, description="of odometry's heading: ±0.05 °/s")
     gyro_bias_std_rad_s: float = Field(default=0.2, gt=0)
     gyro_rad: float = Field(default=0.0007, gt=0, description="noise of a gyro's turn in 0.1 s")

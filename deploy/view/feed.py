@@ -16,14 +16,14 @@ from markupsafe import Markup, escape
 from deploy.view.findings import analyse
 from deploy.view.page import findings_data, findings_html, fragment
 from deploy.view.page_data import columns, event_rows
-from deploy.view.recorded_drive import facts
+from deploy.view.recorded_drive import KINDS, facts
 from deploy.view.timeline import Timeline
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.course.course import Course, Verdict
+from rover_ncp.course.course import Course, Parked, Verdict
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire.protocol import in_words
 
-FINAL = frozenset({"parked", "ended", "fault"})
+FINAL = frozenset({*map(str, Parked), "ended", "fault"})
 """States of a driver whose drive has ended."""
 BEFORE = 50
 """Odometry and commands kept before a drive begins."""
@@ -112,7 +112,7 @@ class Feed:
         timeline, notes = self._timeline, []
         status, gate = timeline.status, timeline.gate
         state = (status.state if status else "waiting") if bridge else "no bridge"
-        kind = {"parked": "good", "fault": "bad", "no bridge": "bad"}.get(state, "")
+        kind = {**KINDS, "fault": "bad", "no bridge": "bad"}.get(state, "")
         if status:
             notes.append(f"policy {status.policy} on course {status.course}")
         if gate and gate.lease:

@@ -25,7 +25,7 @@ from deploy.view.page_data import (
     rings,
     trace_columns,
 )
-from deploy.view.recorded_drive import Drive, read_drive, summarise
+from deploy.view.recorded_drive import KINDS, Drive, read_drive, summarise
 from deploy.view.shapes import OUTLINE, FloatArray
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.config import ResultModel
@@ -87,7 +87,7 @@ def drive_page(drive: Drive) -> str:
         data=_data(drive.policy, drive.course, drive.outline)
         | {"updates": _updates(findings, columns(drive.timeline, Counter()), events)},
         html={
-            "title": fragment("title", verdict, "good" if summary.parked else "bad", reason),
+            "title": fragment("title", verdict, KINDS[summary.parked], reason),
             "subline": escape(summary.subline),
             "summary": fragment("rows", summary.rows),
             "events": fragment("events", events),

@@ -12,13 +12,17 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml
 from rover_ncp.core.config import parse_yaml, read_yaml, validated
 from rover_ncp.core.errors import FileError
-from rover_ncp.course.course import Course, Verdict
+from rover_ncp.course.course import Course, Parked, Verdict
 from rover_ncp.recording.recorded import steady
 from rover_ncp.recording.recording import Recording, read_recording
 from rover_ncp.robot.description import RobotDescription
 
 Rows = tuple[tuple[str, str], ...]
 """Names and values."""
+
+
+KINDS: dict[str, str] = {Parked.YES: "good", Parked.UNCERTAIN: "doubt", Parked.NO: "bad"}
+"""The colour of a verdict on a page."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,7 @@ class Drive:
 class Summary(NamedTuple):
     """The result in words, the facts of the drive, and the origin of policy and program."""
 
-    parked: bool
+    parked: Parked
     headline: str
     subline: str
     rows: Rows
@@ -87,8 +91,8 @@ def summarise(drive: Drive) -> Summary:
     began = datetime.fromtimestamp(drive.timeline.ticks[0].wall_ns * 1e-9, UTC)
     names = f"policy {drive.policy.circuit.name} on course {drive.course.name}"
     return Summary(
-        parked=verdict.parked,
-        headline="Parked" if verdict.parked else f"Not parked: {verdict.reason}",
+        parked=verdict.words,
+        headline=verdict.words.capitalize() + (f": {verdict.reason}" if verdict.reason else ""),
         subline=f"{names}, {began:%Y-%m-%d %H:%M:%S} UTC",
         rows=tuple(rows),
         origin=tuple(_origin(drive)),
@@ -103,6 +107,8 @@ def facts(timeline: Timeline, verdicts: Mapping[str, Verdict] | None) -> Iterato
     status, gate = timeline.status, timeline.gate
     if status is not None:
         yield "Ended as" if ended else "State", status.state + (f": {status.reason}" if status.reason else "")
+        if status.error_95_m is not None:
+            yield "Estimate", f"error up to {1000 * status.error_95_m:.0f} mm in 95 % of drives"
     late = f"{status.overruns if status else 0} late, {timeline.predicted} on prediction"
     yield "Ticks", f"{_rate(timeline.ticks)}, {late}"
     yield "Odometry", _rate(timeline.odometry)
@@ -119,7 +125,8 @@ def facts(timeline: Timeline, verdicts: Mapping[str, Verdict] | None) -> Iterato
 
 def _verdict(verdict: Verdict) -> str:
     where = f"{1000 * verdict.error_m:.0f} mm and {1000 * verdict.error_rad:.0f} mrad from the goal"
-    return f"parked, {where}" if verdict.parked else f"not parked, {where}: {verdict.reason}"
+    sure = "" if verdict.probability is None else f", within the tolerances with {verdict.probability:.0%}"
+    return f"{verdict.words}, {where}{sure}" + (f": {verdict.reason}" if verdict.reason else "")
 
 
 def _rate(rows: Sequence[Tick | Moved]) -> str:

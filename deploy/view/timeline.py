@@ -177,7 +177,10 @@ class Timeline:
         }
         return {
             by: self.course.judge(
-                [(p.wall_ns - began) * 1e-9 for p in path], [p.pose for p in path], self.touched
+                [(p.wall_ns - began) * 1e-9 for p in path],
+                [p.pose for p in path],
+                self.touched,
+                getattr(path[-1], "covariance", None),
             )
             for by, path in paths.items()
             if path

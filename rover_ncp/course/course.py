@@ -18,6 +18,7 @@ from pydantic import AfterValidator, Field, model_validator
 from rover_ncp.core.config import StrictModel, load_yaml, validated
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.course.certainty import SURE, probability_within
 
 TICK_S = 0.1
 """Control tick in seconds: the circuit computes ten commands a second."""
@@ -84,6 +85,15 @@ class Failure(StrEnum):
     MOVING = "still moving"
 
 
+class Parked(StrEnum):
+    """The words for the end of a run."""
+
+    YES = "parked"
+    UNCERTAIN = "parked, uncertain"
+    """By an estimate whose covariance leaves more than 5 % for a rover that is not."""
+    NO = "not parked"
+
+
 @dataclass(frozen=True)
 class Verdict:
     """Result of a run: errors to the last checkpoint, and the failure with a reason in numbers."""
@@ -93,6 +103,15 @@ class Verdict:
     error_rad: float
     reason: str = ""
     failure: Failure = Failure.NONE
+    probability: float | None = None
+    """That the true pose is within the tolerances, by the estimate that was judged; None for a true pose."""
+
+    @property
+    def words(self) -> Parked:
+        """The verdict in words."""
+        if not self.parked:
+            return Parked.NO
+        return Parked.UNCERTAIN if self.probability is not None and self.probability < SURE else Parked.YES
 
     def with_contact(self, words: str) -> "Verdict":
         """Return the verdict of a rover whose base reported a contact; itself if ``words`` are empty."""
@@ -169,11 +188,18 @@ class Course(StrictModel):
         """
         return 1.0 if t >= self.start_signal_s - 1e-9 else 0.0
 
-    def judge(self, times: list[float], poses: list[Pose], touched: bool) -> Verdict:
+    def judge(
+        self,
+        times: list[float],
+        poses: list[Pose],
+        touched: bool,
+        covariance: NDArray[np.float64] | None = None,
+    ) -> Verdict:
         """Judge a run from its poses (course frame) at rising ``times`` in seconds.
 
         Parked means: at the end within the rule's distance and angle of the last checkpoint, still for the
-        last ``still_s`` seconds, and never in contact with anything.
+        last ``still_s`` seconds, and never in contact with anything. ``covariance`` (3, 3) is that of the
+        last pose, if the poses are estimates.
         """
         if not times or len(times) != len(poses):
             raise ValueError(
@@ -200,7 +226,11 @@ class Course(StrictModel):
         elif not (moved < rule.still_m and turned < rule.still_rad):
             failure = Failure.MOVING
             reason = f"still moving: {moved:.3f} m and {turned:.3f} rad in the last {rule.still_s} s"
-        return Verdict(not failure, error_m, error_rad, reason, failure)
+        probability = None
+        if covariance is not None:
+            error = Pose(end.x - self.goal.x, end.y - self.goal.y, wrap_angle(end.theta - self.goal.theta))
+            probability = probability_within(error, covariance, rule.position_m, rule.heading_rad)
+        return Verdict(not failure, error_m, error_rad, reason, failure, probability)
 
 
 def load_course(name_or_path: str | Path) -> Course:

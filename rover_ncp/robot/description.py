@@ -111,6 +111,8 @@ class Odometry(StrictModel):
     """Standard deviation of a reported speed."""
     noise_rad_s: float = Field(default=0.0, ge=0, le=1)
     """Standard deviation of a reported turn rate."""
+    speed_mean_s: float = Field(default=0.0, ge=0, le=10)
+    """Reported speeds are means over so many seconds, which a driver does not use; 0: of the moment."""
     distance_error: float = Field(gt=0, lt=0.5)
     """Distances are right within ± this share."""
     turn_error: float = Field(gt=0, lt=0.5)

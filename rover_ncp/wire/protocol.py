@@ -284,7 +284,10 @@ class GateStatus(StrictModel):
 
 
 class DriverStatus(StrictModel):
-    """Status of the driving process on ``rover/status``; ``warning`` says what may make the drive wrong."""
+    """Status of the driving process on ``rover/status``; ``warning`` says what may make the drive wrong.
+
+    ``error_95_m`` is the position error that 95 % of estimates like the present one do not exceed.
+    """
 
     state: str
     reason: str = ""
@@ -294,6 +297,7 @@ class DriverStatus(StrictModel):
     t_s: float = 0.0
     overruns: int = 0
     warning: str = ""
+    error_95_m: float | None = None
 
 
 ModelT = TypeVar("ModelT", bound=BaseModel)

@@ -8,8 +8,9 @@ import numpy as np
 from pydantic import BaseModel, Field
 from scipy.stats import chi2
 
-from deploy.drive.control_loop import Drive, Phase
+from deploy.drive.control_loop import Drive
 from rover_ncp.core.geometry import Pose, distance
+from rover_ncp.course.course import Parked
 
 ELLIPSES = 0.5, 0.95
 
@@ -17,8 +18,8 @@ ELLIPSES = 0.5, 0.95
 class Belief(NamedTuple):
     """The driver's verdict and estimate at the end of a drive."""
 
-    parked: bool
-    """The driver's verdict."""
+    verdict: Parked | None
+    """The driver's; None if a safety rule stopped the drive."""
     error_m: float
     """Position error of the estimate; NaN if a safety rule stopped the drive."""
     squared: float
@@ -52,7 +53,15 @@ class EstimateSummary(BaseModel):
         description="share of drives whose true position is inside the 50 % and the 95 % ellipse"
     )
     nis: MeanNis = Field(description="mean normalised innovation squared of external poses")
-    verdict_agrees: float = Field(description="share of drives of which the driver's verdict is the true one")
+    verdict_agrees: float = Field(
+        description="share of drives of which the driver's verdict is parked or not parked, and true"
+    )
+    verdict_uncertain: float = Field(
+        description="share of drives of which the driver's verdict is 'parked, uncertain'"
+    )
+    quiet_misses: float | None = Field(
+        description="share of the verdicts parked that are false; null if there is none"
+    )
 
 
 def belief_of(drive: Drive, pose: Pose) -> Belief:
@@ -65,11 +74,14 @@ def belief_of(drive: Drive, pose: Pose) -> Belief:
         squared = float(error @ np.linalg.solve(estimate.covariance[:2, :2], error))
     predicted_m = math.nan if drive.predicted_error_m is None else drive.predicted_error_m
     nis = drive.controller.estimator.nis
-    return Belief(drive.phase is Phase.PARKED, error_m, squared, predicted_m, nis)
+    verdict = None if drive.verdict is None else drive.verdict.words
+    return Belief(verdict, error_m, squared, predicted_m, nis)
 
 
 def summary(beliefs: Sequence[Belief], parked: Sequence[bool]) -> EstimateSummary:
     """Return the estimates of drives that truly ended ``parked`` or not."""
+    sure = np.array([belief.verdict is Parked.YES for belief in beliefs])
+    denied = np.array([belief.verdict in {None, Parked.NO} for belief in beliefs])
     squared = np.array([belief.squared for belief in beliefs if math.isfinite(belief.squared)])
     return EstimateSummary(
         error_m=_percentiles([belief.error_m for belief in beliefs]),
@@ -82,7 +94,9 @@ def summary(beliefs: Sequence[Belief], parked: Sequence[bool]) -> EstimateSummar
             standing=_mean([belief.nis["standing"] for belief in beliefs]),
             moving=_mean([belief.nis["moving"] for belief in beliefs]),
         ),
-        verdict_agrees=float(np.mean([belief.parked for belief in beliefs] == np.array(parked))),
+        verdict_agrees=float(np.mean(np.where(parked, sure, denied))),
+        verdict_uncertain=float(np.mean([belief.verdict is Parked.UNCERTAIN for belief in beliefs])),
+        quiet_misses=float(np.mean(~np.array(parked)[sure])) if sure.any() else None,
     )
 
 
@@ -98,7 +112,10 @@ def words(found: EstimateSummary) -> Iterator[str]:
     if found.predicted_error_m is not None:
         predicted_mm = 1000 * found.predicted_error_m.p50
         yield f"predicted before the drive, without external poses: {predicted_mm:.0f} mm in 95 %"
-    yield f"the driver's own verdict agrees with the truth: {found.verdict_agrees:.1%}"
+    agrees, uncertain = found.verdict_agrees, found.verdict_uncertain
+    yield f"the driver's own verdict is true: {agrees:.1%}, uncertain: {uncertain:.1%}"
+    if found.quiet_misses is not None:
+        yield f"not parked although the driver's verdict is parked: {found.quiet_misses:.1%} of these"
 
 
 def _percentiles(values: Sequence[float]) -> Percentiles | None:

@@ -1,9 +1,9 @@
-"""Mutation testing of the gate: ``python tests/tools/mutate_gate.py [FIRST LAST]``, or ``make mutate``.
+"""Mutation testing of the gate: ``python tests/tools/mutate.py [FIRST LAST]``, or ``make mutate``.
 
 Every mutant differs from a module of ``bridge/gate`` (`MODULES`) in one place: a comparison, an operator, a
 constant, a condition, a keyword of a call, a statement. Each is run against the gate's tests in a process of
 its own, forked from one that has everything loaded. A mutant that no test kills must stand in
-``tests/data/gate_survivors.yaml`` with the reason why it is the same gate; one that stands there and dies
+``tests/data/survivors.yaml`` with the reason why it is the same gate; one that stands there and dies
 is an error too.
 """
 
@@ -23,7 +23,7 @@ import bridge
 
 ROOT = Path(__file__).parents[2]
 MODULES = {name: ROOT / "bridge" / "gate" / f"{name}.py" for name in ("gate", "motion")}
-SURVIVORS = ROOT / "tests" / "data" / "gate_survivors.yaml"
+SURVIVORS = ROOT / "tests" / "data" / "survivors.yaml"
 TESTS = [f"test_gate{part}.py" for part in ("", "_fence", "_anything")]
 TIMEOUT_S = 30
 

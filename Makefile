@@ -113,7 +113,7 @@ coverage-gate: $(STAMP) ## The gate's own tests must run every line and branch o
 	$(BIN)/coverage report --data-file=.coverage-gate --show-missing --fail-under=100
 
 .PHONY: mutate
-mutate: $(STAMP) ## The tests must fail on every mutant of the gate, except those of tests/data/survivors.yaml.
+mutate: $(STAMP) ## Tests must fail on every mutant of the modules that keep the rover safe, except those of tests/data/survivors.yaml.
 	$(BIN)/python tests/tools/mutate.py
 
 .PHONY: fuzz

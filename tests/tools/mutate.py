@@ -1,12 +1,12 @@
-"""Mutation testing of the gate: ``python tests/tools/mutate.py [FIRST LAST]``, or ``make mutate``.
+"""Mutation testing: ``make mutate``, or this file with ``[MODULE ...] [--only TEXT] [--workers N]``.
 
-Every mutant differs from a module of ``bridge/gate`` (`MODULES`) in one place: a comparison, an operator, a
-constant, a condition, a keyword of a call, a statement. Each is run against the gate's tests in a process of
-its own, forked from one that has everything loaded. A mutant that no test kills must stand in
-``tests/data/survivors.yaml`` with the reason why it is the same gate; one that stands there and dies
-is an error too.
+Every mutant differs from a module of `TESTS` in one place: a comparison, an operator, a constant, a
+condition, a keyword of a call, a statement. The module's tests run against each mutant in a process of its own, forked
+from one that has everything loaded. ``tests/data/survivors.yaml`` names each mutant that no test kills, with
+the reason why the program is the same. A mutant that is listed there and dies is an error too.
 """
 
+import argparse
 import ast
 import copy
 import gc
@@ -16,15 +16,27 @@ import types
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import grimp
 import pytest
 import yaml
 
-import bridge
-
 ROOT = Path(__file__).parents[2]
-MODULES = {name: ROOT / "bridge" / "gate" / f"{name}.py" for name in ("gate", "motion")}
 SURVIVORS = ROOT / "tests" / "data" / "survivors.yaml"
-TESTS = [f"test_gate{part}.py" for part in ("", "_fence", "_anything")]
+GATE = ["bridge/test_gate.py", "bridge/test_gate_fence.py", "bridge/test_gate_anything.py"]
+TESTS = {
+    "bridge.gate.gate": GATE,
+    "bridge.gate.motion": GATE,
+    "bridge.gate.state": GATE,
+    "rover_ncp.wire.protocol": ["core/test_protocol.py"],
+    "bridge.pioneer.session": [
+        "bridge/test_states.py",
+        "bridge/test_session.py",
+        "pioneer/test_session.py",
+    ],
+    "deploy.drive.safety_monitor": ["deploy/test_safety_monitor.py"],
+}
+"""Files of ``tests/unit`` that must fail on every mutant of a module."""
+PACKAGES = ("rover_ncp", "bridge", "deploy", "sim", "kit")
 TIMEOUT_S = 30
 
 COMPARISONS = {
@@ -70,7 +82,7 @@ def mutations(node):  # noqa: PLR0912  # one branch for each kind of node
         yield f"{node.value} to {node.value + 1}", _set(node, "value", None, node.value + 1)
     elif isinstance(node, ast.Call):
         for place, keyword in enumerate(node.keywords):
-            if keyword.arg is not None:
+            if keyword.arg not in {None, "description"}:
                 yield f"{keyword.arg}= gone", _remove(node, "keywords", place)
         if isinstance(node.func, ast.Name) and node.func.id in {"min", "max"}:
             other = {"min": "max", "max": "min"}[node.func.id]
@@ -78,6 +90,20 @@ def mutations(node):  # noqa: PLR0912  # one branch for each kind of node
     elif isinstance(node, ast.If | ast.IfExp | ast.While):
         for value in (True, False):
             yield f"condition {value}", _set(node, "test", None, ast.Constant(value))
+    elif _acts(node):
+        yield "statement gone", _pass
+
+
+def _acts(node):
+    """Whether a statement calls, raises or changes an object; without a local variable others would fail."""
+    if isinstance(node, ast.Assign | ast.AugAssign):
+        targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+        return all(isinstance(target, ast.Attribute) for target in targets)
+    return isinstance(node, ast.Raise) or (isinstance(node, ast.Expr) and isinstance(node.value, ast.Call))
+
+
+def _pass(target):
+    target.__class__ = ast.Pass
 
 
 def _set(node, name, place, value):
@@ -94,19 +120,14 @@ def _remove(node, name, place):
     return lambda target: getattr(target, name).pop(place)
 
 
-def mutants():
-    """Yield (name, module, tree) of every mutant; a name is the function, the line's text and the change."""
-    for module, path in MODULES.items():
-        for name, tree in mutants_of(path.read_text()):
-            yield name, module, tree
-
-
-def mutants_of(source):
+def mutants(module):
+    """Yield (name, tree) of every mutant; a name is the function, the line's text and the change."""
+    source = source_of(module).read_text()
     lines, tree = source.splitlines(), ast.parse(source)
     owners = {}
-    for function in [node for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)]:
-        for node in ast.walk(function):
-            owners[node] = function.name
+    for owner in [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.ClassDef)]:
+        for node in ast.walk(owner):
+            owners[node] = owner.name
     counts = {}
     for index, node in enumerate(ast.walk(tree)):
         for what, change in mutations(node):
@@ -130,38 +151,36 @@ def _without(node):
     return ast.Not(), ast.UnaryOp(ast.Not(), node.operand)
 
 
-def run_tests(*more):
-    """Run the gate's tests against the module in place; return whether one failed."""
-    tests = [str(ROOT / "tests" / "unit" / "bridge" / name) for name in TESTS]
-    options = ["-x", "-q", "-m", "not browser", "--tb=no", "-p", "no:cacheprovider", f"--timeout={TIMEOUT_S}"]
+def source_of(module):
+    return ROOT.joinpath(*module.split(".")).with_suffix(".py")
+
+
+def run_tests(module, *more):
+    """Run a module's tests against the module in place; return whether one failed."""
+    tests = [str(ROOT / "tests" / "unit" / name) for name in TESTS[module]]
+    options = ["-x", "-q", "--tb=no", "-p", "no:cacheprovider", f"--timeout={TIMEOUT_S}"]
     options += ["--hypothesis-seed=0", "--hypothesis-profile=mutants"]
     options += ["-W", "ignore::pytest.PytestAssertRewriteWarning", "-W", "ignore::pytest.PytestConfigWarning"]
     return pytest.main([*options, *more, *tests]) != 0
 
 
-def forget():
-    """Let the next import of the gate and of what uses it be a new one."""
-    for name in list(sys.modules):
-        if "gate" in name and name.startswith(
-            (*(f"bridge.gate.{name}" for name in MODULES), "tests.unit.bridge.test_gate", "gate_bench")
-        ):
-            del sys.modules[name]
-
-
-def killed(name, tree):
+def killed(module, tree, users):
     """Whether the tests notice the mutant, or one of them never ends."""
     child = os.fork()
     if child == 0:
         for stream in (1, 2):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
         try:
-            forget()
-            module = types.ModuleType(f"bridge.gate.{name}")
-            module.__file__ = str(MODULES[name])
-            sys.modules[module.__name__] = module
-            exec(compile(tree, module.__file__, "exec"), module.__dict__)
-            setattr(bridge.gate, name, module)
-            failed = run_tests()
+            for name in list(sys.modules):
+                if name in users or name.startswith("tests."):
+                    del sys.modules[name]
+            mutant = types.ModuleType(module)
+            mutant.__file__ = str(source_of(module))
+            sys.modules[module] = mutant
+            exec(compile(tree, mutant.__file__, "exec"), mutant.__dict__)
+            package, _, last = module.rpartition(".")
+            setattr(sys.modules[package], last, mutant)
+            failed = run_tests(module)
         except BaseException:
             failed = True
         os._exit(0 if failed else 1)
@@ -169,35 +188,50 @@ def killed(name, tree):
     return status != 256
 
 
-def main(arguments):
-    run_tests("--collect-only", "-qq")  # what all of them load is loaded once
-    for module, path in MODULES.items():
-        if killed(module, ast.parse(path.read_text())):
-            print("the gate itself does not pass its tests")
-            return 1
-    found = list(mutants())
+def survivors_of(module, only, workers, users):
+    """Run the mutants of a module whose names contain ``only``; return how many, and those that survive."""
+    run_tests(module, "--collect-only", "-qq")  # what all of them load is loaded once
+    if killed(module, ast.parse(source_of(module).read_text()), users):
+        sys.exit(f"{module} itself does not pass its tests")
+    chosen = [(name, tree) for name, tree in mutants(module) if only in name]
     gc.freeze()  # or each child's collector would walk through all those trees
-    first, last = (int(arguments[0]), int(arguments[1])) if arguments else (0, len(found))
-    chosen = found[first:last]
-    listed = yaml.safe_load(SURVIVORS.read_text()) if SURVIVORS.exists() else {}
-    dead, names = [], {name for name, _, _ in chosen}
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for (name, _, _), died in zip(chosen, pool.map(lambda item: killed(*item[1:]), chosen), strict=True):
-            dead.append(died)
-            print(
-                f"{len(dead)}/{len(chosen)} {'killed' if died else 'SURVIVES'}  {name}",
-                file=sys.stderr,
-                flush=True,
-            )
-    alive = {name for (name, _, _), died in zip(chosen, dead, strict=True) if not died}
-    unexplained = sorted(alive - set(listed))
-    wrong = sorted(name for name in listed if name in names and name not in alive)
-    gone = sorted(name for name in listed if name not in {name for name, _, _ in found})
-    print(f"{len(chosen)} mutants, {sum(dead)} killed, {len(alive)} survive, {len(unexplained)} unexplained")
-    for title, items in (("survives", unexplained), ("listed, but dies", wrong), ("listed, no mutant", gone)):
-        for name in items:
-            print(f"{title}: {name}")
-    return 1 if unexplained or wrong or gone else 0
+    alive = []
+    with ThreadPoolExecutor(workers) as pool:
+        results = pool.map(lambda item: killed(module, item[1], users), chosen)
+        for number, ((name, _), died) in enumerate(zip(chosen, results, strict=True), 1):
+            outcome = "killed" if died else "SURVIVES"
+            print(f"{module} {number}/{len(chosen)} {outcome}  {name}", file=sys.stderr, flush=True)
+            if not died:
+                alive.append(name)
+    return {name for name, _ in chosen}, alive
+
+
+def main(arguments):
+    parser = argparse.ArgumentParser()
+    parser.add_argument("modules", nargs="*", default=[*TESTS], metavar="MODULE", help=", ".join(TESTS))
+    parser.add_argument("--only", default="", help="only mutants whose name contains this text")
+    parser.add_argument("--workers", type=int, default=os.cpu_count())
+    options = parser.parse_args(arguments)
+    sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+    graph = grimp.build_graph(*PACKAGES, cache_dir=None)
+    listed = yaml.safe_load(SURVIVORS.read_text())
+    failed = False
+    for module in options.modules:
+        known = {name for name in listed.get(module, {}) if options.only in name}
+        names, alive = survivors_of(
+            module, options.only, options.workers, graph.find_downstream_modules(module)
+        )
+        wrong = {
+            "survives": [name for name in alive if name not in known],
+            "listed, but dies": [name for name in known if name in names and name not in alive],
+            "listed, no mutant": [name for name in known if name not in names],
+        }
+        print(f"{module}: {len(names)} mutants, {len(alive)} survive, {len(wrong['survives'])} unexplained")
+        for title, found in wrong.items():
+            for name in sorted(found):
+                print(f"{title}: {name}")
+        failed = failed or any(wrong.values())
+    return 1 if failed else 0
 
 
 if __name__ == "__main__":

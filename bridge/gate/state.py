@@ -173,7 +173,7 @@ class GateState:
     lease_over: Reason | None = None
     """Reason for the end of the last lease; None if its driver released it."""
     lease_over_detail: str = ""
-    """The words for ``ended``, as it was then."""
+    """Text of ``lease_over``, from the moment when the lease ended."""
     stop_reason: str | None = None
     """The text of the stop request; None without one."""
     base: BaseReport | None = None

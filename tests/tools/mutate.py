@@ -1,9 +1,9 @@
 """Mutation testing: ``make mutate``, or this file with ``[MODULE ...] [--only TEXT] [--workers N]``.
 
 Every mutant differs from a module of `TESTS` in one place: a comparison, an operator, a constant, a
-condition, a keyword of a call, a statement. The module's tests run against each mutant in a process of its own, forked
-from one that has everything loaded. ``tests/data/survivors.yaml`` names each mutant that no test kills, with
-the reason why the program is the same. A mutant that is listed there and dies is an error too.
+condition, a keyword of a call, a statement. The module's tests run against each mutant in a process of its
+own, forked from one that has everything loaded. ``tests/data/survivors.yaml`` names each mutant that no test
+kills, with the reason why the program is the same. A mutant that is listed there and dies is an error too.
 """
 
 import argparse

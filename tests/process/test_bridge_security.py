@@ -1,6 +1,7 @@
 """A bridge with the keys of ``rover-ncp keys``: each row of the access rules, over TLS between processes."""
 
 import base64
+import functools
 import json
 import re
 import time
@@ -11,6 +12,8 @@ from kit.bridge_bench import wait_for
 from kit.zenoh_session import open_session
 
 from bridge.zenoh.credentials import access_control
+from deploy.drive import config
+from deploy.drive.config import DriveConfig
 from deploy.drive.lease import DriverLease
 from rover_ncp import cli
 from rover_ncp.core.geometry import Velocity
@@ -18,8 +21,7 @@ from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.key_table import KEYS, Kind, Role
 from rover_ncp.wire.messages import read_text, twist_stamped
 from rover_ncp.wire.protocol import GateStatus, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
-from rover_ncp.wire.zenoh import client_config
-from sim.live.processes import Process, compile_driver
+from rover_ncp.wire.zenoh import CLIENT, client_config
 
 HEARD = [row.name for row in KEYS if row.kind is Kind.MESSAGE and row.senders == {Role.BRIDGE}]
 SELDOM = {"sonar", "imu"}
@@ -31,7 +33,7 @@ def read(path):
 
 
 class User(ClosedAtExit):
-    """A session as ``role``, or with a configuration of one's own; ``heard`` is the newest of each key."""
+    """A session with a configuration of its own; ``heard`` is the newest of each key."""
 
     def __init__(self, rig, config):
         self.session = zenoh.open(client_config(rig.locator, config)[0])
@@ -148,55 +150,63 @@ def test_no_client_can_publish_or_answer_for_the_bridge(secured, keys):
         assert viewer.tokens("rover/alive/bridge") == 1
 
 
-def spoil_certificate(transport, stranger):
-    """Certificates of another lab."""
-    other = read(stranger / "driver.json5")["transport"]
-    transport["link"] = other["link"]
-    transport["link"]["tls"]["root_ca_certificate_base64"] = transport["ca"]
+def refused(locator, config):
+    """Whether a client is refused, which tries for half a second."""
+    settings, _ = client_config(locator, config)
+    settings.insert_json5("connect/timeout_ms", "500")
+    try:
+        zenoh.open(settings).close()
+    except zenoh.ZError:
+        return True
+    return False
 
 
-def spoil_key(transport, stranger):
-    for name in ("connect_certificate_base64", "connect_private_key_base64"):
-        transport["link"]["tls"].pop(name)
+@pytest.mark.parametrize("stranger", ["of another lab", "without a certificate"])
+def test_a_stranger_cannot_connect(secured, keys, tmp_path, stranger):
+    assert not refused(secured.locator, keys / "driver.json5")
+    ours = read(keys / "driver.json5")["transport"]["link"]["tls"]
+    assert cli.run(["keys", "--out", str(tmp_path)]) == 0
+    tls = read(tmp_path / "driver.json5")["transport"]["link"]["tls"]
+    tls["root_ca_certificate_base64"] = ours["root_ca_certificate_base64"]
+    if stranger == "without a certificate":
+        tls = {name: value for name, value in tls.items() if not name.startswith("connect_")}
+    config = tmp_path / "zenoh.json5"
+    config.write_text(json.dumps({"transport": {"link": {"protocols": ["tls"], "tls": tls}}}))
+    assert refused(secured.locator, config)
 
 
-@pytest.mark.parametrize("spoil", [spoil_certificate, spoil_key])
-def test_a_stranger_cannot_connect(secured, keys, tmp_path, spoil):
-    stranger = tmp_path / "stranger"
-    assert cli.run(["keys", "--out", str(stranger)]) == 0
-    transport = read(keys / "driver.json5")["transport"]
-    transport["ca"] = transport["link"]["tls"]["root_ca_certificate_base64"]
-    spoil(transport, stranger)
-    transport.pop("ca")
-    (tmp_path / "zenoh.json5").write_text(json.dumps({"transport": transport}))
-    with pytest.raises(zenoh.ZError), User(secured, tmp_path / "zenoh.json5"):
-        pass
+def test_drivers_certificate_is_not_valid_for_listening(keys):
+    def listens(end, verb):
+        tls = read(keys / f"{end}.json5")["transport"]["link"]["tls"]
+        for name in ("certificate", "private_key"):
+            tls[f"listen_{name}_base64"] = tls[f"{verb}_{name}_base64"]
+        settings = {"transport/link/tls": tls, "adminspace/enabled": True}
+        with open_session("router", {"listen/endpoints": ["tls/127.0.0.1:0"], **settings}) as impostor:
+            (reply,) = impostor.get(f"@/{impostor.info.zid()}/router", timeout=1.0)
+            locator = json.loads(reply.ok.payload.to_string())["locators"][0]
+            return not refused(locator, keys / "driver.json5")
+
+    assert listens("bridge", "listen")
+    assert not listens("driver", "connect")
 
 
-def test_drivers_certificate_is_not_valid_for_listening(keys, tmp_path):
-    tls = read(keys / "driver.json5")["transport"]["link"]["tls"]
-    for name in ("certificate", "private_key"):
-        tls[f"listen_{name}_base64"] = tls[f"connect_{name}_base64"]
-    listen = {"listen/endpoints": ["tls/127.0.0.1:0"], "transport/link/tls": tls, "adminspace/enabled": True}
-    with open_session("router", listen) as impostor:
-        (reply,) = impostor.get(f"@/{impostor.info.zid()}/router", timeout=1.0)
-        locator = json.loads(reply.ok.payload.to_string())["locators"][0]
-        with pytest.raises(zenoh.ZError):
-            zenoh.open(client_config(locator, keys / "driver.json5")[0])
+def test_deploy_says_not_authorised_and_drives_when_it_is(secured, keys, capsys, monkeypatch):
+    shorter = functools.partial(DriveConfig, permission_wait_s=0.2, still_s=0.15)
+    monkeypatch.setattr(config, "DriveConfig", shorter)
+    monkeypatch.setitem(CLIENT, "connect/timeout_ms", 500)
 
+    def deploy(*options):
+        code = cli.run(["deploy", "--robot", secured.locator, *options])
+        return code, capsys.readouterr()
 
-def test_deploy_says_not_authorised_and_drives_when_it_is(secured, keys, tmp_path, capsys):
-    options = ["deploy", "--robot", secured.locator]
-    assert cli.run([*options, "--zenoh-config", str(keys / "viewer.json5")]) == 3
-    viewer = capsys.readouterr().err
-    assert viewer.startswith("rover-ncp: not authorised: the bridge at tls/127.0.0.1")
-    assert cli.run(options) == 3
-    stranger = capsys.readouterr().err
-    assert stranger.startswith("rover-ncp: not authorised: the process at tls/127.0.0.1")
-    driver = ["--zenoh-config", str(keys / "driver.json5"), "--duration", "0.5"]
-    compile_driver()
-    done = Process("deploy", [*options[1:], *driver], tmp_path).wait(30.0)
-    assert (done.code, done.result["ticks"]) == (1, 5)
+    code, printed = deploy("--zenoh-config", str(keys / "viewer.json5"))
+    assert code == 3
+    assert printed.err.startswith("rover-ncp: not authorised: the bridge at tls/127.0.0.1")
+    code, printed = deploy()
+    assert code == 3
+    assert printed.err.startswith("rover-ncp: not authorised: the process at tls/127.0.0.1")
+    code, printed = deploy("--zenoh-config", str(keys / "driver.json5"), "--duration", "0.5", "--json")
+    assert (code, json.loads(printed.out)["ticks"]) == (1, 5)
 
 
 LAN = ["tcp/0.0.0.0:0", "tcp/[::]:0", "tls/0.0.0.0:0"]

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from kit.lease_client import LeaseClient
+from kit.driver_client import DriverClient
 
 from bridge.gate.limits import Fence, Limits
 from bridge.pioneer.arcos import Command, Decoder
@@ -69,7 +69,7 @@ class Bridge(VirtualBridge):
 @pytest.mark.parametrize("step_ns", [HOUR_NS, -HOUR_NS])
 def test_stamps_do_not_step_during_a_lease_and_are_right_again_after_it(step_ns):
     bridge = Bridge()
-    assert LeaseClient(bridge).motors().granted
+    assert DriverClient(bridge).motors().granted
     bridge.set_ns = step_ns
     del bridge.stamps[:]
     bridge.sleep(0.8)
@@ -82,29 +82,29 @@ def test_stamps_do_not_step_during_a_lease_and_are_right_again_after_it(step_ns)
 def test_after_a_suspend_no_command_from_before_it_reaches_the_base():
     """The monotonic clock stood still, so by it the last command is fresh and the lease valid."""
     bridge = Bridge()
-    driver = LeaseClient(bridge)
+    driver = DriverClient(bridge)
     driver.motors()
-    driver.drive(Velocity(0.2, 0.0))
+    driver.drive(1.0, 0.2)
     assert bridge.sent[-1] == (Command.RVEL, 0)
     assert bridge.sent[-2] == (Command.VEL, 200)
     bridge.sent.clear()
     bridge.slept_s = 3.0
-    driver.drive(Velocity(0.2, 0.0))
+    driver.drive(1.0, 0.2)
     assert bridge.sent
     assert all(value == 0 for _, value in bridge.sent)
     driver.lease.end()
     driver.motors()
-    driver.drive(Velocity(0.2, 0.0))
+    driver.drive(1.0, 0.2)
     assert (Command.VEL, 200) in bridge.sent
 
 
 def test_what_is_no_suspend_changes_nothing():
     """The difference of two clocks is read late once, then grows by less than counts."""
     bridge = Bridge()
-    driver = LeaseClient(bridge)
+    driver = DriverClient(bridge)
     driver.motors()
     for bridge.slept_s in (-1.0, 0.0, 0.09, 0.18):
-        driver.drive(Velocity(0.2, 0.0))
+        driver.drive(1.0, 0.2)
         assert bridge.sent[-2] == (Command.VEL, 200)
 
 
@@ -112,12 +112,12 @@ def test_what_is_no_suspend_changes_nothing():
 def test_base_gets_the_published_setpoint_rounded_to_its_units(wanted):
     """The gate has the last word: its output is published, and only rounding changes it."""
     bridge = Bridge()
-    driver = LeaseClient(bridge)
+    driver = DriverClient(bridge)
     driver.motors()
     for _ in range(60):
         bridge.published.clear()
         bridge.sent.clear()
-        driver.drive(wanted, times=2)
+        driver.drive(0.1, *wanted)
         for command, value in bridge.sent:
             factor, axis, step = (1000.0, 0, 0.5) if command is Command.VEL else (math.degrees(1.0), 1, 1.0)
             passed = [velocity[axis] * factor for velocity in bridge.published]
@@ -133,17 +133,17 @@ def test_base_gets_the_published_setpoint_rounded_to_its_units(wanted):
 
 def test_new_lease_enables_the_motors_of_a_rover_that_still_rolls_after_the_stop_button():
     bridge = Bridge()
-    driver = LeaseClient(bridge)
+    driver = DriverClient(bridge)
     driver.motors()
-    driver.drive(Velocity(0.3, 0.0))
+    driver.drive(1.0, 0.3)
     bridge.firmware.inject(parse_fault("stop-button@0-0.12"))
     bridge.sleep(0.2)
     assert bridge.gate.ended == "stop-button"
     assert bridge.odom.velocity.v > 0.05  # so the gate has not switched the motors off yet
     driver.lease.end()
     driver.motors()
-    driver.drive(Velocity(0.2, 0.0))
-    driver.drive(Velocity(0.2, 0.0))
+    driver.drive(1.0, 0.2)
+    driver.drive(1.0, 0.2)
     assert (bridge.gate.lease, bridge.gate.held) == (driver.lease.number, "")
     assert bridge.odom.velocity.v == pytest.approx(0.2, abs=0.02)
 
@@ -151,14 +151,14 @@ def test_new_lease_enables_the_motors_of_a_rover_that_still_rolls_after_the_stop
 @pytest.mark.parametrize("wait_s", [0.1, 3.0])  # while it still rolls, and when it stands
 def test_each_new_lease_enables_the_motors_and_a_renewal_does_not(wait_s):
     bridge = Bridge()
-    driver = LeaseClient(bridge)
+    driver = DriverClient(bridge)
     for number in (1, 2, 3):
         before = bridge.enables
         driver.motors()
         assert driver.lease.number == number
-        driver.drive(Velocity(0.2, 0.0))
+        driver.drive(1.0, 0.2)
         driver.motors()
-        driver.drive(Velocity(0.2, 0.0))
+        driver.drive(1.0, 0.2)
         assert bridge.enables == before + 1
         driver.motors(enable=False)
         bridge.sleep(wait_s)
@@ -173,10 +173,10 @@ FENCED = Limits(fence=Fence(x_min=-1.0, x_max=1.0, y_min=-1.0, y_max=1.0))
 def fenced_rover(limits=FENCED):
     """A bridge whose rover was driven half a metre ahead and stands."""
     bridge = Bridge(limits)
-    driver = LeaseClient(bridge)
+    driver = DriverClient(bridge)
     driver.motors()
     for _ in range(3):
-        driver.drive(Velocity(0.3, 0.0))
+        driver.drive(1.0, 0.3)
     driver.motors(enable=False)
     bridge.sleep(3.0)
     assert bridge.odom.pose.x > 0.5
@@ -190,7 +190,7 @@ def test_fence_is_lost_when_the_base_is_connected_again(fault):
     bridge.sleep(12.0)
     assert abs(bridge.odom.pose.x) < 0.01
     for _ in range(2):
-        reply = LeaseClient(bridge).motors()
+        reply = DriverClient(bridge).motors()
         assert (reply.granted, reply.reason) == (False, "fence-lost")
         assert "restart the bridge" in reply.detail
         assert bridge.gate.held == "fence-lost"
@@ -202,7 +202,7 @@ def test_fence_is_kept_over_a_gap_in_the_reports():
     bridge.firmware.inject(parse_fault("mute@0-1"))
     bridge.sleep(2.0)
     assert bridge.odom.pose.x > 0.5
-    assert LeaseClient(bridge).motors().granted
+    assert DriverClient(bridge).motors().granted
 
 
 @pytest.mark.parametrize(("limits", "reset"), [(FENCED, False), (Limits(), True)])
@@ -213,11 +213,11 @@ def test_odometry_is_reset_only_without_a_fence(limits, reset):
     assert ("the fence would move with odom" in reply.reason) is not reset
     bridge.sleep(1.0)
     assert (abs(bridge.odom.pose.x) < 0.01) is reset
-    assert LeaseClient(bridge).motors().granted
+    assert DriverClient(bridge).motors().granted
 
 
 def test_without_a_fence_a_base_that_is_connected_again_may_be_driven():
     bridge = fenced_rover(Limits())
     bridge.firmware.inject(parse_fault("reset@0-0.1"))
     bridge.sleep(12.0)
-    assert LeaseClient(bridge).motors().granted
+    assert DriverClient(bridge).motors().granted

@@ -9,8 +9,7 @@ import time
 from contextlib import suppress
 from typing import Self
 
-from kit.bridge_bench import Driver
-from kit.driver_client import PERIOD_S
+from kit.bridge_bench import PERIOD_S, Driver
 
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity

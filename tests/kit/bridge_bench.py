@@ -4,7 +4,7 @@ import time
 
 import zenoh
 
-from kit.driver_client import DriverClient
+from kit.driver_client import PERIOD_S, DriverClient  # noqa: F401  # the period is for the users of `Driver`
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.zenoh import client_config
 from sim.live.live_run import LiveRun
@@ -48,7 +48,7 @@ class Driver(DriverClient, ClosedAtExit):
 
     now_ns = property(lambda self: time.monotonic_ns())
     time_ns = staticmethod(time.time_ns)
-    sleep = staticmethod(time.sleep)
+    sleep, wait_for = staticmethod(time.sleep), staticmethod(wait_for)
 
     def query(self, name, payload, attachment=None):
         """Return the bytes of the one answer, or the error's text."""

@@ -20,7 +20,8 @@ PERIOD_S = 0.05
 class DriverClient:
     """The lease, commands and queries of one driver, and the newest of each message that it received.
 
-    ``bridge`` has ``now_ns``, ``time_ns``, ``sleep``, ``command`` and ``query``, as a `VirtualBridge`.
+    ``bridge`` has ``now_ns``, ``time_ns``, ``sleep``, ``command`` and ``query``, as a `VirtualBridge`; for
+    `start` also ``wait_for``.
     """
 
     name = "test"
@@ -38,14 +39,6 @@ class DriverClient:
             self.gate = parse_json(GateStatus, read_text(data))
         elif name == "rover/cmd_out":
             self.out = read_twist(data).velocity
-
-    def wait_for(self, condition, seconds=10.0):
-        """Let time pass until ``condition`` holds; return its value."""
-        end_ns = self.bridge.now_ns + round(seconds * 1e9)
-        while not (found := condition()):
-            assert self.bridge.now_ns < end_ns, f"timed out: {self.gate}"
-            self.bridge.sleep(0.01)
-        return found
 
     def tag(self, kind, name, payload, age_s=0.0):
         """Sign a message; return its attachment."""
@@ -89,11 +82,11 @@ class DriverClient:
 
     def start(self, v=0.15, omega=0.0):
         """Get the motors and drive until the base reports nearly that speed."""
-        self.wait_for(lambda: self.motors().granted)
+        self.bridge.wait_for(lambda: self.motors().granted)
 
         def drives():
             self.drive(PERIOD_S, v, omega)
             return self.odom is not None and abs(self.odom.velocity.v - v) <= 0.02
 
-        self.wait_for(drives, 5.0)
+        self.bridge.wait_for(drives, 5.0)
         return self

@@ -12,24 +12,26 @@ STEP_S = 0.01
 
 
 class VirtualRig(VirtualBridge):
-    """The bridge of one robot; each driver receives all that it publishes."""
+    """The bridge of one robot among ``walls``; each driver receives all that it publishes."""
 
-    def __init__(self, robot, *, accept_ros=False):
-        self.robot, self.rover = robot, PymunkRover(described_rover(robot), Ground(()))
-        super().__init__(
-            Firmware(robot, self.rover) if robot.arcos else Ros2Robot(robot, self.rover),
-            accept_ros=accept_ros,
-        )
-        self._drivers = []
-
-    def driver(self):
-        self._drivers.append(DriverClient(self))
-        return self._drivers[-1]
+    def __init__(self, robot, *, accept_ros=False, limits=None, walls=(), firmware=Firmware):
+        self.rover = PymunkRover(described_rover(robot), Ground(walls))
+        self.base = firmware(robot, self.rover) if robot.arcos else Ros2Robot(robot, self.rover)
+        super().__init__(self.base, limits, accept_ros=accept_ros)
+        self.drivers = []
 
     def publish(self, name, data):
-        for driver in self._drivers:
-            driver.receive(name, data)
         super().publish(name, data)
+        for driver in self.drivers:
+            driver.receive(name, data)
+
+    def wait_for(self, condition, seconds=10.0):
+        """Let time pass until ``condition`` holds; return its value."""
+        end_ns = self.now_ns + round(seconds * 1e9)
+        while not (found := condition()):
+            assert self.now_ns < end_ns, "timed out on the virtual clock"
+            self.sleep(STEP_S)
+        return found
 
     # As from Zenoh, only the first bytes of a message that is too long arrive.
 
@@ -47,3 +49,12 @@ class VirtualRig(VirtualBridge):
             speeds.append(max(map(abs, self.rover.velocity)))
             self.sleep(STEP_S)
         return max(speeds) < 1e-3
+
+
+class VirtualDriver(DriverClient):
+    """A driver of a `VirtualRig`."""
+
+    def __init__(self, rig):
+        super().__init__(rig)
+        self.rig = rig
+        rig.drivers.append(self)

@@ -9,8 +9,7 @@ import struct
 import time
 
 import pytest
-from kit.bridge_bench import MACHINE_S, STOP_S, Driver, Rig, braking_s, wait_for
-from kit.driver_client import PERIOD_S
+from kit.bridge_bench import MACHINE_S, PERIOD_S, STOP_S, Driver, Rig, braking_s, wait_for
 
 from rover_ncp import cli
 from rover_ncp.core.geometry import Velocity

@@ -7,8 +7,7 @@ from contextlib import contextmanager
 import pytest
 import zenoh
 import zenoh.ext
-from kit.bridge_bench import MACHINE_S, STOP_S, Driver, Rig, braking_s, client, wait_for
-from kit.driver_client import PERIOD_S
+from kit.bridge_bench import MACHINE_S, PERIOD_S, STOP_S, Driver, Rig, braking_s, client, wait_for
 from kit.zenoh_session import open_session
 
 from bridge.inbox import CommandMessage, Inbox

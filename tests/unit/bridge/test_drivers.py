@@ -5,9 +5,8 @@ import math
 import struct
 
 import pytest
-from kit.bridge_bench import STOP_S, braking_s
-from kit.driver_client import PERIOD_S
-from kit.virtual_bench import VirtualRig
+from kit.bridge_bench import PERIOD_S, STOP_S, braking_s
+from kit.virtual_bench import VirtualDriver, VirtualRig
 
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose, Velocity
@@ -15,6 +14,7 @@ from rover_ncp.robot.description import load_description
 from rover_ncp.wire.key_table import KEYS, Kind, Role, spec
 from rover_ncp.wire.messages import decode, twist_stamped
 from rover_ncp.wire.protocol import CommandTag, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
+from sim.pioneer.firmware import Firmware
 from sim.stack.virtual import VirtualLink
 
 
@@ -25,20 +25,20 @@ def rig(request):
 
 @pytest.fixture
 def driver(rig):
-    return rig.driver()
+    return VirtualDriver(rig)
 
 
 def test_every_message_of_the_table_is_published_and_can_be_read(rig, driver):
     promised = {row for row in KEYS if row.senders == {Role.BRIDGE} and row.kind is Kind.MESSAGE}
     driver.start().drive(1.0)
-    for row in promised - {spec("imu" if rig.robot.arcos else "sonar")}:
+    for row in promised - {spec("imu" if isinstance(rig.base, Firmware) else "sonar")}:
         assert len(driver.seen[row.name]) <= row.max_bytes
         decode(row.type, driver.seen[row.name])
 
 
 def test_a_second_driver_is_refused_and_its_commands_do_not_count(rig, driver):
     driver.start()
-    other = rig.driver()
+    other = VirtualDriver(rig)
     reply = other.motors()
     assert (reply.granted, reply.reason) == (False, "another-driver")
     assert reply.detail == "test holds the lease"
@@ -71,7 +71,7 @@ def test_silence_stops_the_rover(rig, driver):
     assert rig.stands_after(STOP_S + braking_s(0.15) - PERIOD_S)
     assert driver.gate.stops == {"silence": 1}
     # The lease lapses and the motors go off without a request.
-    driver.wait_for(lambda: driver.gate.lease == 0 and driver.gate.ended == "lease-lapsed")
+    rig.wait_for(lambda: driver.gate.lease == 0 and driver.gate.ended == "lease-lapsed")
 
 
 def test_commands_that_arrive_late_do_not_drive(rig, driver):
@@ -120,7 +120,7 @@ def test_garbage_from_the_driver_stops_the_rover(rig, driver):
         driver.drive(0.05)
         for _ in range(3):
             driver.put(data)
-        driver.wait_for(lambda: driver.gate.held == held, STOP_S)  # noqa: B023
+        rig.wait_for(lambda: driver.gate.held == held, STOP_S)  # noqa: B023
         assert driver.gate.dropped[dropped] == before + 3
         assert driver.out == Velocity(0.0, 0.0)
     assert rig.stands_after(braking_s(0.15))
@@ -133,7 +133,7 @@ def test_odometry_is_reset_only_without_a_lease(rig, driver):
     assert rig.stands_after(1.0)
     assert abs(driver.odom.pose.x) > 0.01
     assert rig.query("rover/reset_odometry", b"{}") == b'{"ok":true,"reason":""}'
-    driver.wait_for(lambda: max(map(abs, driver.odom.pose)) < 1e-6)
+    rig.wait_for(lambda: max(map(abs, driver.odom.pose)) < 1e-6)
 
 
 # Requests for the motors
@@ -142,8 +142,8 @@ def test_odometry_is_reset_only_without_a_lease(rig, driver):
 @pytest.fixture
 def requester():
     """A driver of a bridge that accepts plain ROS commands."""
-    driver = VirtualRig(load_description(DEFAULT_ROBOT), accept_ros=True).driver()
-    driver.wait_for(lambda: driver.odom is not None)
+    driver = VirtualDriver(VirtualRig(load_description(DEFAULT_ROBOT), accept_ros=True))
+    driver.rig.wait_for(lambda: driver.odom is not None)
     return driver
 
 
@@ -159,30 +159,30 @@ def requester():
 )
 def test_a_request_that_cannot_be_read_is_refused_by_name(requester, name, payload, expected):
     with pytest.raises(RuntimeError, match=expected):
-        requester.bridge.query(name, payload)
+        requester.rig.query(name, payload)
 
 
 def test_a_lost_answer_locks_all_drivers_out_until_the_lease_lapses(requester):
     """The lease and its key are granted, but the answer never reaches the driver."""
-    first = requester.wait_for(lambda: (reply := requester.motors()).granted and reply)
+    first = requester.rig.wait_for(lambda: (reply := requester.motors()).granted and reply)
     requester.lease.end()
     assert requester.motors().reason == "another-driver"
-    again = requester.wait_for(lambda: (reply := requester.motors()).granted and reply)
+    again = requester.rig.wait_for(lambda: (reply := requester.motors()).granted and reply)
     assert (again.lease, again.key != first.key) == (first.lease + 1, True)
 
 
 def test_a_signature_is_for_one_kind_and_one_key_expression(requester):
-    requester.wait_for(lambda: requester.motors().granted)
-    rig, lease, release = requester.bridge, requester.lease, dump_json(MotorsRequest(enable=False))
+    requester.rig.wait_for(lambda: requester.motors().granted)
+    rig, lease, release = requester.rig, requester.lease, dump_json(MotorsRequest(enable=False))
     others = [(Signed.COMMAND, "rover/motors"), (Signed.MOTORS, "cmd_vel"), (Signed.MOTORS, "x/rover/motors")]
     for kind, where in others:
         tag = lease.sign(kind, where, release, rig.now_ns).pack()
         assert json.loads(rig.query("rover/motors", release, tag))["reason"] == "another-driver"
     command = twist_stamped(Velocity(0.1, 0.0), 1)
     rig.command(command, lease.sign(Signed.MOTORS, "cmd_vel", command, rig.now_ns).pack())
-    requester.wait_for(lambda: requester.gate.dropped == {"foreign": 1})
+    requester.rig.wait_for(lambda: requester.gate.dropped == {"foreign": 1})
     requester.motors(enable=False)
-    requester.wait_for(lambda: requester.gate.lease == 0)
+    requester.rig.wait_for(lambda: requester.gate.lease == 0)
 
 
 OLD_REQUEST = {"enable": True, "driver": "ab" * 16, "name": "old", "sent_ns": 1}
@@ -192,9 +192,9 @@ BOTH = (
 
 
 def test_an_older_driver_gets_both_versions(requester):
-    reply = json.loads(requester.bridge.query("rover/motors", json.dumps(OLD_REQUEST).encode()))
+    reply = json.loads(requester.rig.query("rover/motors", json.dumps(OLD_REQUEST).encode()))
     assert reply == {"granted": False, "reason": "version", "detail": BOTH}
-    later = json.loads(requester.bridge.query("rover/motors", b'{"version": 3, "anything": []}'))
+    later = json.loads(requester.rig.query("rover/motors", b'{"version": 3, "anything": []}'))
     assert "the bridge uses protocol version 2, the driver version 3" in later["detail"]
 
 
@@ -204,20 +204,20 @@ OLD_ZEROS = struct.pack("<16sQq", bytes(16), 2**63, 2**62)
 
 @pytest.mark.parametrize("tag", [OLD_ZEROS, bytes(40), CommandTag(0, 2**63, 2**62).pack(), b""])
 def test_a_tag_of_zeros_neither_drives_nor_releases_under_accept_ros(requester, tag):
-    rig = requester.bridge
+    rig = requester.rig
 
     def plain():
         rig.command(twist_stamped(Velocity(0.0, 0.0), rig.time_ns()))
         return requester.gate.driver_name == "ros"
 
-    requester.wait_for(plain)
+    requester.rig.wait_for(plain)
     for _ in range(5):
         plain()
         rig.command(twist_stamped(Velocity(0.2, 0.0), rig.time_ns()), tag)
         for request in (OLD_REQUEST | {"driver": "0" * 32, "enable": False}, {"version": 2, "enable": False}):
             answer = json.loads(rig.query("rover/motors", json.dumps(request).encode(), tag))
             assert (answer["granted"], answer["reason"]) == (False, "another-driver")
-    requester.wait_for(lambda: requester.gate.dropped == {"foreign": 5})
+    requester.rig.wait_for(lambda: requester.gate.dropped == {"foreign": 5})
     assert requester.gate.driver_name == "ros"
     assert requester.out == Velocity(0.0, 0.0)
 

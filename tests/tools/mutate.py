@@ -30,6 +30,7 @@ TESTS = {
     "rover_ncp.wire.protocol": ["core/test_protocol.py"],
     "bridge.pioneer.session": [
         "bridge/test_states.py",
+        "bridge/test_session_details.py",
         "bridge/test_session.py",
         "pioneer/test_session.py",
     ],

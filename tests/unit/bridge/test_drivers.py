@@ -15,7 +15,7 @@ from rover_ncp.wire.key_table import KEYS, Kind, Role, spec
 from rover_ncp.wire.messages import decode, twist_stamped
 from rover_ncp.wire.protocol import CommandTag, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
 from sim.pioneer.firmware import Firmware
-from sim.stack.virtual import VirtualLink
+from sim.stack.virtual import VirtualBridge, VirtualLink
 
 
 @pytest.fixture(params=["p3at-sh", "husky-a200"], ids=["arcos", "ros2"])
@@ -280,3 +280,65 @@ def test_two_leases_have_two_keys():
     grants = [reply for reply in rig.answers if reply.granted]
     assert len({reply.key for reply in grants}) == 2
     assert [reply.lease for reply in grants] == [1, 2]
+
+
+# A peer that tries to take over a drive: it receives all messages and requests, and knows no key
+
+
+class TappedRig(VirtualRig):
+    """A rig that keeps what its driver sends."""
+
+    def __init__(self):
+        super().__init__(load_description(DEFAULT_ROBOT))
+        self.commands, self.requests = [], []
+        self.sleep(3.0)
+
+    def command(self, data, attachment=None):
+        self.commands.append((data, attachment))
+        super().command(data, attachment)
+
+    def query(self, name, payload, attachment=None):
+        self.requests.append((payload, attachment))
+        return super().query(name, payload, attachment)
+
+
+def attempts(rig, number):
+    """Yield commands and requests of the peer, each with its tag."""
+    _, tag = rig.commands[-1]
+    backward = twist_stamped(Velocity(-0.25, 0.5), rig.time_ns())
+    newest = CommandTag.unpack(tag)
+    forged = [
+        newest,
+        newest._replace(sequence=newest.sequence + 1 + number),
+        newest._replace(sequence=newest.sequence + 1000, stamp_ns=newest.stamp_ns + 50_000_000),
+        newest._replace(sequence=newest.sequence + 1, digest=bytes([number % 256]) * 16),
+    ]
+    yield from ((None, backward, tag.pack()) for tag in forged)
+    yield (None, *rig.commands[number * 7 % len(rig.commands)])
+    for enable in (True, False):
+        request = dump_json(MotorsRequest(enable=enable, name="attacker", sent_ns=rig.now_ns))
+        yield from (("rover/motors", request, tag) for tag in (None, forged[1].pack()))
+    yield ("rover/motors", *rig.requests[0])
+
+
+def test_1000_attempts_to_take_over_a_drive_fail_and_the_rover_drives_on():
+    rig = TappedRig()
+    driver = VirtualDriver(rig)
+    driver.start()
+    accepted, answers, outputs = driver.gate.accepted, [], []
+    for number in range(100):
+        driver.send()
+        for name, payload, tag in attempts(rig, number):
+            if name is None:
+                VirtualBridge.command(rig, payload, tag)
+            else:
+                answers.append(parse_json(MotorsReply, VirtualBridge.query(rig, name, payload, tag)))
+            outputs.append((driver.out, driver.gate.driver_name, driver.gate.lease))
+            rig.sleep(PERIOD_S / 10)
+    driver.drive(0.1)
+    assert driver.gate.accepted == accepted + 102
+    assert sum(driver.gate.dropped.values()) == 500
+    assert len(answers) == 500
+    assert {(reply.granted, reply.reason, reply.key) for reply in answers} == {(False, "another-driver", "")}
+    assert set(outputs) == {(Velocity(0.15, 0.0), "test", driver.lease.number)}
+    assert driver.odom.velocity.v == pytest.approx(0.15, abs=0.005)

@@ -141,8 +141,8 @@ class Lease:
     granted_s: float
     """When it was granted; renewals do not change that."""
     expires_s: float
-    last_sequence: int = -1
-    contact: Contact = NO_CONTACT
+    last_sequence: int
+    contact: Contact
     """The contact in which it was granted, as far as it lasted until the last command that led away."""
 
     def signed(self, tag: CommandTag | None, kind: Signed, key_expr: str, payload: bytes) -> bool:

@@ -6,7 +6,7 @@ import pytest
 from kit.gate_bench import SECRET, Gate, follow, timelines
 
 from bridge.base import BaseReport
-from bridge.gate.state import BaseLost, Enable, GateState, Reason, describe, read_tag
+from bridge.gate.state import BaseLost, Enable, GateState, Reason, VelocityCommand, describe, read_tag
 from rover_ncp.wire.protocol import CommandTag, Signed
 
 
@@ -63,7 +63,12 @@ def test_signature_is_valid_for_its_lease_key_kind_and_bytes_only():
     assert not replace(lease, secret=None).signed(tag, Signed.COMMAND, "cmd_vel", b"x")
     for attachment in (None, b"", b"x" * 39):
         assert not lease.signed(read_tag(attachment), Signed.COMMAND, "cmd_vel", b"x")
-    assert read_tag(b"x" * 39) is not None  # with an attachment it is no plain ROS command
+    assert read_tag(b"x" * 39) == CommandTag(0, 0, 0)  # with an attachment it is no plain ROS command
+
+
+def test_command_is_unsigned_and_a_loss_is_no_restart_unless_they_say_so():
+    assert not VelocityCommand(None).signed
+    assert not BaseLost().restarted
 
 
 def test_renewal_permits_no_new_contact():

@@ -13,6 +13,7 @@ from rover_ncp.core.errors import NoBridge, NoRobot, NotAuthorised, SafetyStop
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.wire.protocol import GateStatus, MotorsReply, Signed
 
+BEGIN_NS = 10 * NS
 STILL, FORWARD = Velocity(0.0, 0.0), Velocity(0.1, 0.0)
 
 
@@ -20,13 +21,15 @@ class Drive:
     """A monitor with its link, its measurements and its clock; the link is well until a test changes it."""
 
     def __init__(self):
-        self.now_ns, self.sleeps, self.signal = 0, [], False
+        self.now_ns, self.sleeps, self.signal = BEGIN_NS, [], False
         self.link = SimpleNamespace(
             robot="tcp/x", where=" (namespace y)", bridge_alive=True, authorised=lambda: True, bumped=0
         )
         self.link.gate, self.link.lease = GateStatus(), DriverLease()
-        self.newest = SimpleNamespace(ref=SimpleNamespace(measured_ns=0))
-        self.measurements = SimpleNamespace(newest=self.newest, odometry=lambda wait_s: self.newest)
+        self.newest = SimpleNamespace(ref=SimpleNamespace(measured_ns=BEGIN_NS))
+        self.measurements = SimpleNamespace(
+            newest=self.newest, odometry=lambda wait_s: None if wait_s else self.newest
+        )
         self.monitor = SafetyMonitor(self.link, self.measurements, lambda: self.signal, clock=self)
 
     def monotonic(self):
@@ -59,6 +62,7 @@ class Drive:
 
 @pytest.mark.parametrize("name", ["bridge_wait_s", "permission_wait_s", "odometry_wait_s", "lease_wait_s"])
 def test_every_wait_is_longer_than_zero(name):
+    assert getattr(Timeouts(**{name: 0.5}), name) == 0.5
     with pytest.raises(ValidationError):
         Timeouts(**{name: 0.0})
 
@@ -87,7 +91,7 @@ def test_what_is_missing_before_the_start_is_named_after_its_wait(missing, error
     vars(drive.link).update(missing)
     with pytest.raises(error, match=words):
         drive.monitor.wait()
-    assert wait_s < drive.monotonic() < wait_s + 0.01
+    assert wait_s < drive.monotonic() - BEGIN_NS / NS < wait_s + 0.01
     assert max(drive.sleeps) < 0.01
 
 
@@ -105,7 +109,7 @@ def test_who_drives_nothing_needs_no_permission():
 
 def test_a_condition_that_holds_at_exactly_its_time_limit_holds():
     drive = Drive()
-    assert drive.monitor.until(lambda: drive.now_ns >= 2_000_000, 0.002)
+    assert drive.monitor.until(lambda: drive.now_ns >= BEGIN_NS + 2_000_000, 0.002)
     assert not drive.monitor.until(lambda: False, 0.0)
 
 
@@ -116,7 +120,7 @@ def test_a_signal_ends_waits_and_checks():
         drive.monitor.wait()
     with pytest.raises(KeyboardInterrupt):
         drive.monitor.check()
-    assert drive.now_ns == 0
+    assert drive.now_ns == BEGIN_NS
 
 
 # During the drive
@@ -255,6 +259,13 @@ def test_motion_is_missing_below_a_tenth_of_what_was_commanded(axis, least):
     assert complaints([along(1.01 * least)] * 18, [STILL] * 18) == [17]
     assert complaints([along(-1.01 * least)] * 18, [STILL] * 18) == [17]
     assert complaints([along(0.99 * least)] * 18, [STILL] * 18) == []
+
+
+def test_limits_of_the_response_are_exact():
+    eight = [STILL if k in {7, 8} else Velocity(0.0625, 0.0) for k in range(18)]  # 0.5 in each window
+    assert complaints(eight, [STILL] * 18) == [17]
+    tenth = [STILL if k in {8, 9} else Velocity(0.125, 0.0) for k in range(18)]
+    assert complaints([Velocity(1.0, 0.0)] * 18, tenth) == []
 
 
 def test_words_name_the_missing_turn():

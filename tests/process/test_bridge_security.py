@@ -211,7 +211,7 @@ def test_files_that_hold_secrets_are_their_owners_alone_and_never_replaced(keys,
 
 
 def test_each_right_follows_from_the_table_of_keys():
-    control = access_control((Role.DRIVER, Role.VIEWER, Role.LOCALISER), "bot1")
+    control = access_control("bot1")
     assert control["default_permission"] == "deny"
     allowed = {
         (policy["subjects"][0], flow, message, key)

@@ -4,9 +4,11 @@ import time
 
 import pytest
 from kit.amrisim import AmriSimServer
-from kit.bridge_bench import MACHINE_S, STOP_S, Driver, braking_s, wait_for, zenoh_address
+from kit.bridge_bench import MACHINE_S, Driver, braking_s, wait_for, zenoh_address
 
 from sim.live.processes import Process
+
+STOP_S = 0.5
 
 
 @pytest.fixture

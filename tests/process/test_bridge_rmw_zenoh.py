@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import pytest
 import zenoh
 import zenoh.ext
-from kit.bridge_bench import MACHINE_S, PERIOD_S, STOP_S, Driver, Rig, braking_s, client, wait_for
+from kit.bridge_bench import MACHINE_S, PERIOD_S, Driver, Rig, braking_s, client, wait_for
 from kit.zenoh_session import open_session
 
 from bridge.inbox import CommandMessage, Inbox
@@ -24,6 +24,7 @@ STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a1
 TWIST = "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"
 ODOMETRY = "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"
 TWIST_KEY = f"5/bot1/cmd_vel/geometry_msgs::msg::dds_::Twist_/{TWIST}"
+STOP_S = 0.5
 
 
 def test_a_topics_key_has_domain_name_type_and_hash():

@@ -113,8 +113,8 @@ coverage-gate: $(STAMP) ## The gate's own tests must run every line and branch o
 	$(BIN)/coverage report --data-file=.coverage-gate --show-missing --fail-under=100
 
 .PHONY: mutate
-mutate: $(STAMP) ## The tests must fail on every mutant of the gate, except those of tests/data/gate_survivors.yaml.
-	$(BIN)/python tests/tools/mutate_gate.py
+mutate: $(STAMP) ## Tests must fail on every mutant of the modules that keep the rover safe, except those of tests/data/survivors.yaml.
+	$(BIN)/python tests/tools/mutate.py
 
 .PHONY: fuzz
 fuzz: $(STAMP) ## Fuzz the readers of external data for FUZZ_S seconds, guided by branch coverage.

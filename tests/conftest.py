@@ -22,7 +22,7 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
 settings.register_profile("full", deadline=None)
 settings.register_profile("quick", deadline=None, max_examples=25)
 settings.load_profile("quick")
-# Mutants (tests/tools/mutate_gate.py) only have to fail: no one reads their smallest example.
+# Mutants (tests/tools/mutate.py) only have to fail: no one reads their smallest example.
 settings.register_profile("mutants", deadline=None, database=None, phases=[Phase.explicit, Phase.generate])
 
 # Files that wait longest for real processes begin first, so that they do not run alone at the end.

@@ -10,9 +10,10 @@ Rules of this file:
 4. A hazard revokes the lease: the driver must request it again, and plain ROS commands must pause or be
    zero. In contact, a new lease allows driving away only (`motion.py`). Stale commands or odometry only
    hold the rover. So do fence and sonars: the rover may be driven away from them.
-5. The gate limits only growth of the command, never braking.
-6. A message that is not signed with the key of the current lease changes nothing but a counter. The caller
-   verifies digests and makes keys: `step` draws no random numbers.
+5. The gate limits the speeds and how fast they grow. It never delays braking.
+6. While a signed lease is held, commands, renewals and releases without its signature are dropped. First
+   requests, stops and, with ``accept_ros``, untagged commands act without one. The caller verifies digests
+   and makes keys: `step` draws no random numbers.
 """
 
 import math
@@ -182,8 +183,8 @@ def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateStat
         restarted = restarted or jumps(before, base, elapsed, limits)
     if before is not None and (base.x, base.y, base.theta) == (before.x, before.y, before.theta):
         repeats = state.repeats + 1
-        frozen_m = state.frozen_m + _moving(before.v, base.v) * elapsed
-        frozen_rad = state.frozen_rad + _moving(before.omega, base.omega) * elapsed
+        frozen_m = state.frozen_m + _sustained_speed(before.v, base.v) * elapsed
+        frozen_rad = state.frozen_rad + _sustained_speed(before.omega, base.omega) * elapsed
     if 0.0 < base.battery_v < limits.battery_min_v:
         low_since_s = state.now if state.low_since_s is None else state.low_since_s
     return replace(
@@ -199,8 +200,8 @@ def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateStat
     )
 
 
-def _moving(before: float, now: float) -> float:
-    """Return the slower of two speeds; 0 unless both are of one direction and more than the noise at rest."""
+def _sustained_speed(before: float, now: float) -> float:
+    """Return the slower of two speeds; 0 unless they have one direction and exceed the noise at rest."""
     slower = min(before, now, key=abs)
     return slower if before * now > 0.0 and abs(slower) >= STANDING else 0.0
 
@@ -266,7 +267,7 @@ def _end_lease(state: GateState, reason: Reason | None) -> GateState:
 
 
 def _switch_motors(state: GateState) -> GateState:
-    """Switch the motors off without a lease, once the rover stands: a base that rolls on has not stopped."""
+    """Without a lease, switch the motors off at standstill, or `COAST_S` after the lease's end."""
     if state.lease is not None or not state.motors:
         return state
     base = state.base

@@ -141,8 +141,8 @@ class Lease:
     granted_s: float
     """When it was granted; renewals do not change that."""
     expires_s: float
-    last_sequence: int = -1
-    contact: Contact = NO_CONTACT
+    last_sequence: int
+    contact: Contact
     """The contact in which it was granted, as far as it lasted until the last command that led away."""
 
     def signed(self, tag: CommandTag | None, kind: Signed, key_expr: str, payload: bytes) -> bool:
@@ -173,7 +173,7 @@ class GateState:
     lease_over: Reason | None = None
     """Reason for the end of the last lease; None if its driver released it."""
     lease_over_detail: str = ""
-    """The words for ``ended``, as it was then."""
+    """Text of ``lease_over``, from the moment when the lease ended."""
     stop_reason: str | None = None
     """The text of the stop request; None without one."""
     base: BaseReport | None = None

@@ -264,7 +264,7 @@ class Session:
                 f"{self._bytes_in} bytes, not one valid packet"
             )
         else:
-            reason = f"no answer to {self._tries} handshake{'s' if self._tries > 1 else ''}"
+            reason = f"no answer to {self._tries} handshakes"
         self._events.append(Failed(reason))
 
     def _do_hang_up(self) -> None:

@@ -64,7 +64,7 @@ def make_credentials(hosts: Sequence[str], namespace: str = "") -> Mapping[str, 
 
     Raises UsageError for a namespace that is no key.
     """
-    control = access_control(PEERS, namespace)
+    control = access_control(namespace)
     authority, authority_key = _authority()
 
     def end(role: Role, listens: bool) -> dict[str, Any]:
@@ -184,14 +184,14 @@ def _json5(content: Mapping[str, Any], whose: str) -> str:
     )
 
 
-def access_control(roles: tuple[Role, ...], namespace: str = "") -> dict[str, Any]:
+def access_control(namespace: str) -> dict[str, Any]:
     """Return Zenoh's ``access_control``: each role, named in its certificate, gets its rows.
 
     Raises UsageError for a namespace that is no key.
     """
     policies = []
     rules = []
-    for role in roles:
+    for role in PEERS:
         of_role = list(_rules(role, namespace))
         rules += of_role
         policies.append({"rules": [rule["id"] for rule in of_role], "subjects": [role.value]})
@@ -199,7 +199,7 @@ def access_control(roles: tuple[Role, ...], namespace: str = "") -> dict[str, An
         "enabled": True,
         "default_permission": "deny",
         "rules": rules,
-        "subjects": [{"id": role.value, "cert_common_names": [role.value]} for role in roles],
+        "subjects": [{"id": role.value, "cert_common_names": [role.value]} for role in PEERS],
         "policies": policies,
     }
 

@@ -106,10 +106,11 @@ class VirtualBridge:
     def query(self, name: str, payload: bytes, attachment: bytes | None = None) -> bytes:
         """Return the bridge's reply to a query. Raises RuntimeError when it cannot read the query."""
         replies: list[bytes] = []
-        self._inbox.append(Query(name, payload, attachment, replies.append, lambda reason: None))
+        refusals: list[str] = []
+        self._inbox.append(Query(name, payload, attachment, replies.append, refusals.append))
         self._run_node()
         if not replies:
-            raise RuntimeError(f"the bridge does not answer {name}")
+            raise RuntimeError(f"the bridge does not answer {name}: {refusals}")
         return replies[0]
 
     # What the bridge's loop calls: its inbox and its Zenoh session.

@@ -158,7 +158,7 @@ def _flood(scene: Scene) -> int:
     silence(scene)
     while (elapsed := time.monotonic() - began) < FLOOD_S:
         if sent < elapsed * FLOOD_PER_S:
-            stranger.send(command)
+            stranger.put(command)
             sent += 1
         else:  # a stranger's computer takes no time from the robot's
             time.sleep(0.001)

@@ -2,35 +2,27 @@
 
 import time
 
-from deploy.drive.lease import DriverLease
-from kit.zenoh_session import open_session
-from rover_ncp.core.geometry import Velocity
+import zenoh
+
+from kit.driver_client import PERIOD_S, DriverClient  # noqa: F401  # the period is for the users of `Driver`
+from rover_ncp.core.errors import FormatError
 from rover_ncp.core.process import ClosedAtExit
-from rover_ncp.wire.key_table import key
-from rover_ncp.wire.messages import read_odometry, read_text, read_twist, twist_stamped
-from rover_ncp.wire.protocol import (
-    GateStatus,
-    MotorsReply,
-    MotorsRequest,
-    Signed,
-    StopReply,
-    StopRequest,
-    dump_json,
-    parse_json,
-)
+from rover_ncp.wire.zenoh import client_config
 from sim.live.live_run import LiveRun
 from sim.live.processes import wait_for
 
-PERIOD_S = 0.05
+STOP_S = 0.5
+"""Requirement 1: the rover stands so long after the last command, plus braking."""
 BRAKING_M_S2, DELAY_S = 0.31, 0.15
 MACHINE_S = 0.1
 """What two busy cores may add to any measured time."""
 
 
-def client(locator):
-    """Open a Zenoh session as a driver would."""
-    settings = {"transport/link/tx/lease": 1000, "connect/timeout_ms": 2000}
-    return open_session("client", {"connect/endpoints": [locator], **settings})
+def client(locator, lease_s=1.0, config=None):
+    """Open a Zenoh session as a driver would, with a configuration file if it needs one."""
+    settings, _ = client_config(locator, config)
+    settings.insert_json5("transport/link/tx/lease", str(round(lease_s * 1000)))
+    return zenoh.open(settings)
 
 
 def zenoh_address(bridge):
@@ -38,80 +30,44 @@ def zenoh_address(bridge):
     return dict(part.split("=", 1) for part in bridge.wait_for_line("ready ").split())["zenoh"]
 
 
-class Driver(ClosedAtExit):
-    """A session with the bridge; ``send`` sends one command, ``drive`` sends them for a while."""
+class Driver(DriverClient, ClosedAtExit):
+    """A driver with a Zenoh session; it receives all that others publish on ``keys``.
 
-    def __init__(self, locator, namespace=""):
-        self.session, self.namespace = client(locator), namespace
-        self.lease, self.sent = DriverLease(), 0
-        self.seen = {}
-        self.gate, self.odom, self.out = GateStatus(), None, None
-        self._subscriber = self.session.declare_subscriber(key(namespace, "odom")[:-4] + "**", self._heard)
-        self._commands = self.session.declare_publisher(key(namespace, "cmd_vel"))
-        wait_for(lambda: self._commands.matching_status.matching)
+    Without a configuration of its own it waits until it may drive.
+    """
+
+    keys = ("**",)
+
+    def __init__(self, locator, namespace="", lease_s=1.0, config=None):
+        super().__init__(self, namespace)
+        self.session = client(locator, lease_s, config)
+        remote = zenoh.Locality.REMOTE
+        self._subscribers = [
+            self.session.declare_subscriber(self.prefix + key, self._heard, allowed_origin=remote)
+            for key in self.keys
+        ]
+        self._commands = self.session.declare_publisher(self.prefix + "cmd_vel")
+        if config is None:
+            wait_for(lambda: self.may_drive)
 
     def _heard(self, sample):
-        name = str(sample.key_expr)
-        name = name[len(self.namespace) + 1 :] if self.namespace else name
-        data = sample.payload.to_bytes()
-        self.seen[name] = data
-        if name == "odom":
-            self.odom = read_odometry(data)
-        elif name == "rover/gate":
-            self.gate = parse_json(GateStatus, read_text(data))
-        elif name == "rover/cmd_out":
-            self.out = read_twist(data).velocity
+        self.receive(str(sample.key_expr).removeprefix(self.prefix), sample.payload.to_bytes())
 
-    def ask(self, name, payload, attachment=None):
-        """Ask a query and return the bytes of the one answer, or the error's text."""
-        where = key(self.namespace, name)
-        replies = list(self.session.get(where, payload=payload, attachment=attachment, timeout=3.0))
-        assert len(replies) == 1
+    now_ns = property(lambda self: time.monotonic_ns())
+    may_drive = property(lambda self: self._commands.matching_status.matching)
+    time_ns = staticmethod(time.time_ns)
+    sleep, wait_for = staticmethod(time.sleep), staticmethod(wait_for)
+
+    def query(self, name, payload, attachment=None, timeout_s=3.0):
+        """Return the bytes of the one answer, or the error's text. Raises FormatError without one."""
+        where = self.prefix + name
+        replies = list(self.session.get(where, payload=payload, attachment=attachment, timeout=timeout_s))
+        if len(replies) != 1:
+            raise FormatError(f"{len(replies)} answers on {where}, expected one")
         return replies[0].ok.payload.to_bytes() if replies[0].ok else replies[0].err.payload.to_string()
 
-    def motors(self, enable=True):
-        now_ns = time.monotonic_ns()
-        payload = dump_json(MotorsRequest(enable=enable, name="test", sent_ns=now_ns))
-        tag = self.lease.sign(Signed.MOTORS, key(self.namespace, "rover/motors"), payload, now_ns)
-        reply = parse_json(MotorsReply, self.ask("rover/motors", payload, tag.pack()))
-        self.lease.grant(reply)
-        return reply
-
-    def stop(self, release=False):
-        request = StopRequest(release=release, reason="" if release else "test")
-        return parse_json(StopReply, self.ask("rover/stop", dump_json(request)))
-
-    def tag(self, payload, age_s=0.0):
-        self.sent += 1
-        stamp_ns = time.monotonic_ns() - round(age_s * 1e9)
-        return self.lease.sign(Signed.COMMAND, key(self.namespace, "cmd_vel"), payload, stamp_ns).pack()
-
-    def send(self, v=0.15, omega=0.0, age_s=0.0):
-        """Send one command; return the wall clock's ns."""
-        sent_ns = time.time_ns()
-        payload = twist_stamped(Velocity(v, omega), sent_ns)
-        self._commands.put(payload, attachment=self.tag(payload, age_s))
-        return sent_ns
-
-    def put(self, payload, attachment=None):
+    def command(self, payload, attachment=None):
         self._commands.put(payload, attachment=attachment)
-
-    def drive(self, seconds, v=0.15, omega=0.0):
-        """Send commands for so long; return when the last one was sent, in ns."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            sent_ns = self.send(v, omega)
-            time.sleep(PERIOD_S)
-        return sent_ns
-
-    def start(self, v=0.15, omega=0.0):
-        """Get the motors and drive until the base reports nearly that speed."""
-        wait_for(lambda: self.motors().granted)
-        deadline = time.monotonic() + 5.0
-        while self.odom is None or abs(self.odom.velocity.v - v) > 0.02:
-            assert time.monotonic() < deadline, f"does not drive: {self.gate}"
-            self.drive(PERIOD_S, v, omega)
-        return self
 
     def close(self):
         self.session.close()

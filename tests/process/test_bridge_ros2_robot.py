@@ -237,7 +237,7 @@ def test_ctrl_c_in_the_check_halts_a_robot_while_its_timeout_is_measured(tmp_pat
     with Rig(tmp_path / "run", mock=["--ros2", *burger], bridge=burger, base_form=ROS2DDS) as rig:
         with Process("check", ["--robot", rig.locator, "--on-blocks"], tmp_path) as check:
             with Driver(rig.locator) as driver:
-                wait_for(lambda: '"running"' in driver.ask("rover/base", b"{}").decode(), 60.0)
+                wait_for(lambda: '"running"' in driver.query("rover/base", b"{}").decode(), 60.0)
             began_ns = time.time_ns()
             assert check.stop().code == 130
         assert rig.stood_after(began_ns) < 1.0

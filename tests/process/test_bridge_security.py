@@ -1,28 +1,25 @@
 """A bridge with the keys of ``rover-ncp keys``: each row of the access rules, over TLS between processes."""
 
 import base64
+import functools
 import json
 import re
-import time
 
 import pytest
 import zenoh
-from kit.bridge_bench import wait_for
+from kit.bridge_bench import Driver, wait_for
 from kit.zenoh_session import open_session
 
 from bridge.zenoh.credentials import access_control
-from deploy.drive.lease import DriverLease
+from deploy.drive import config
+from deploy.drive.config import DriveConfig
 from deploy.view.server import Viewer
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp import cli
-from rover_ncp.core.errors import NotAuthorised
-from rover_ncp.core.geometry import Velocity
-from rover_ncp.core.process import ClosedAtExit
+from rover_ncp.core.errors import FormatError, NotAuthorised
 from rover_ncp.wire.key_table import KEYS, Kind, Role
-from rover_ncp.wire.messages import read_text, twist_stamped
-from rover_ncp.wire.protocol import GateStatus, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
-from rover_ncp.wire.zenoh import client_config
-from sim.live.processes import Process, compile_driver
+from rover_ncp.wire.protocol import Signed
+from rover_ncp.wire.zenoh import CLIENT, client_config
 
 HEARD = [row.name for row in KEYS if row.kind is Kind.MESSAGE and row.senders == {Role.BRIDGE}]
 SELDOM = {"sonar", "imu"}
@@ -33,74 +30,42 @@ def read(path):
     return json.loads(re.sub(r"^//.*\n", "", path.read_text()))
 
 
-class User(ClosedAtExit):
-    """A session as ``role``, or with a configuration of one's own; ``heard`` is the newest of each key."""
+class User(Driver):
+    """A session with a configuration of its own."""
 
-    def __init__(self, rig, config):
-        self.session = zenoh.open(client_config(rig.locator, config)[0])
-        self.heard = {}
-        self._held = [
-            self.session.declare_subscriber(
-                name,
-                lambda sample, name=name: self.heard.update({name: sample.payload.to_bytes()}),
-                allowed_origin=zenoh.Locality.REMOTE,  # not what this session itself puts on `**`
-            )
-            for name in HEARD
-        ]
-        self._commands = self.session.declare_publisher("cmd_vel")
-        self.lease = DriverLease()
+    keys = tuple(HEARD)
 
-    @property
-    def may_drive(self):
-        return self._commands.matching_status.matching
-
-    @property
-    def gate(self):
-        return parse_json(GateStatus, read_text(self.heard["rover/gate"]))
-
-    def enable(self):
-        request = MotorsRequest(enable=True, name="me", sent_ns=time.monotonic_ns())
-        replies = list(self.session.get("rover/motors", payload=dump_json(request), timeout=1.0))
-        found = [parse_json(MotorsReply, reply.ok.payload.to_bytes()) for reply in replies if reply.ok]
-        for reply in found:
-            self.lease.grant(reply)
-        return found
-
-    def command(self, name="cmd_vel", v=0.1):
-        payload = twist_stamped(Velocity(v, 0.0), time.time_ns())
-        tag = self.lease.sign(Signed.COMMAND, name, payload, time.monotonic_ns()).pack()
-        self.session.put(name, payload, attachment=tag)
+    def heard_again(self, *names):
+        """Wait until each of these messages has come anew."""
+        self.seen.clear()
+        wait_for(lambda: {*names} <= self.seen.keys())
 
     def tokens(self, name):
         return len(list(self.session.liveliness().get(name, timeout=1.0)))
 
-    def close(self):
-        self.session.close()
-
 
 def test_a_driver_sees_everything_and_drives(secured, keys):
-    with User(secured, keys / "driver.json5") as driver:
-        wait_for(lambda: driver.may_drive and {*HEARD} - SELDOM <= driver.heard.keys())
-        (reply,) = wait_for(lambda: (found := driver.enable()) and found[0].granted and found)
-        assert reply.granted
-        wait_for(lambda: driver.command() or driver.gate.accepted > 0)
+    with User(secured.locator, config=keys / "driver.json5") as driver:
+        wait_for(lambda: driver.may_drive and {*HEARD} - SELDOM <= driver.seen.keys())
+        wait_for(lambda: driver.motors().granted)
+        wait_for(lambda: driver.send() and driver.gate.accepted > 0)
         wait_for(lambda: driver.gate.lease == 0)  # it fell silent
 
 
 def test_viewer_receives_everything_and_cannot_drive(secured, keys):
-    with User(secured, keys / "viewer.json5") as viewer:
-        wait_for(lambda: {*HEARD} - SELDOM <= viewer.heard.keys())
+    with User(secured.locator, config=keys / "viewer.json5") as viewer:
+        wait_for(lambda: {*HEARD} - SELDOM <= viewer.seen.keys())
         before = viewer.gate
         for name in ("cmd_vel", "*", "**", "cmd_$*", "cmd_vel/**"):
-            viewer.command(name)
+            viewer.session.put(name, b"", attachment=viewer.tag(Signed.COMMAND, name, b""))
         assert not viewer.may_drive
-        assert viewer.enable() == []
+        with pytest.raises(FormatError, match="0 answers"):
+            viewer.motors()
         for name in ("rover/stop", "rover/reset_odometry", "rover/*", "**"):
             replies = viewer.session.get(name, payload=b"{}", timeout=0.5)
             assert [reply for reply in replies if reply.ok and str(reply.ok.key_expr) in HEARD] == []
             assert [reply for reply in replies if reply.ok] == []
-        viewer.heard.clear()
-        wait_for(lambda: "rover/gate" in viewer.heard)
+        viewer.heard_again("rover/gate")
         after = viewer.gate
     assert (after.accepted, after.dropped, after.lease, after.stop_reason) == (
         before.accepted,
@@ -119,23 +84,26 @@ def test_viewer_is_refused_a_stop(secured, keys):
 
 
 def test_localiser_can_publish_the_pose_only(secured, keys):
-    with User(secured, keys / "driver.json5") as driver, User(secured, keys / "localiser.json5") as localiser:
+    with (
+        User(secured.locator, config=keys / "driver.json5") as driver,
+        User(secured.locator, config=keys / "localiser.json5") as localiser,
+    ):
         poses, others = [], []
         own = [
             driver.session.declare_subscriber("pose", lambda sample: poses.append(sample.payload.to_bytes())),
             driver.session.declare_subscriber("rover/status", others.append),
         ]
-        wait_for(lambda: driver.may_drive and "rover/gate" in driver.heard)
+        wait_for(lambda: driver.may_drive and "rover/gate" in driver.seen)
         wait_for(lambda: localiser.session.put("pose", b"here") or poses)
         assert set(poses) == {b"here"}
         before = driver.gate
-        assert localiser.enable() == []
-        localiser.command()
+        with pytest.raises(FormatError, match="0 answers"):
+            localiser.motors()
+        localiser.send()
         localiser.session.put("rover/status", b"forged")
         poses.clear()
         wait_for(lambda: localiser.session.put("pose", b"there") or b"there" in poses)
-        driver.heard.clear()
-        wait_for(lambda: "rover/gate" in driver.heard)
+        driver.heard_again("rover/gate")
         assert not others
         assert (driver.gate.accepted, driver.gate.dropped) == (before.accepted, before.dropped)
         for subscriber in own:
@@ -143,71 +111,81 @@ def test_localiser_can_publish_the_pose_only(secured, keys):
 
 
 def test_no_client_can_publish_or_answer_for_the_bridge(secured, keys):
-    with User(secured, keys / "driver.json5") as driver, User(secured, keys / "viewer.json5") as viewer:
-        wait_for(lambda: "rover/gate" in viewer.heard and driver.may_drive)
+    with (
+        User(secured.locator, config=keys / "driver.json5") as driver,
+        User(secured.locator, config=keys / "viewer.json5") as viewer,
+    ):
+        wait_for(lambda: "rover/gate" in viewer.seen and driver.may_drive)
         token = driver.session.liveliness().declare_token("rover/alive/bridge")
         own = driver.session.liveliness().declare_token("rover/alive/driver")
         for name in ("odom", "rover/gate", "rover/*", "**"):
             driver.session.put(name, b"forged")
         wait_for(lambda: viewer.tokens("rover/alive/driver") == 1)
         assert viewer.tokens("rover/alive/bridge") == 1
-        viewer.heard.clear()
-        wait_for(lambda: {"odom", "rover/gate"} <= viewer.heard.keys())
-        assert b"forged" not in viewer.heard.values()
+        viewer.heard_again("odom", "rover/gate")
+        assert b"forged" not in viewer.seen.values()
         token.undeclare()
         own.undeclare()
         assert viewer.tokens("rover/alive/bridge") == 1
 
 
-def spoil_certificate(transport, stranger):
-    """Certificates of another lab."""
-    other = read(stranger / "driver.json5")["transport"]
-    transport["link"] = other["link"]
-    transport["link"]["tls"]["root_ca_certificate_base64"] = transport["ca"]
+def refused(locator, config):
+    """Whether a client is refused, which tries for half a second."""
+    settings, _ = client_config(locator, config)
+    settings.insert_json5("connect/timeout_ms", "500")
+    try:
+        zenoh.open(settings).close()
+    except zenoh.ZError:
+        return True
+    return False
 
 
-def spoil_key(transport, stranger):
-    for name in ("connect_certificate_base64", "connect_private_key_base64"):
-        transport["link"]["tls"].pop(name)
+@pytest.mark.parametrize("stranger", ["of another lab", "without a certificate"])
+def test_a_stranger_cannot_connect(secured, keys, tmp_path, stranger):
+    assert not refused(secured.locator, keys / "driver.json5")
+    ours = read(keys / "driver.json5")["transport"]["link"]["tls"]
+    assert cli.run(["keys", "--out", str(tmp_path)]) == 0
+    tls = read(tmp_path / "driver.json5")["transport"]["link"]["tls"]
+    tls["root_ca_certificate_base64"] = ours["root_ca_certificate_base64"]
+    if stranger == "without a certificate":
+        tls = {name: value for name, value in tls.items() if not name.startswith("connect_")}
+    config = tmp_path / "zenoh.json5"
+    config.write_text(json.dumps({"transport": {"link": {"protocols": ["tls"], "tls": tls}}}))
+    assert refused(secured.locator, config)
 
 
-@pytest.mark.parametrize("spoil", [spoil_certificate, spoil_key])
-def test_a_stranger_cannot_connect(secured, keys, tmp_path, spoil):
-    stranger = tmp_path / "stranger"
-    assert cli.run(["keys", "--out", str(stranger)]) == 0
-    transport = read(keys / "driver.json5")["transport"]
-    transport["ca"] = transport["link"]["tls"]["root_ca_certificate_base64"]
-    spoil(transport, stranger)
-    transport.pop("ca")
-    (tmp_path / "zenoh.json5").write_text(json.dumps({"transport": transport}))
-    with pytest.raises(zenoh.ZError), User(secured, tmp_path / "zenoh.json5"):
-        pass
+def test_drivers_certificate_is_not_valid_for_listening(keys):
+    def listens(end, verb):
+        tls = read(keys / f"{end}.json5")["transport"]["link"]["tls"]
+        for name in ("certificate", "private_key"):
+            tls[f"listen_{name}_base64"] = tls[f"{verb}_{name}_base64"]
+        settings = {"transport/link/tls": tls, "adminspace/enabled": True}
+        with open_session("router", {"listen/endpoints": ["tls/127.0.0.1:0"], **settings}) as impostor:
+            (reply,) = impostor.get(f"@/{impostor.info.zid()}/router", timeout=1.0)
+            locator = json.loads(reply.ok.payload.to_string())["locators"][0]
+            return not refused(locator, keys / "driver.json5")
+
+    assert listens("bridge", "listen")
+    assert not listens("driver", "connect")
 
 
-def test_drivers_certificate_is_not_valid_for_listening(keys, tmp_path):
-    tls = read(keys / "driver.json5")["transport"]["link"]["tls"]
-    for name in ("certificate", "private_key"):
-        tls[f"listen_{name}_base64"] = tls[f"connect_{name}_base64"]
-    listen = {"listen/endpoints": ["tls/127.0.0.1:0"], "transport/link/tls": tls, "adminspace/enabled": True}
-    with open_session("router", listen) as impostor:
-        (reply,) = impostor.get(f"@/{impostor.info.zid()}/router", timeout=1.0)
-        locator = json.loads(reply.ok.payload.to_string())["locators"][0]
-        with pytest.raises(zenoh.ZError):
-            zenoh.open(client_config(locator, keys / "driver.json5")[0])
+def test_deploy_says_not_authorised_and_drives_when_it_is(secured, keys, capsys, monkeypatch):
+    shorter = functools.partial(DriveConfig, permission_wait_s=0.2, still_s=0.15)
+    monkeypatch.setattr(config, "DriveConfig", shorter)
+    monkeypatch.setitem(CLIENT, "connect/timeout_ms", 500)
 
+    def deploy(*options):
+        code = cli.run(["deploy", "--robot", secured.locator, *options])
+        return code, capsys.readouterr()
 
-def test_deploy_says_not_authorised_and_drives_when_it_is(secured, keys, tmp_path, capsys):
-    options = ["deploy", "--robot", secured.locator]
-    assert cli.run([*options, "--zenoh-config", str(keys / "viewer.json5")]) == 3
-    viewer = capsys.readouterr().err
-    assert viewer.startswith("rover-ncp: not authorised: the bridge at tls/127.0.0.1")
-    assert cli.run(options) == 3
-    stranger = capsys.readouterr().err
-    assert stranger.startswith("rover-ncp: not authorised: the process at tls/127.0.0.1")
-    driver = ["--zenoh-config", str(keys / "driver.json5"), "--duration", "0.5"]
-    compile_driver()
-    done = Process("deploy", [*options[1:], *driver], tmp_path).wait(30.0)
-    assert (done.code, done.result["ticks"]) == (1, 5)
+    code, printed = deploy("--zenoh-config", str(keys / "viewer.json5"))
+    assert code == 3
+    assert printed.err.startswith("rover-ncp: not authorised: the bridge at tls/127.0.0.1")
+    code, printed = deploy()
+    assert code == 3
+    assert printed.err.startswith("rover-ncp: not authorised: the process at tls/127.0.0.1")
+    code, printed = deploy("--zenoh-config", str(keys / "driver.json5"), "--duration", "0.5", "--json")
+    assert (code, json.loads(printed.out)["ticks"]) == (1, 5)
 
 
 LAN = ["tcp/0.0.0.0:0", "tcp/[::]:0", "tls/0.0.0.0:0"]
@@ -243,7 +221,7 @@ def test_files_that_hold_secrets_are_their_owners_alone_and_never_replaced(keys,
 
 
 def test_each_right_follows_from_the_table_of_keys():
-    control = access_control((Role.DRIVER, Role.VIEWER, Role.LOCALISER), "bot1")
+    control = access_control("bot1")
     assert control["default_permission"] == "deny"
     allowed = {
         (policy["subjects"][0], flow, message, key)

@@ -3,30 +3,23 @@
 import math
 
 import pytest
-from kit.lease_client import LeaseClient
+from kit.virtual_bench import VirtualDriver, VirtualRig
 
 from bridge.gate.limits import Fence, Limits
 from bridge.pioneer.arcos import Command, Decoder
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.wire.messages import read_odometry, read_text, read_twist
-from rover_ncp.wire.protocol import (
-    GateStatus,
-    ResetReply,
-    parse_json,
-)
+from rover_ncp.robot.description import load_description
+from rover_ncp.wire.protocol import ResetReply, parse_json
 from sim.pioneer.client_commands import decode_argument
 from sim.pioneer.faults import parse_fault
-from sim.pioneer.firmware import Firmware
-from sim.stack.virtual import WALL_NS, VirtualBridge
-from sim.world.described import default_rover
-from sim.world.pymunk_rover import Ground, PymunkRover
+from sim.stack.virtual import WALL_NS
 
 HOUR_NS = 3600 * 1_000_000_000
 SECOND_NS = 1_000_000_000
 
 
-class Bridge(VirtualBridge):
-    """A bridge whose wall clock can be set, with what it published and what it sent to the base."""
+class Bridge(VirtualRig):
+    """A bridge whose wall clock can be set, with its driver, its setpoints and what it sent to the base."""
 
     set_ns = 0
     slept_s = 0.0
@@ -36,8 +29,8 @@ class Bridge(VirtualBridge):
     def __init__(self, limits=None):
         self.stamps, self.published, self.sent = [], [], []
         self._decoder = Decoder()
-        self.firmware = Firmware("p3at-sh", PymunkRover(default_rover(), Ground(())))
-        super().__init__(self.firmware, limits)
+        super().__init__(load_description("p3at-sh"), limits=limits)
+        self.driver = VirtualDriver(self)
         self.line.write, self._write = self.write, self.line.write
         self.sleep(3.0)
         assert abs(self.stamps[-1]) < SECOND_NS / 10
@@ -49,13 +42,11 @@ class Bridge(VirtualBridge):
         return self.slept_s
 
     def publish(self, name, data):
+        super().publish(name, data)
         if name == "odom":
-            self.odom = read_odometry(data)
-            self.stamps.append(self.odom.stamp_ns - WALL_NS - self.now_ns)
-        if name == "rover/gate":
-            self.gate = parse_json(GateStatus, read_text(data))
+            self.stamps.append(self.driver.odom.stamp_ns - WALL_NS - self.now_ns)
         if name == "rover/cmd_out":
-            self.published.append(read_twist(data).velocity)
+            self.published.append(self.driver.out)
 
     def write(self, data):
         for packet in self._decoder.feed(data, self.monotonic()):
@@ -69,7 +60,7 @@ class Bridge(VirtualBridge):
 @pytest.mark.parametrize("step_ns", [HOUR_NS, -HOUR_NS])
 def test_stamps_do_not_step_during_a_lease_and_are_right_again_after_it(step_ns):
     bridge = Bridge()
-    assert LeaseClient(bridge).motors().granted
+    assert bridge.driver.motors().granted
     bridge.set_ns = step_ns
     del bridge.stamps[:]
     bridge.sleep(0.8)
@@ -81,43 +72,40 @@ def test_stamps_do_not_step_during_a_lease_and_are_right_again_after_it(step_ns)
 
 def test_after_a_suspend_no_command_from_before_it_reaches_the_base():
     """The monotonic clock stood still, so by it the last command is fresh and the lease valid."""
-    bridge = Bridge()
-    driver = LeaseClient(bridge)
+    driver = (bridge := Bridge()).driver
     driver.motors()
-    driver.drive(Velocity(0.2, 0.0))
+    driver.drive(1.0, 0.2)
     assert bridge.sent[-1] == (Command.RVEL, 0)
     assert bridge.sent[-2] == (Command.VEL, 200)
     bridge.sent.clear()
     bridge.slept_s = 3.0
-    driver.drive(Velocity(0.2, 0.0))
+    driver.drive(1.0, 0.2)
     assert bridge.sent
     assert all(value == 0 for _, value in bridge.sent)
     driver.lease.end()
     driver.motors()
-    driver.drive(Velocity(0.2, 0.0))
+    driver.drive(1.0, 0.2)
     assert (Command.VEL, 200) in bridge.sent
 
 
 def test_what_is_no_suspend_changes_nothing():
     """The difference of two clocks is read late once, then grows by less than counts."""
-    bridge = Bridge()
-    driver = LeaseClient(bridge)
+    driver = (bridge := Bridge()).driver
     driver.motors()
     for bridge.slept_s in (-1.0, 0.0, 0.09, 0.18):
-        driver.drive(Velocity(0.2, 0.0))
+        driver.drive(1.0, 0.2)
         assert bridge.sent[-2] == (Command.VEL, 200)
 
 
 @pytest.mark.parametrize("wanted", [Velocity(9.0, -9.0), Velocity(-0.1234, 0.0567), Velocity(0.0, 0.59)])
 def test_base_gets_the_published_setpoint_rounded_to_its_units(wanted):
     """The gate has the last word: its output is published, and only rounding changes it."""
-    bridge = Bridge()
-    driver = LeaseClient(bridge)
+    driver = (bridge := Bridge()).driver
     driver.motors()
     for _ in range(60):
         bridge.published.clear()
         bridge.sent.clear()
-        driver.drive(wanted, times=2)
+        driver.drive(0.1, *wanted)
         for command, value in bridge.sent:
             factor, axis, step = (1000.0, 0, 0.5) if command is Command.VEL else (math.degrees(1.0), 1, 1.0)
             passed = [velocity[axis] * factor for velocity in bridge.published]
@@ -132,33 +120,31 @@ def test_base_gets_the_published_setpoint_rounded_to_its_units(wanted):
 
 
 def test_new_lease_enables_the_motors_of_a_rover_that_still_rolls_after_the_stop_button():
-    bridge = Bridge()
-    driver = LeaseClient(bridge)
+    driver = (bridge := Bridge()).driver
     driver.motors()
-    driver.drive(Velocity(0.3, 0.0))
-    bridge.firmware.inject(parse_fault("stop-button@0-0.12"))
+    driver.drive(1.0, 0.3)
+    bridge.base.inject(parse_fault("stop-button@0-0.12"))
     bridge.sleep(0.2)
-    assert bridge.gate.ended == "stop-button"
-    assert bridge.odom.velocity.v > 0.05  # so the gate has not switched the motors off yet
+    assert bridge.driver.gate.ended == "stop-button"
+    assert bridge.driver.odom.velocity.v > 0.05  # so the gate has not switched the motors off yet
     driver.lease.end()
     driver.motors()
-    driver.drive(Velocity(0.2, 0.0))
-    driver.drive(Velocity(0.2, 0.0))
-    assert (bridge.gate.lease, bridge.gate.held) == (driver.lease.number, "")
-    assert bridge.odom.velocity.v == pytest.approx(0.2, abs=0.02)
+    driver.drive(1.0, 0.2)
+    driver.drive(1.0, 0.2)
+    assert (bridge.driver.gate.lease, bridge.driver.gate.held) == (driver.lease.number, "")
+    assert bridge.driver.odom.velocity.v == pytest.approx(0.2, abs=0.02)
 
 
 @pytest.mark.parametrize("wait_s", [0.1, 3.0])  # while it still rolls, and when it stands
 def test_each_new_lease_enables_the_motors_and_a_renewal_does_not(wait_s):
-    bridge = Bridge()
-    driver = LeaseClient(bridge)
+    driver = (bridge := Bridge()).driver
     for number in (1, 2, 3):
         before = bridge.enables
         driver.motors()
         assert driver.lease.number == number
-        driver.drive(Velocity(0.2, 0.0))
+        driver.drive(1.0, 0.2)
         driver.motors()
-        driver.drive(Velocity(0.2, 0.0))
+        driver.drive(1.0, 0.2)
         assert bridge.enables == before + 1
         driver.motors(enable=False)
         bridge.sleep(wait_s)
@@ -172,37 +158,36 @@ FENCED = Limits(fence=Fence(x_min=-1.0, x_max=1.0, y_min=-1.0, y_max=1.0))
 
 def fenced_rover(limits=FENCED):
     """A bridge whose rover was driven half a metre ahead and stands."""
-    bridge = Bridge(limits)
-    driver = LeaseClient(bridge)
+    driver = (bridge := Bridge(limits)).driver
     driver.motors()
     for _ in range(3):
-        driver.drive(Velocity(0.3, 0.0))
+        driver.drive(1.0, 0.3)
     driver.motors(enable=False)
     bridge.sleep(3.0)
-    assert bridge.odom.pose.x > 0.5
+    assert bridge.driver.odom.pose.x > 0.5
     return bridge
 
 
 @pytest.mark.parametrize("fault", ["reset@0-0.1", "mute@0-4"])
 def test_fence_is_lost_when_the_base_is_connected_again(fault):
     bridge = fenced_rover()
-    bridge.firmware.inject(parse_fault(fault))
+    bridge.base.inject(parse_fault(fault))
     bridge.sleep(12.0)
-    assert abs(bridge.odom.pose.x) < 0.01
+    assert abs(bridge.driver.odom.pose.x) < 0.01
     for _ in range(2):
-        reply = LeaseClient(bridge).motors()
+        reply = bridge.driver.motors()
         assert (reply.granted, reply.reason) == (False, "fence-lost")
         assert "restart the bridge" in reply.detail
-        assert bridge.gate.held == "fence-lost"
+        assert bridge.driver.gate.held == "fence-lost"
         bridge.sleep(5.0)
 
 
 def test_fence_is_kept_over_a_gap_in_the_reports():
     bridge = fenced_rover()
-    bridge.firmware.inject(parse_fault("mute@0-1"))
+    bridge.base.inject(parse_fault("mute@0-1"))
     bridge.sleep(2.0)
-    assert bridge.odom.pose.x > 0.5
-    assert LeaseClient(bridge).motors().granted
+    assert bridge.driver.odom.pose.x > 0.5
+    assert bridge.driver.motors().granted
 
 
 @pytest.mark.parametrize(("limits", "reset"), [(FENCED, False), (Limits(), True)])
@@ -212,12 +197,12 @@ def test_odometry_is_reset_only_without_a_fence(limits, reset):
     assert reply.ok is reset
     assert ("the fence would move with odom" in reply.reason) is not reset
     bridge.sleep(1.0)
-    assert (abs(bridge.odom.pose.x) < 0.01) is reset
-    assert LeaseClient(bridge).motors().granted
+    assert (abs(bridge.driver.odom.pose.x) < 0.01) is reset
+    assert bridge.driver.motors().granted
 
 
 def test_without_a_fence_a_base_that_is_connected_again_may_be_driven():
     bridge = fenced_rover(Limits())
-    bridge.firmware.inject(parse_fault("reset@0-0.1"))
+    bridge.base.inject(parse_fault("reset@0-0.1"))
     bridge.sleep(12.0)
-    assert LeaseClient(bridge).motors().granted
+    assert bridge.driver.motors().granted

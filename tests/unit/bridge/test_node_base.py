@@ -3,9 +3,9 @@
 import logging
 
 import pytest
-from kit.lease_client import LeaseClient
+from kit.driver_client import DriverClient
 
-from bridge.base import BaseReport, BaseTimeout, LinkHealth, Lost, Ready, Recovered, Setpoint
+from bridge.base import BaseReport, BaseTimeout, Failed, LinkHealth, Lost, Ready, Recovered, Setpoint
 from bridge.gate.limits import Fence, Limits
 from bridge.inbox import CommandMessage, Query
 from bridge.node import Node
@@ -73,7 +73,7 @@ class Loop:
     """A node with such a base, on a virtual clock: each turn takes 20 ms and brings a report."""
 
     def __init__(self, accept_ros=False, limits=None):
-        self.now_ns, self.base, self.driver = 10**9, FailingBase(), LeaseClient(self)
+        self.now_ns, self.base, self.driver = 10**9, FailingBase(), DriverClient(self)
         self.arrivals, self.silent = [], False
         self.node = Node(
             self.base,
@@ -125,7 +125,7 @@ class Loop:
         return self.driver.motors(**request)
 
     def drive(self):
-        self.driver.drive(Velocity(0.2, 0.0))
+        self.driver.drive(1.0, 0.2)
 
 
 @pytest.fixture
@@ -211,6 +211,17 @@ def test_base_that_fails_before_it_was_ready_ends_the_bridge_in_one_line():
     assert loop.base.calls[-1] == "close"
 
 
+def test_base_that_cannot_be_reached_at_first_ends_the_bridge_and_later_does_not(driving):
+    loop, failed = Loop(), Failed("it is no ARCOS base")
+    loop.base.reports = [failed]
+    with pytest.raises(NoRobot, match="it is no ARCOS base"):
+        loop.node.run(lambda: loop.turn() or False)
+    assert loop.base.driven == [STOP]
+    driving.base.reports = [failed]
+    driving.turn()
+    assert driving.node.gate.held is None
+
+
 @pytest.mark.parametrize("fails", ["health", "base_timeout", "reset_odometry", "measure_base_timeout"])
 def test_exception_of_another_call_of_the_base_ends_nothing(fails):
     loop = Loop(accept_ros=True)
@@ -252,10 +263,11 @@ def test_end_of_a_lease_by_a_base_that_is_ready_again_has_its_own_reason(driving
 def test_unchecked_robot_is_granted_to_a_request_that_says_so_whatever_its_name(name):
     loop = Loop()
     loop.base.timeout = BaseTimeout(TimeoutState.UNKNOWN, None, "it is not known to halt")
+    loop.driver.name = name
     loop.turn(3)
-    reply = loop.motors(name=name)
+    reply = loop.motors()
     assert (reply.granted, reply.reason, reply.detail) == (False, "unchecked", "it is not known to halt")
-    assert loop.motors(name=name, unchecked=True).granted
+    assert loop.motors(unchecked=True).granted
 
 
 def test_holder_of_the_lease_alone_may_measure_the_timeout(driving):

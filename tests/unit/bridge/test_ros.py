@@ -8,7 +8,7 @@ import pytest
 from kit.base_report import STAMP, STATE
 
 from bridge.base import LinkHealth
-from bridge.gate.state import GateState, Lease, Reason
+from bridge.gate.state import NO_CONTACT, GateState, Lease, Reason
 from bridge.pioneer.odometry import ROBOTS
 from bridge.ros2 import messages as ros
 from bridge.ros2.covariance import Variances
@@ -84,7 +84,7 @@ def test_charging_is_reported_as_far_as_it_is_known(charging, status):
 
 
 def test_gate_status_has_the_driver_and_the_hold_reason():
-    lease = Lease(7, bytes(32), "deploy", 0, 0.0, 1.0, 41)
+    lease = Lease(7, bytes(32), "deploy", 0, 0.0, 1.0, 41, NO_CONTACT)
     status = ros.gate_status(GateState(lease=lease, held=None, accepted=3, dropped={Reason.STALE: 2}))
     assert (status.lease, status.driver_name, status.sequence, status.held) == (7, "deploy", 41, "")
     assert (status.accepted, status.dropped) == (3, {"stale": 2})
@@ -96,7 +96,7 @@ def test_gate_status_has_the_driver_and_the_hold_reason():
 def test_the_longest_state_of_the_gate_fits_its_key():
     counts = dict.fromkeys(Reason, 2**40)
     state = GateState(
-        lease=Lease(2**64 - 1, bytes(32), "ü" * 200, 0, 0.0, 1.0, 2**64 - 1),
+        lease=Lease(2**64 - 1, bytes(32), "ü" * 200, 0, 0.0, 1.0, 2**64 - 1, NO_CONTACT),
         stop_reason="ü" * 200,
         dropped=counts,
         limited=counts,

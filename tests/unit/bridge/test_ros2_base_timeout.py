@@ -1,7 +1,7 @@
 """What a ROS 2 robot does without commands: the measurement, and what lifts the refusal to serve it."""
 
 import pytest
-from kit.lease_client import LeaseClient
+from kit.driver_client import DriverClient
 from kit.ros2_world import BURGER, World
 from kit.ros_cdr import TwistStamped, twist
 from kit.virtual_bench import VirtualRig
@@ -16,7 +16,6 @@ from rover_ncp.wire.protocol import (
     BaseReply,
     BaseRequest,
     Signed,
-    StopRequest,
     dump_json,
     parse_json,
 )
@@ -185,10 +184,10 @@ class Checked:
 
     def __init__(self):
         self.bridge = VirtualRig(BURGER)
-        self.driver = LeaseClient(self.bridge)
+        self.driver = DriverClient(self.bridge)
         self.bridge.sleep(3.0)
         assert self.motors().granted
-        self.driver.drive(Velocity(0.1, 0.0))
+        self.driver.drive(1.0, 0.1)
         request = dump_json(BaseRequest(measure=True, sent_ns=self.bridge.now_ns))
         reply = self.bridge.query(
             "rover/base", request, self.driver.tag(Signed.MOTORS, "rover/base", request)
@@ -198,17 +197,16 @@ class Checked:
         assert self.speed == pytest.approx(0.1, abs=0.01)
 
     def motors(self, enable=True):
-        return self.driver.motors(enable, "check", unchecked=True)
-
-    def stop(self):
-        self.bridge.query("rover/stop", dump_json(StopRequest(reason="test")))
+        return self.driver.motors(enable, unchecked=True)
 
     @property
     def speed(self):
         return self.bridge.base.drive.measured.v
 
 
-@pytest.mark.parametrize("end", [lambda checked: checked.motors(enable=False), Checked.stop])
+@pytest.mark.parametrize(
+    "end", [lambda checked: checked.motors(enable=False), lambda checked: checked.driver.stop()]
+)
 def test_a_release_or_a_stop_halts_a_robot_that_is_measured(end):
     checked = Checked()
     end(checked)

@@ -14,7 +14,10 @@ from rover_ncp.wire.protocol import (
     KEY_BYTES,
     PROTOCOL,
     VERSION_REASON,
+    BaseRequest,
     CommandTag,
+    DriverStatus,
+    GateStatus,
     MotorsRefusal,
     MotorsReply,
     MotorsRequest,
@@ -22,6 +25,7 @@ from rover_ncp.wire.protocol import (
     Signed,
     StopRequest,
     dump_json,
+    in_words,
     other_version,
     parse_json,
     requested_version,
@@ -63,19 +67,23 @@ def test_a_tag_that_does_not_fit_is_refused(tag):
         tag.pack()
 
 
+def test_a_tag_without_a_digest_is_filled_with_zeros():
+    assert CommandTag(0, 0, 0).pack() == bytes(40)
+
+
 def test_numbers_that_do_not_fit_are_not_signed():
     with pytest.raises(FormatError):
         CommandTag(1, 2**64, 1).sign(SECRET, Signed.COMMAND, "cmd_vel", b"")
 
 
-def test_a_digest_covers_the_bytes_that_the_documentation_lists():
-    signed = bytes.fromhex("0201" + "0b00" + "0300000000000000" + "0400000000000000" + "feffffffffffffff")
-    expected = blake2b(
-        signed + b"lab/cmd_vel" + b"payload", digest_size=16, key=SECRET, person=b"rover-ncp lease"
-    )
-    tag = CommandTag(3, 4, -2).sign(SECRET, Signed.COMMAND, "lab/cmd_vel", b"payload")
+@pytest.mark.parametrize(("kind", "byte"), [(Signed.COMMAND, "01"), (Signed.MOTORS, "02")])
+def test_a_digest_covers_the_bytes_that_the_documentation_lists(kind, byte):
+    numbers = bytes.fromhex("0300000000000000" + "0400000000000000" + "feffffffffffffff")
+    signed = bytes.fromhex("02" + byte + "0b00") + numbers + b"lab/cmd_vel" + b"payload"
+    expected = blake2b(signed, digest_size=16, key=SECRET, person=b"rover-ncp lease")
+    tag = CommandTag(3, 4, -2).sign(SECRET, kind, "lab/cmd_vel", b"payload")
     assert tag.digest == expected.digest()
-    assert tag.verify(SECRET, Signed.COMMAND, "lab/cmd_vel", b"payload")
+    assert tag.verify(SECRET, kind, "lab/cmd_vel", b"payload")
 
 
 @pytest.mark.parametrize(
@@ -144,6 +152,66 @@ def test_a_request_reads_as_documented():
 
 
 @pytest.mark.parametrize(
+    ("message", "fields"),
+    [
+        (
+            MotorsRequest(enable=True),
+            {"version": 2, "enable": True, "unchecked": False, "name": "", "sent_ns": 0},
+        ),
+        (
+            MotorsReply(),
+            {"granted": False, "reason": "", "detail": "", "lease": 0, "key": ""}
+            | {"lease_s": 0.0, "received_ns": 0, "limits": {}},
+        ),
+        (StopRequest(), {"release": False, "reason": ""}),
+        (BaseRequest(), {"measure": False, "sent_ns": 0}),
+        (
+            GateStatus(),
+            {"lease": 0, "driver_name": "", "sequence": -1, "held": "", "ended": "", "ended_detail": ""}
+            | {"stop_reason": "", "accepted": 0, "dropped": {}, "limited": {}, "stops": {}},
+        ),
+        (
+            DriverStatus(state="x"),
+            {"state": "x", "reason": "", "policy": "", "course": "", "tick": 0, "t_s": 0.0}
+            | {"overruns": 0, "warning": ""},
+        ),
+    ],
+)
+def test_fields_that_a_sender_leaves_out_have_these_values(message, fields):
+    assert json.loads(dump_json(message)) == fields
+    assert parse_json(type(message), dump_json(message)) == message
+
+
+def test_the_largest_values_are_read():
+    for sent_ns in (-(2**63), 2**63 - 1):
+        assert parse_json(BaseRequest, b'{"sent_ns": %d}' % sent_ns).sent_ns == sent_ns
+    reply = parse_json(MotorsReply, b'{"lease": %d, "key": "%s"}' % (2**64 - 1, b"ab" * 32))
+    assert (reply.lease, reply.key) == (2**64 - 1, "ab" * 32)
+    assert parse_json(ResetRequest, b" " * 4094 + b"{}") == ResetRequest()
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "contact"),
+    [
+        ({}, {}, ""),
+        ({}, {"held": "bumper"}, "a bumper is pressed"),
+        ({}, {"ended": "stall"}, "a motor is stalled"),
+        ({}, {"held": "silence", "ended": "low-battery", "stops": {"silence": 1}}, ""),
+        ({}, {"stops": {"silence": 2, "bumper": 1}}, "a bumper is pressed"),
+        ({"stops": {"bumper": 1}}, {"stops": {"bumper": 1}}, ""),
+        ({"stops": {"bumper": 1}}, {"stops": {"bumper": 2}}, "a bumper is pressed"),
+    ],
+)
+def test_contact_is_reported_in_words_if_it_is_new(before, now, contact):
+    assert GateStatus(**now).contact_since(GateStatus(**before)) == contact
+
+
+def test_words_of_a_reason():
+    assert in_words("bumper") == "bumper: a bumper is pressed"
+    assert in_words("a reason of a later version") == "a reason of a later version"
+
+
+@pytest.mark.parametrize(
     ("model", "data", "named"),
     [
         (MotorsRequest, b"", "JSON"),
@@ -155,10 +223,13 @@ def test_a_request_reads_as_documented():
         (MotorsRequest, b'{"enable": true, "speed": 9}', "speed"),
         (MotorsReply, b'{"granted": true, "key": "00"}', "key"),
         (MotorsReply, b'{"granted": true, "lease": -1}', "lease"),
+        (MotorsReply, b'{"granted": true, "lease": %d}' % 2**64, "lease"),
+        (BaseRequest, b'{"sent_ns": %d}' % 2**63, "sent_ns"),
+        (BaseRequest, b'{"sent_ns": %d}' % -(2**63 + 1), "sent_ns"),
         (StopRequest, b'{"reason": "%s"}' % (b"x" * 201), "reason"),
         (ResetRequest, b'{"x": 1}', "x"),
         (ResetRequest, b"[" * 4_000, "JSON"),
-        (ResetRequest, b" " * 20_000 + b"{}", "bytes"),
+        (ResetRequest, b" " * 4_095 + b"{}", "4097 bytes, expected at most 4096"),
     ],
 )
 def test_a_wrong_request_is_refused_by_name(model, data, named):

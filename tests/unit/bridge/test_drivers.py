@@ -1,0 +1,344 @@
+"""Drivers at a bridge with either base, on a virtual clock: lease, stops, garbage, forged messages."""
+
+import json
+import math
+import struct
+
+import pytest
+from kit.bridge_bench import PERIOD_S, STOP_S, braking_s
+from kit.virtual_bench import VirtualDriver, VirtualRig
+
+from rover_ncp.core.files import DEFAULT_ROBOT
+from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.robot.description import load_description
+from rover_ncp.wire.key_table import KEYS, Kind, Role, spec
+from rover_ncp.wire.messages import decode, twist_stamped
+from rover_ncp.wire.protocol import CommandTag, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
+from sim.pioneer.firmware import Firmware
+from sim.stack.virtual import VirtualBridge, VirtualLink
+
+
+@pytest.fixture(params=["p3at-sh", "husky-a200"], ids=["arcos", "ros2"])
+def rig(request):
+    return VirtualRig(load_description(request.param))
+
+
+@pytest.fixture
+def driver(rig):
+    return VirtualDriver(rig)
+
+
+def test_every_message_of_the_table_is_published_and_can_be_read(rig, driver):
+    promised = {row for row in KEYS if row.senders == {Role.BRIDGE} and row.kind is Kind.MESSAGE}
+    driver.start().drive(1.0)
+    for row in promised - {spec("imu" if isinstance(rig.base, Firmware) else "sonar")}:
+        assert len(driver.seen[row.name]) <= row.max_bytes
+        decode(row.type, driver.seen[row.name])
+
+
+def test_a_second_driver_is_refused_and_its_commands_do_not_count(rig, driver):
+    driver.start()
+    other = VirtualDriver(rig)
+    reply = other.motors()
+    assert (reply.granted, reply.reason) == (False, "another-driver")
+    assert reply.detail == "test holds the lease"
+    for _ in range(5):
+        other.send(v=-0.3)
+        driver.drive(0.05)
+    driver.drive(0.3)
+    assert driver.gate.dropped == {"foreign": 5}
+    assert driver.odom.velocity.v > 0.1
+    driver.motors(enable=False)
+    assert other.motors().granted
+
+
+def test_a_stop_is_latched_until_it_is_released(rig, driver):
+    driver.start()
+    assert driver.stop().stopped
+    driver.drive(0.5)
+    assert rig.stands_after(braking_s(0.15))
+    reply = driver.motors()
+    assert (reply.granted, reply.reason) == (False, "stopped")
+    assert "test" in reply.detail
+    assert driver.gate.stop_reason == "test"
+    assert not driver.stop(release=True).stopped
+    driver.start()
+
+
+def test_silence_stops_the_rover(rig, driver):
+    driver.start().drive(0.3)
+    assert rig.rover.velocity.v > 0.1
+    assert rig.stands_after(STOP_S + braking_s(0.15) - PERIOD_S)
+    assert driver.gate.stops == {"silence": 1}
+    # The lease lapses and the motors go off without a request.
+    rig.wait_for(lambda: driver.gate.lease == 0 and driver.gate.ended == "lease-lapsed")
+
+
+def test_commands_that_arrive_late_do_not_drive(rig, driver):
+    driver.start().drive(0.1)
+    for _ in range(10):
+        driver.send(age_s=5.0)
+        rig.sleep(PERIOD_S)
+    assert rig.stands_after(braking_s(0.15))
+    assert driver.gate.dropped == {"stale": 10}
+
+
+GARBAGE = {
+    "not finite": twist_stamped(Velocity(math.nan, 0.1), 1),
+    "infinite": twist_stamped(Velocity(math.inf, -math.inf), 1),
+    "truncated": twist_stamped(Velocity(0.2, 0.1), 1)[:-9],
+    "too long": b"\0\1\0\0" + b"\0" * 100_000,
+    "another type": b"\0\1\0\0" + b"\xff" * 60,
+    "empty": b"",
+}
+
+
+def test_garbage_from_others_changes_nothing(rig, driver):
+    driver.start()
+    guessed = CommandTag(driver.lease.number, 2**64 - 1, 2**63 - 1, b"o" * 16).pack()
+    wrong_tags = [None, b"", b"x" * 39, b"x" * 41, guessed]
+    commands = [(data, tag) for data in GARBAGE.values() for tag in wrong_tags]
+    for k, (data, tag) in enumerate(commands):
+        rig.command(data, tag)
+        if k % 5 == 0:
+            driver.drive(0.05)
+    for _ in range(2000):
+        rig.command(GARBAGE["not finite"])
+    driver.drive(0.3)
+    assert driver.gate.dropped == {"foreign": len(commands) + 2000}
+    assert driver.gate.held == ""
+    assert driver.odom.velocity.v > 0.1
+
+
+def test_garbage_from_the_driver_stops_the_rover(rig, driver):
+    for kind, data in GARBAGE.items():
+        driver.start()
+        reason = "not-finite" if "finite" in kind else "unreadable"
+        # The bridge digests no megabytes: the signature of what is too long cannot be valid.
+        dropped, held = ("foreign", "silence") if kind == "too long" else (reason, reason)
+        before = driver.gate.dropped.get(dropped, 0)
+        driver.drive(0.05)
+        for _ in range(3):
+            driver.put(data)
+        rig.wait_for(lambda: driver.gate.held == held, STOP_S)  # noqa: B023
+        assert driver.gate.dropped[dropped] == before + 3
+        assert driver.out == Velocity(0.0, 0.0)
+    assert rig.stands_after(braking_s(0.15))
+
+
+def test_odometry_is_reset_only_without_a_lease(rig, driver):
+    driver.start().drive(0.2)
+    assert b"a driver holds the lease" in rig.query("rover/reset_odometry", b"{}")
+    driver.motors(enable=False)
+    assert rig.stands_after(1.0)
+    assert abs(driver.odom.pose.x) > 0.01
+    assert rig.query("rover/reset_odometry", b"{}") == b'{"ok":true,"reason":""}'
+    rig.wait_for(lambda: max(map(abs, driver.odom.pose)) < 1e-6)
+
+
+# Requests for the motors
+
+
+@pytest.fixture
+def requester():
+    """A driver of a bridge that accepts plain ROS commands."""
+    driver = VirtualDriver(VirtualRig(load_description(DEFAULT_ROBOT), accept_ros=True))
+    driver.rig.wait_for(lambda: driver.odom is not None)
+    return driver
+
+
+@pytest.mark.parametrize(
+    ("name", "payload", "expected"),
+    [
+        ("rover/motors", b"", "MotorsRequest"),
+        ("rover/motors", b'{"version": 2}', "enable"),
+        ("rover/stop", b'{"release": 1e999}', "StopRequest"),
+        ("rover/stop", b" " * 100_000, "expected at most 4096"),
+        ("rover/reset_odometry", b"[]", "ResetRequest"),
+    ],
+)
+def test_a_request_that_cannot_be_read_is_refused_by_name(requester, name, payload, expected):
+    with pytest.raises(RuntimeError, match=expected):
+        requester.rig.query(name, payload)
+
+
+def test_a_lost_answer_locks_all_drivers_out_until_the_lease_lapses(requester):
+    """The lease and its key are granted, but the answer never reaches the driver."""
+    first = requester.rig.wait_for(lambda: (reply := requester.motors()).granted and reply)
+    requester.lease.end()
+    assert requester.motors().reason == "another-driver"
+    again = requester.rig.wait_for(lambda: (reply := requester.motors()).granted and reply)
+    assert (again.lease, again.key != first.key) == (first.lease + 1, True)
+
+
+def test_a_signature_is_for_one_kind_and_one_key_expression(requester):
+    requester.rig.wait_for(lambda: requester.motors().granted)
+    rig, lease, release = requester.rig, requester.lease, dump_json(MotorsRequest(enable=False))
+    others = [(Signed.COMMAND, "rover/motors"), (Signed.MOTORS, "cmd_vel"), (Signed.MOTORS, "x/rover/motors")]
+    for kind, where in others:
+        tag = lease.sign(kind, where, release, rig.now_ns).pack()
+        assert json.loads(rig.query("rover/motors", release, tag))["reason"] == "another-driver"
+    command = twist_stamped(Velocity(0.1, 0.0), 1)
+    rig.command(command, lease.sign(Signed.MOTORS, "cmd_vel", command, rig.now_ns).pack())
+    requester.rig.wait_for(lambda: requester.gate.dropped == {"foreign": 1})
+    requester.motors(enable=False)
+    requester.rig.wait_for(lambda: requester.gate.lease == 0)
+
+
+OLD_REQUEST = {"enable": True, "driver": "ab" * 16, "name": "old", "sent_ns": 1}
+BOTH = (
+    "the bridge uses protocol version 2, the driver version 1: install the same version of rover-ncp on both"
+)
+
+
+def test_an_older_driver_gets_both_versions(requester):
+    reply = json.loads(requester.rig.query("rover/motors", json.dumps(OLD_REQUEST).encode()))
+    assert reply == {"granted": False, "reason": "version", "detail": BOTH}
+    later = json.loads(requester.rig.query("rover/motors", b'{"version": 3, "anything": []}'))
+    assert "the bridge uses protocol version 2, the driver version 3" in later["detail"]
+
+
+OLD_ZEROS = struct.pack("<16sQq", bytes(16), 2**63, 2**62)
+"""A tag of protocol version 1 with the id under which plain ROS commands drove."""
+
+
+@pytest.mark.parametrize("tag", [OLD_ZEROS, bytes(40), CommandTag(0, 2**63, 2**62).pack(), b""])
+def test_a_tag_of_zeros_neither_drives_nor_releases_under_accept_ros(requester, tag):
+    rig = requester.rig
+
+    def plain():
+        rig.command(twist_stamped(Velocity(0.0, 0.0), rig.time_ns()))
+        return requester.gate.driver_name == "ros"
+
+    requester.rig.wait_for(plain)
+    for _ in range(5):
+        plain()
+        rig.command(twist_stamped(Velocity(0.2, 0.0), rig.time_ns()), tag)
+        for request in (OLD_REQUEST | {"driver": "0" * 32, "enable": False}, {"version": 2, "enable": False}):
+            answer = json.loads(rig.query("rover/motors", json.dumps(request).encode(), tag))
+            assert (answer["granted"], answer["reason"]) == (False, "another-driver")
+    requester.rig.wait_for(lambda: requester.gate.dropped == {"foreign": 5})
+    assert requester.gate.driver_name == "ros"
+    assert requester.out == Velocity(0.0, 0.0)
+
+
+# The key of a lease
+
+
+class OpenRig(VirtualRig):
+    """A rig that keeps all messages and all answers."""
+
+    def __init__(self):
+        super().__init__(load_description(DEFAULT_ROBOT))
+        self.messages, self.answers = [], []
+        self.sleep(3.0)
+
+    def publish(self, name, data):
+        self.messages.append(data)
+        super().publish(name, data)
+
+    def query(self, name, payload, attachment=None):
+        answer = super().query(name, payload, attachment)
+        self.answers.append(parse_json(MotorsReply, answer))
+        return answer
+
+    def command(self, data, attachment=None):
+        self.messages += [data, attachment]
+        super().command(data, attachment)
+
+
+def test_the_key_is_in_the_first_answer_and_in_no_message_recording_or_state():
+    rig, recorded = OpenRig(), []
+    driver = VirtualLink(rig, Pose(0.0, 0.0, 0.0), recorded.append)
+    driver.request_motors("test")
+    for _ in range(20):
+        driver.command(Velocity(0.1, 0.0))
+        rig.sleep(0.1)
+    driver.request_motors("test")
+    driver.release()
+    rig.sleep(0.5)
+
+    grant, renewal, release = rig.answers
+    key = bytes.fromhex(grant.key)
+    assert len(key) == 32
+    assert (renewal.granted, renewal.lease, renewal.key) == (True, grant.lease, "")
+    assert not release.granted
+    messages = b"".join([*rig.messages, *(message.data for message in recorded)])
+    assert min(len(rig.messages), len(recorded)) > 100
+    assert key not in messages
+    assert grant.key.encode() not in messages
+    assert grant.key not in f"{grant} {renewal!r} {driver.gate!r}"
+    assert json.loads(driver.gate.model_dump_json())["lease"] == 0
+
+
+def test_two_leases_have_two_keys():
+    rig = OpenRig()
+    driver = VirtualLink(rig, Pose(0.0, 0.0, 0.0))
+    for _ in range(2):
+        driver.request_motors("test")
+        driver.release()
+    grants = [reply for reply in rig.answers if reply.granted]
+    assert len({reply.key for reply in grants}) == 2
+    assert [reply.lease for reply in grants] == [1, 2]
+
+
+# A peer that tries to take over a drive: it receives all messages and requests, and knows no key
+
+
+class TappedRig(VirtualRig):
+    """A rig that keeps what its driver sends."""
+
+    def __init__(self):
+        super().__init__(load_description(DEFAULT_ROBOT))
+        self.commands, self.requests = [], []
+        self.sleep(3.0)
+
+    def command(self, data, attachment=None):
+        self.commands.append((data, attachment))
+        super().command(data, attachment)
+
+    def query(self, name, payload, attachment=None):
+        self.requests.append((payload, attachment))
+        return super().query(name, payload, attachment)
+
+
+def attempts(rig, number):
+    """Yield commands and requests of the peer, each with its tag."""
+    _, tag = rig.commands[-1]
+    backward = twist_stamped(Velocity(-0.25, 0.5), rig.time_ns())
+    newest = CommandTag.unpack(tag)
+    forged = [
+        newest,
+        newest._replace(sequence=newest.sequence + 1 + number),
+        newest._replace(sequence=newest.sequence + 1000, stamp_ns=newest.stamp_ns + 50_000_000),
+        newest._replace(sequence=newest.sequence + 1, digest=bytes([number % 256]) * 16),
+    ]
+    yield from ((None, backward, tag.pack()) for tag in forged)
+    yield (None, *rig.commands[number * 7 % len(rig.commands)])
+    for enable in (True, False):
+        request = dump_json(MotorsRequest(enable=enable, name="attacker", sent_ns=rig.now_ns))
+        yield from (("rover/motors", request, tag) for tag in (None, forged[1].pack()))
+    yield ("rover/motors", *rig.requests[0])
+
+
+def test_1000_attempts_to_take_over_a_drive_fail_and_the_rover_drives_on():
+    rig = TappedRig()
+    driver = VirtualDriver(rig)
+    driver.start()
+    accepted, answers, outputs = driver.gate.accepted, [], []
+    for number in range(100):
+        driver.send()
+        for name, payload, tag in attempts(rig, number):
+            if name is None:
+                VirtualBridge.command(rig, payload, tag)
+            else:
+                answers.append(parse_json(MotorsReply, VirtualBridge.query(rig, name, payload, tag)))
+            outputs.append((driver.out, driver.gate.driver_name, driver.gate.lease))
+            rig.sleep(PERIOD_S / 10)
+    driver.drive(0.1)
+    assert driver.gate.accepted == accepted + 102
+    assert sum(driver.gate.dropped.values()) == 500
+    assert len(answers) == 500
+    assert {(reply.granted, reply.reason, reply.key) for reply in answers} == {(False, "another-driver", "")}
+    assert set(outputs) == {(Velocity(0.15, 0.0), "test", driver.lease.number)}
+    assert driver.odom.velocity.v == pytest.approx(0.15, abs=0.005)

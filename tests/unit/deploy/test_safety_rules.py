@@ -1,0 +1,274 @@
+"""Each check of a driver against a link that answers as a test wants, on virtual time."""
+
+import math
+from types import SimpleNamespace
+
+import pytest
+from pydantic import ValidationError
+
+from deploy.drive.lease import DriverLease
+from deploy.drive.measurements import NS
+from deploy.drive.safety_monitor import ResponseCheck, SafetyMonitor, Timeouts, revoked
+from rover_ncp.core.errors import NoBridge, NoRobot, NotAuthorised, SafetyStop
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.wire.protocol import GateStatus, MotorsReply, Signed
+
+BEGIN_NS = 10 * NS
+STILL, FORWARD = Velocity(0.0, 0.0), Velocity(0.1, 0.0)
+
+
+class Drive:
+    """A monitor with its link, its measurements and its clock; the link is well until a test changes it."""
+
+    def __init__(self):
+        self.now_ns, self.sleeps, self.signal = BEGIN_NS, [], False
+        self.link = SimpleNamespace(
+            robot="tcp/x", where=" (namespace y)", bridge_alive=True, authorised=lambda: True, bumped=0
+        )
+        self.link.gate, self.link.lease = GateStatus(), DriverLease()
+        self.newest = SimpleNamespace(ref=SimpleNamespace(measured_ns=BEGIN_NS))
+        self.measurements = SimpleNamespace(
+            newest=self.newest, odometry=lambda wait_s: None if wait_s else self.newest
+        )
+        self.monitor = SafetyMonitor(self.link, self.measurements, lambda: self.signal, clock=self)
+
+    def monotonic(self):
+        return self.now_ns / NS
+
+    def monotonic_ns(self):
+        return self.now_ns
+
+    def sleep(self, seconds):
+        self.sleeps.append(seconds)
+        self.now_ns += round(seconds * NS)
+
+    def check(self, seconds=0.0, fresh=True):
+        """Check after that time; return the words of the stop, "" without one."""
+        self.now_ns += round(seconds * NS)
+        if fresh:
+            self.measurements.newest = SimpleNamespace(ref=SimpleNamespace(measured_ns=self.now_ns))
+        try:
+            self.monitor.check()
+        except SafetyStop as stop:
+            return str(stop)
+        return ""
+
+    def granted(self):
+        """Grant lease 7, which the gate has not confirmed yet."""
+        self.link.lease.grant(MotorsReply(granted=True, lease=7, key="ab" * 32))
+        self.monitor.granted()
+        return self
+
+
+@pytest.mark.parametrize("name", ["bridge_wait_s", "permission_wait_s", "odometry_wait_s", "lease_wait_s"])
+def test_every_wait_is_longer_than_zero(name):
+    assert getattr(Timeouts(**{name: 0.5}), name) == 0.5
+    with pytest.raises(ValidationError):
+        Timeouts(**{name: 0.0})
+
+
+def test_odometry_may_be_no_older_than_the_first_requirement_allows():
+    assert Timeouts(odometry_age_s=0.5).odometry_age_s == 0.5
+    for age_s in (0.0, 0.51):
+        with pytest.raises(ValidationError):
+            Timeouts(odometry_age_s=age_s)
+
+
+# Before the start
+
+
+@pytest.mark.parametrize(
+    ("missing", "error", "words", "wait_s"),
+    [
+        ({"bridge_alive": False}, NoBridge, r"no bridge is announced there \(namespace y\) within 5 s", 5.0),
+        ({"authorised": lambda: False}, NotAuthorised, "the bridge at tcp/x does not take commands", 2.0),
+        ({}, NoRobot, "the bridge at tcp/x sends no odometry", 5.0),
+    ],
+)
+def test_what_is_missing_before_the_start_is_named_after_its_wait(missing, error, words, wait_s):
+    drive = Drive()
+    drive.newest = drive.newest if missing else None
+    vars(drive.link).update(missing)
+    with pytest.raises(error, match=words):
+        drive.monitor.wait()
+    assert wait_s < drive.monotonic() - BEGIN_NS / NS < wait_s + 0.01
+    assert max(drive.sleeps) < 0.01
+
+
+def test_all_is_there_at_once():
+    drive = Drive()
+    drive.monitor.wait()
+    assert drive.sleeps == []
+
+
+def test_who_drives_nothing_needs_no_permission():
+    drive = Drive()
+    drive.link.authorised = lambda: False
+    drive.monitor.wait(drives=False)
+
+
+def test_a_condition_that_holds_at_exactly_its_time_limit_holds():
+    drive = Drive()
+    assert drive.monitor.until(lambda: drive.now_ns >= BEGIN_NS + 2_000_000, 0.002)
+    assert not drive.monitor.until(lambda: False, 0.0)
+
+
+def test_a_signal_ends_waits_and_checks():
+    drive = Drive()
+    drive.signal, drive.link.bridge_alive = True, False
+    with pytest.raises(KeyboardInterrupt):
+        drive.monitor.wait()
+    with pytest.raises(KeyboardInterrupt):
+        drive.monitor.check()
+    assert drive.now_ns == BEGIN_NS
+
+
+# During the drive
+
+
+def test_a_lost_bridge_stops_the_drive():
+    drive = Drive()
+    assert drive.check() == ""
+    drive.link.bridge_alive = False
+    assert drive.check() == "stopped by bridge-lost: the bridge is gone"
+
+
+def test_odometry_may_have_exactly_its_age():
+    drive = Drive()
+    assert [drive.check(0.1, fresh=False) for _ in range(4)] == [""] * 4
+    assert drive.check(1e-9, fresh=False).startswith("stopped by odometry-age: odometry is 0.40 s old (limit")
+
+
+def test_a_pause_counts_until_the_next_odometry_and_from_the_grant():
+    drive = Drive().granted()
+    drive.link.gate = GateStatus(lease=7)
+    assert "stalled for 0.41 s" in drive.check(0.41)
+    assert drive.check(0.02) == ""
+    assert [drive.check(0.1, fresh=False) for _ in range(3)] == [""] * 3
+    assert "stalled" not in drive.check(0.101, fresh=False)
+    drive = Drive()
+    assert drive.check(0.15) == ""
+    words = [drive.check(0.15, fresh=False) for _ in range(3)][-1]
+    assert words.endswith("(limit 0.4 s)")  # pauses of exactly 0.15 s are no stall
+
+
+def test_the_gate_must_confirm_the_lease_in_time():
+    drive = Drive().granted()
+    assert [drive.check(0.25) for _ in range(4)] == [""] * 4
+    assert drive.check(1e-9) == "stopped by lease: the gate does not confirm the lease"
+    confirmed = Drive().granted()
+    confirmed.link.gate = GateStatus(lease=7)
+    assert [confirmed.check(0.25) for _ in range(8)] == [""] * 8
+    confirmed.link.gate = GateStatus(lease=0, ended="bumper", ended_detail="a bumper is pressed")
+    assert confirmed.check() == "stopped by bumper: a bumper is pressed"
+
+
+def test_without_a_lease_no_gate_status_counts():
+    drive = Drive()
+    drive.link.gate = GateStatus(lease=3)
+    assert [drive.check(0.25) for _ in range(8)] == [""] * 8
+
+
+def test_commands_that_the_gate_does_not_accept_stop_the_drive():
+    drive = Drive().granted()
+    drive.link.gate = GateStatus(lease=7)
+    drive.link.lease.sign(Signed.COMMAND, "cmd_vel", b"", drive.now_ns)
+    assert [drive.check(0.2) for _ in range(2)] == [""] * 2
+    assert drive.check(0.2).startswith("stopped by not-accepted")
+
+
+@pytest.mark.parametrize(
+    ("status", "words"),
+    [
+        (GateStatus(ended="stopped", ended_detail="Anna"), "stopped by Anna"),
+        (GateStatus(ended="stopped"), "stopped by a client that gave no name"),
+        (GateStatus(ended="stall"), "stopped by stall: the gate revoked the lease"),
+        (GateStatus(), "stopped by lease: the gate revoked the lease"),
+    ],
+)
+def test_a_revoked_lease_names_who_revoked_it(status, words):
+    assert str(revoked(status)) == words
+
+
+def test_the_first_contact_since_the_grant_is_kept():
+    drive = Drive()
+    drive.link.bumped, drive.link.gate = 3, GateStatus(stops={"stall": 1})
+    drive.granted()
+    drive.link.gate = GateStatus(lease=7, stops={"stall": 1})
+    drive.check()
+    assert drive.monitor.contact == ""
+    drive.link.bumped = 4
+    drive.check()
+    assert drive.monitor.contact == "a bumper is pressed"
+    drive.link.gate = GateStatus(lease=7, held="stall")
+    drive.check()
+    assert drive.monitor.contact == "a bumper is pressed"
+    stalled = Drive().granted()
+    stalled.link.gate = GateStatus(lease=7, held="stall")
+    stalled.check()
+    assert stalled.monitor.contact == "a motor is stalled"
+
+
+@pytest.mark.parametrize("command", [Velocity(math.nan, 0.0), Velocity(0.0, -math.inf)])
+def test_a_command_that_is_not_finite_stops_the_drive(command):
+    drive = Drive()
+    drive.monitor.check_command(FORWARD, STILL)
+    with pytest.raises(SafetyStop, match="command: the circuit's command is not finite"):
+        drive.monitor.check_command(command, STILL)
+
+
+@pytest.mark.parametrize(
+    ("held", "end"),
+    [("", "within a second"), ("sonar", r"\(the gate reports sonar: an obstacle is near .*\)")],
+)
+def test_a_rover_that_does_not_follow_is_stopped_with_the_gates_reason(held, end):
+    drive = Drive()
+    drive.link.gate = GateStatus(held=held)
+    for _ in range(17):
+        drive.monitor.check_command(FORWARD, STILL)
+    words = r"^stopped by no-response: the rover drove 0.000 m where 0.100 m were commanded .*"
+    with pytest.raises(SafetyStop, match=words + end + "$"):
+        drive.monitor.check_command(FORWARD, STILL)
+
+
+# The response to commands: a second of them, which began 1.7 s and 1.1 s ago
+
+
+def complaints(commands, motions):
+    """Return the ticks with a complaint."""
+    check = ResponseCheck()
+    pairs = zip(commands, motions, strict=True)
+    return [k for k, (command, motion) in enumerate(pairs) if check.tick(command, motion)]
+
+
+def test_commands_of_the_last_tenth_of_a_second_do_not_count():
+    # 9 ticks of 0.06 m/s are enough in a window, 8 are not: zeros of ticks 6 and 12 are both in one.
+    commands = [STILL if k in {6, 12} else Velocity(0.06, 0.0) for k in range(19)]
+    assert complaints(commands, [STILL] * 19) == [18]
+
+
+@pytest.mark.parametrize(("axis", "least"), [(0, 0.05), (1, 0.10)])
+def test_motion_is_missing_below_a_tenth_of_what_was_commanded(axis, least):
+    def along(value):
+        return Velocity(*(value if place == axis else 0.0 for place in (0, 1)))
+
+    commands = [along(2 * least)] * 18
+    assert complaints(commands, [along(0.19 * least)] * 18) == [17]
+    assert complaints(commands, [along(0.21 * least)] * 18) == []
+    assert complaints(commands, [along(-0.21 * least)] * 18) == []
+    assert complaints([along(1.01 * least)] * 18, [STILL] * 18) == [17]
+    assert complaints([along(-1.01 * least)] * 18, [STILL] * 18) == [17]
+    assert complaints([along(0.99 * least)] * 18, [STILL] * 18) == []
+
+
+def test_limits_of_the_response_are_exact():
+    eight = [STILL if k in {7, 8} else Velocity(0.0625, 0.0) for k in range(18)]  # 0.5 in each window
+    assert complaints(eight, [STILL] * 18) == [17]
+    tenth = [STILL if k in {8, 9} else Velocity(0.125, 0.0) for k in range(18)]
+    assert complaints([Velocity(1.0, 0.0)] * 18, tenth) == []
+
+
+def test_words_name_the_missing_turn():
+    check = ResponseCheck()
+    words = [check.tick(Velocity(0.0, -0.3), Velocity(0.0, 0.01)) for _ in range(18)]
+    assert words[-1] == "0.010 rad where 0.300 rad were commanded within a second"

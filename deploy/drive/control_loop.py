@@ -26,7 +26,7 @@ from deploy.drive.records import StartRecord, TickRecord, numbers
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.start import StartDetector
 from deploy.estimator.estimator import Estimate
-from deploy.estimator.settings import Outcome
+from deploy.estimator.measurements import Outcome
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from rover_ncp.core.process import Clock

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.estimator.estimator import Estimate, Estimator, error_95_m
-from deploy.estimator.settings import TURN_GAINS, EstimatorSettings, Outcome
+from deploy.estimator.measurements import Outcome
+from deploy.estimator.settings import TURN_GAINS, EstimatorSettings
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.circuit.runner import Runner

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from deploy.drive.control_loop import Drive
-from deploy.estimator.settings import Outcome
+from deploy.estimator.measurements import Outcome
 from rover_ncp.core.console import printable
 from rover_ncp.course.course import Parked
 

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from deploy.estimator.history import TURN_S, History
+from deploy.estimator.measurements import Outcome
 from deploy.estimator.motion import (
     BIAS,
     CENTER,
@@ -36,7 +37,7 @@ from deploy.estimator.motion import (
     true_motion,
     turned_without_gain,
 )
-from deploy.estimator.settings import GYRO_S, EstimatorSettings, Outcome
+from deploy.estimator.settings import GYRO_S, EstimatorSettings
 from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
 
 GYRO_GAP_S = 0.25

@@ -21,11 +21,12 @@ Rules of this file:
 import math
 from bisect import bisect_right, insort
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
+from deploy.estimator.measurements import Applied, Disturbance, Odometry, Outcome, PoseMeasurement, Turn
 from deploy.estimator.motion import (
     BIAS,
     DELAY,
@@ -42,7 +43,7 @@ from deploy.estimator.motion import (
     standing,
     true_motion,
 )
-from deploy.estimator.settings import GYRO_S, TURN_GAINS, EstimatorSettings, Outcome
+from deploy.estimator.settings import GYRO_S, TURN_GAINS, EstimatorSettings
 from rover_ncp.core.geometry import Pose, wrap_angle
 
 GAP_S = 10.0
@@ -69,46 +70,6 @@ REPORTED = slice(OWN.start, MOTION.stop)
 _BLOCKS = (OWN, MOTION)
 """Odometry's pose and motion have independent errors and are applied one after the other: a 5 × 5 inverse
 would use scipy's threads, 50 ms on a busy machine."""
-
-
-class Turn(NamedTuple):
-    """Angle (rad) that a gyro turned in some seconds, its variance, and that of a disturbance."""
-
-    angle: float
-    seconds: float
-    variance: float
-    disturbance_variance: float = 0.0
-
-
-class Odometry(NamedTuple):
-    """A sample: pose and motion (5,), whether a turn ends with it, and that turn if a gyro showed it."""
-
-    z: Array
-    ends_turn: bool = True
-    turn: Turn | None = None
-    irregular: bool = False
-
-
-class Applied(NamedTuple):
-    """Outcome of an odometry sample, of its gyro's turn (None without), and of the poses that waited."""
-
-    odometry: Outcome
-    turn: Outcome | None = None
-    poses: tuple[Outcome, ...] = ()
-
-
-class PoseMeasurement(NamedTuple):
-    """An external pose (x, y, θ) with its covariance (3, 3), and its stamp minus the entry's time in s."""
-
-    z: Array
-    covariance: Array
-    assumed_delay_s: float
-
-
-class Disturbance(NamedTuple):
-    """A motion that no sensor of the base reports, by its covariance (3, 3) in x, y, θ."""
-
-    covariance: Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,4 @@
-"""Noises, priors and limits of the estimator, and the outcomes of a measurement."""
-
-from enum import Enum
+"""Noises, priors and limits of the estimator."""
 
 from pydantic import Field
 
@@ -70,15 +68,3 @@ class EstimatorSettings(StrictModel):
     disturbance_m: float = Field(default=0.02, gt=0, description="x and y of a disturbance, such as a cable")
     disturbance_rad: float = Field(default=0.03, gt=0, description="heading of a disturbance")
     history_s: float = Field(default=1.0, gt=0, description="maximum delay of an external pose")
-
-
-class Outcome(Enum):
-    """Outcome of a measurement."""
-
-    ACCEPTED = "accepted"
-    OUTLIER = "outlier"
-    NOT_FINITE = "not finite"
-    OUT_OF_ORDER = "out of order"
-    WAITING = "newer than odometry, which it waits for"
-    TOO_OLD = "too old"
-    DROPPED = "too many poses wait for odometry"

@@ -1,43 +1,37 @@
 """The command ``park``; heavy libraries load only when it runs."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from rover_ncp.core.console import MAX_SEED, Json, Output, Overwrite, command
+from rover_ncp.core.console import MAX_SEED, Json, Output, Overwrite
 from rover_ncp.core.files import DEFAULT_ROBOT
 
 
-@dataclass(frozen=True, kw_only=True)
-class ParkOptions:
-    """Options of ``park``."""
-
+def park(
+    *,
     policy: Annotated[
         str | None,
         typer.Option(
             help="Park with this policy (name or file) instead of training one.", show_default=False
         ),
-    ] = None
-    course: Annotated[str, typer.Option(help="Course to drive, by name or YAML file.")] = "parking"
+    ] = None,
+    course: Annotated[str, typer.Option(help="Course to drive, by name or YAML file.")] = "parking",
     model: Annotated[
         str,
         typer.Option(
             help="The mock robot's description, a name or a file. A ROS 2 robot is parked with the policy "
             "course unless --policy names another: only Pioneers are trained for."
         ),
-    ] = DEFAULT_ROBOT
-    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Root seed of the training.")] = 0
+    ] = DEFAULT_ROBOT,
+    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Root seed of the training.")] = 0,
     out: Annotated[Path, typer.Option(help="Folder for training, recording, picture and logs.")] = Path(
         "runs/park"
-    )
-    overwrite: Overwrite = False
-    json: Json = False
-
-
-@command
-def park(options: ParkOptions) -> int:
+    ),
+    overwrite: Overwrite = False,
+    json: Json = False,
+) -> int:
     """Train a circuit until it parks in simulation, then park a robot with it, all in one go.
 
     The robot is a mock Pioneer that speaks the real protocol over TCP, or, with --model, a mock ROS 2 robot
@@ -47,4 +41,6 @@ def park(options: ParkOptions) -> int:
     """
     from sim.park.park import run_park
 
-    return run_park(Output(options.json), options)
+    return run_park(
+        Output(json), policy=policy, course=course, model=model, seed=seed, out=out, overwrite=overwrite
+    )

@@ -35,7 +35,6 @@ from sim.learn.train import train
 from sim.live.live_run import PIONEER, ROS2DDS, LiveRun
 from sim.live.processes import Finished, ProcessError
 from sim.live.truth import TRUTH, judge_truth, recorded_truth
-from sim.park.commands import ParkOptions
 from sim.world.rover import RoverModel
 
 ITERATIONS, AGENTS = 20_000, 12
@@ -84,10 +83,10 @@ class ParkResult(NotTrained):
     bytes_from_base: int | None = Field(description="over the bridge's line")
 
 
-def run_park(output: Output, options: ParkOptions) -> int:
+def run_park(
+    output: Output, *, policy: str | None, course: str, model: str, seed: int, out: Path, overwrite: bool
+) -> int:
     """Run ``park`` and return its exit code. Raises RoverNcpError when training or a process fails."""
-    policy, course, model = options.policy, options.course, options.model
-    out, overwrite = options.out, options.overwrite
     robot = load_description(model)
     form = PIONEER if robot.arcos is not None else ROS2DDS
     slow_course, pace = slowed(load_course(course), robot)
@@ -97,9 +96,7 @@ def run_park(output: Output, options: ParkOptions) -> int:
     if policy is None and form != PIONEER:
         policy = TRACKING_POLICY
     if policy is None:
-        training, policy, reason = _train(
-            output, course, model, options.seed, out / "train", overwrite=overwrite
-        )
+        training, policy, reason = _train(output, course, model, seed, out / "train", overwrite=overwrite)
         if reason:
             output.result(
                 NotTrained(parked=False, reason=f"no agent parks: {reason}", train=training).model_dump(),

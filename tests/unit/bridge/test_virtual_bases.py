@@ -72,7 +72,7 @@ def test_a_wall_in_its_scan_stops_a_ros2_robot_and_the_way_back_is_free():
         rig := VirtualRig(BURGER, limits=Limits(v_max=0.22, sonar_stop_m=0.3), walls=[wall])
     )
     driver.start(v=0.2)
-    rig.wait_for(lambda: driver.drive(0.1, v=0.2) or driver.gate.held == "sonar")
+    rig.wait_for(lambda: driver.drive(0.1, v=0.2) and driver.gate.held == "sonar")
     assert rig.stands_after(0.5)
     # The wall begins at 1 m, the outline 0.041 m before the centre; a scan is 0.2 s old at most.
     left_m = 1.0 - 0.041 - rig.rover.pose.x

@@ -6,7 +6,8 @@ import pytest
 from kit.base_odometry import reported
 
 from deploy.drive.controller import Controller
-from deploy.estimator.settings import EstimatorSettings, Outcome
+from deploy.estimator.measurements import Outcome
+from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy import course_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.circuit.runner import Runner

@@ -12,7 +12,8 @@ from deploy.replay import replay
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import NoBridge, NoPose, NoRobot
 from rover_ncp.core.geometry import Pose, compose, distance, wrap_angle
-from rover_ncp.course.course import load_course
+from rover_ncp.course.certainty import SURE
+from rover_ncp.course.course import Course, Parked, load_course
 from rover_ncp.recording.recording import read_recording, rewrite
 from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import imu, pose_with_covariance, read_odometry, read_pose, read_text
@@ -136,22 +137,32 @@ def test_rover_that_was_carried_away_is_stopped(tmp_path):
     assert virtual.stands()
 
 
-def test_without_the_required_accuracy_the_rover_is_not_driven():
-    def stopped(**settings):
-        virtual = short_drive(require_accuracy_m=0.01, **settings)
-        result = virtual.run()
-        assert (result.stopped_by, virtual.link.requests) == ("accuracy", 0)
-        assert result.predicted_error_m > 0.01
+NEAR = Course.model_validate(
+    {
+        "name": "near",
+        "start_signal_s": 0.3,
+        "horizon_s": 2.0,
+        "checkpoints": [{"t": 2.0, "x": 0.0, "y": 0.0, "theta": 0.0}],
+        "parked": {"position_m": 1.0, "heading_rad": 0.02, "still_m": 1.0, "still_rad": 1.0, "still_s": 0.1},
+    }
+)
+"""A rover that drives straight ahead parks here; encoders alone leave its heading uncertain."""
+
+
+@pytest.mark.parametrize(("required", "exit_code"), [(False, 0), (True, 1)])
+def test_an_uncertain_verdict_says_what_would_help_and_fails_only_where_certainty_is_required(
+    required, exit_code
+):
+    def drive(**settings):
+        result = VirtualDrive(course=NEAR, require_certainty=required, **settings).run()
+        assert (result.exit_code, result.verdict, result.stopped_by) == (exit_code, Parked.UNCERTAIN, None)
+        assert 0.0 < result.probability < SURE
         return result.reason
 
-    reason = stopped()
-    assert "expected 0.01 m at most" in reason
+    reason = drive()
     assert reason.endswith("external poses or a gyro or a profile of 'identify' would reduce it")
-    reason = stopped(rover=RoverProfile(name="mine", gain_v=1.0))
+    reason = drive(rover=RoverProfile(name="mine", gain_v=1.0))
     assert reason.endswith("external poses or a gyro would reduce it")
-    virtual = short_drive(require_accuracy_m=0.01)
-    localised(virtual.link)
-    assert virtual.run().stopped_by is None
 
 
 def test_refusal_moves_nothing_and_has_its_reason():
@@ -215,7 +226,7 @@ def test_rover_with_an_external_start_pose_parks_on_the_true_pose(tmp_path):
     virtual = VirtualDrive(policy, course, tmp_path / "run.mcap", pose="required")
     localised(virtual.link, start)
     result = virtual.run()
-    assert (result.exit_code, result.parked) == (0, True)
+    assert (result.exit_code, result.verdict) == (0, Parked.YES)
     assert result.pose.used > 50
     assert result.pose.refused == 0
     end = compose(start, virtual.rover.pose)

@@ -9,7 +9,7 @@ from kit.virtual_drive import AHEAD, LOST, STILL, VirtualDrive
 from deploy.drive.link import STEPS_BACK
 from deploy.view.recorded_drive import read_drive
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.course.course import Course, load_course
+from rover_ncp.course.course import Course, Parked, load_course
 from rover_ncp.wire.messages import bumpers
 from rover_ncp.wire.protocol import CommandTag, Signed
 
@@ -170,7 +170,8 @@ def test_drive_with_a_contact_is_never_parked(tmp_path, harm, contact):
     virtual.link.harm = lambda: harm(virtual.link)
     result = virtual.run()
     parked = contact is None
-    assert (result.exit_code, result.parked, result.contact) == (int(not parked), parked, contact)
+    words = Parked.YES if parked else Parked.NO
+    assert (result.exit_code, result.verdict, result.contact) == (int(not parked), words, contact)
     if contact:
         assert result.reason == f"touched an obstacle: {contact}"
     assert read_drive(virtual.path).timeline.judge()["estimated"].parked is parked
@@ -180,7 +181,7 @@ def test_bumper_that_was_pressed_before_the_lease_does_not_count():
     virtual = VirtualDrive(course=ANYWHERE)
     virtual.link.change_gate(stops={"bumper": 3})
     virtual.link.put("bumpers", bumpers(0, 4))
-    assert virtual.run().parked
+    assert virtual.run().verdict is Parked.YES
 
 
 def test_second_publisher_is_in_the_log_the_status_and_the_result(virtual, caplog):

@@ -9,7 +9,7 @@ from kit.base_odometry import reported
 
 from deploy.drive.config import settings_for
 from deploy.estimator.estimator import Estimator
-from deploy.estimator.settings import Outcome
+from deploy.estimator.measurements import Outcome
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
 from rover_ncp.robot.description import load_description
 

@@ -10,8 +10,9 @@ from scipy.stats import chi2
 from deploy.drive.config import settings_for
 from deploy.estimator.estimator import Estimator
 from deploy.estimator.history import WAITING_MAX, History
+from deploy.estimator.measurements import Outcome
 from deploy.estimator.motion import OMEGA, initial, true_motion, turned_without_gain
-from deploy.estimator.settings import EstimatorSettings, Outcome
+from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
 from rover_ncp.robot.profile import RoverProfile
 

@@ -12,7 +12,6 @@ from rover_ncp.course.fit import slowed
 from rover_ncp.robot.description import load_description
 from sim.learn.record import course_of
 from sim.park import park
-from sim.park.commands import ParkOptions
 from sim.world.described import default_rover, described_rover
 
 SLOW = """\
@@ -59,7 +58,9 @@ def asked(monkeypatch):
 
 def run_park(tmp_path, model="p3at-sh"):
     out = tmp_path / "park"
-    return park.run_park(Output(False), ParkOptions(model=model, out=out))
+    return park.run_park(
+        Output(False), policy=None, course="parking", model=model, seed=0, out=out, overwrite=False
+    )
 
 
 def begin(asked, tmp_path, **options):
@@ -106,7 +107,7 @@ def test_a_slow_machine_trains_as_many_iterations(asked, tmp_path, monkeypatch):
 
 
 def test_the_message_names_limit_and_remedy(tmp_path, monkeypatch, capsys):
-    fields = {"best_return": -5.0, "iterations": 20_000}
+    fields = {"best_return": -5.0, "iterations": 20_000, "iterations_per_s": 1.0, "returns": []}
     monkeypatch.setattr(park, "_train", lambda *_, **__: (fields, "policy.yaml", "0.9 m from the goal"))
     assert run_park(tmp_path) == 1
     words = capsys.readouterr()

@@ -15,7 +15,7 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, distance
-from rover_ncp.course.course import load_course
+from rover_ncp.course.course import Parked, load_course
 from rover_ncp.robot.profile import RoverProfile, load_profile
 from sim.evaluate.evaluate import drive_trials
 from sim.learn.engine.driver import circuit_driver, load_driver
@@ -68,12 +68,15 @@ def test_trials_park_and_what_went_over_the_line_is_counted(parking):
 def test_drivers_beliefs_are_compared_with_the_truth(parking):
     _, found = parking
     for trial in found:
-        assert trial.belief.parked  # noise of odometry does not move the estimate of a rover that stands
+        assert trial.belief.verdict is Parked.UNCERTAIN  # encoders alone
         assert trial.belief.error_m < 0.05
         assert trial.belief.squared < chi2.ppf(0.999, 2)
         assert trial.belief.error_m < trial.belief.predicted_m
     fields = summary([trial.belief for trial in found], [True, False])
-    assert fields.verdict_agrees == 0.5
+    assert (fields.verdict_agrees, fields.verdict_uncertain, fields.quiet_misses) == (0.0, 1.0, None)
+    sure, wrong = (trial.belief._replace(verdict=Parked.YES) for trial in found)
+    quiet = summary([sure, wrong], [True, False])
+    assert (quiet.verdict_agrees, quiet.verdict_uncertain, quiet.quiet_misses) == (0.5, 0.0, 0.5)
     assert fields.error_m.p95 <= max(trial.belief.error_m for trial in found)
 
 

@@ -16,7 +16,7 @@ from deploy.view.timeline import Timeline
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.course.course import load_course
+from rover_ncp.course.course import Parked, load_course
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire import messages
 from rover_ncp.wire.protocol import DriverStatus, GateStatus, dump_json
@@ -130,7 +130,7 @@ def summary_of(tmp_path, **options):
 def test_the_summary_names_verdict_rates_and_origin(tmp_path):
     summary = summary_of(tmp_path)
     rows, origin = dict(summary.rows), dict(summary.origin)
-    assert summary.parked is False
+    assert summary.parked is Parked.NO
     assert summary.headline.startswith("Not parked: ")
     assert "from the goal" in rows["By the true pose"]
     assert rows["Ticks"] == "40 at 10.00 Hz, 0 late, 0 on prediction"

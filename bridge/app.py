@@ -13,9 +13,9 @@ from bridge.ros2 import messages as ros_messages
 from bridge.ros2.discovery import Convention
 from bridge.zenoh.link import ZenohLink
 from rover_ncp.core.console import Output
+from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts, require_open_files
 
-INTERRUPTED = 130
 OPEN_FILES = 100
 """Zenoh and the line to the base use about 20, and each driver one: without any left, no driver connects."""
 

@@ -15,6 +15,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, Field
+
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import require_creatable
 from rover_ncp.core.process import ClosedAtExit
@@ -27,6 +29,13 @@ STAMPED_NS = 1_000_000_000
 QUEUE_LENGTH = 10_000
 """A minute of everything the bridge publishes."""
 CLOSE_TIMEOUT_S = 10.0
+
+
+class RecordingResult(BaseModel):
+    """The recording in a command's result."""
+
+    recording: str | None = Field(description="its file")
+    recording_failure: str | None = Field(description="why it is not whole")
 
 
 class Recorder(ClosedAtExit):

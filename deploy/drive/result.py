@@ -8,17 +8,10 @@ from pydantic import BaseModel, Field
 
 from deploy.drive.control_loop import Drive
 from deploy.estimator.measurements import Outcome
+from deploy.recorder import RecordingResult
 from rover_ncp.core.console import printable
+from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.course.course import Parked
-
-INTERRUPTED = 130
-
-
-class RecordingResult(BaseModel):
-    """The recording in a command's result."""
-
-    recording: str | None = Field(description="its file")
-    recording_failure: str | None = Field(description="why it is not whole")
 
 
 class Samples(BaseModel):

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from deploy.estimator.history import TURN_S, History
 from deploy.estimator.measurements import Outcome
@@ -288,7 +288,7 @@ def error_95_m(covariance: Array) -> float:
     if total == 0.0:
         return 0.0
     scale = float(np.square(variances).sum()) / total
-    return math.sqrt(scale * chi2.ppf(0.95, total / scale))
+    return math.sqrt(2.0 * scale * gammaincinv(0.5 * total / scale, 0.95))
 
 
 def completed(covariance: Array, settings: EstimatorSettings) -> Array | None:

@@ -36,6 +36,7 @@ from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FormatError, NoBridge, NotAuthorised, PortInUse, UnreachableError
+from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
 from rover_ncp.course.course import load_course
 from rover_ncp.recording.recording import Recorded
@@ -44,7 +45,6 @@ from rover_ncp.wire.key_table import KeySpec
 from rover_ncp.wire.protocol import StopReply, StopRequest, dump_json, parse_json
 
 HOST = "127.0.0.1"
-INTERRUPTED = 130
 REQUEST_BYTES = 16
 """The longest request of a page is "release"."""
 STOPS_AT_ONCE = 64

@@ -15,7 +15,7 @@ from rover_ncp.wire.messages import read_pose
 
 def test_a_drive_from_start_to_end(bridge, drive, tmp_path):
     code, result = drive()
-    assert (code, result["state"], result["parked"]) == (1, "ended", False)
+    assert (code, result["state"], result["verdict"]) == (1, "ended", "not parked")
     assert result["ticks"] + result["missed"] == 20
 
     # One driver, rising numbers, the last command is zero, and then the lease is released.

@@ -1,4 +1,4 @@
-"""The driver's link: detection of a link that is too slow, and of a bridge of another version."""
+"""The driver's link: it detects a slow link and a bridge of another version, and ends its callbacks."""
 
 import threading
 import time

@@ -8,9 +8,9 @@ and the profile of its robot, and a profile that names the noise of its odometry
 import copy
 import math
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import NamedTuple
 
@@ -72,6 +72,8 @@ class Stack:
     """Whether each robot is identified before its drive, on its ground, under the camera or a usual one."""
     robot: RobotDescription | None = None
     """The model of robot; None is a Pioneer 3-AT without a description for its driver."""
+    estimator: Mapping[str, float] = field(default_factory=dict)
+    """Estimator settings that replace the driver's."""
 
     @cached_property
     def description(self) -> RobotDescription:
@@ -115,7 +117,7 @@ class Stack:
     def drive(self, number: int) -> Driven:
         """Drive a trial from power-up to the motors' release."""
         known = self.identified(number) if self.identify else self.known
-        settings = settings_for(known, self.robot)
+        settings = settings_for(known, self.robot).model_copy(update=dict(self.estimator))
         course, (rover, trials) = self.course(number), self.drawn(number)
         base_seed = integer_seed(self.seed, Domain.BASE_SENSORS, number)
         base = simulated_base(self.description, rover, BaseTrial(trials), gyro=self.gyro, seed=base_seed)

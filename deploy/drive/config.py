@@ -16,6 +16,7 @@ STD = {
     "turn_gain": "turn_gain_std",
     "wheel_mismatch_rad_m": "wheel_mismatch_std_rad_m",
     "rotation_center_m": "rotation_center_std_m",
+    "rotation_center_left_m": "rotation_center_left_std_m",
 }
 """Odometry's errors in the estimator's settings, and their standard deviations."""
 SLIDES = "downhill_x_m", "downhill_y_m"
@@ -24,6 +25,10 @@ REJECTED_S = 0.3
 """Time for which odometry may be rejected: three reports of a Pioneer."""
 AXLE_STD_M = 0.002
 """How well a description knows where the axle of a differential drive is (chosen)."""
+AXLE_GAIN_WALK = 0.02
+"""Random change of its turn gain after a turn of 1 rad (chosen)."""
+CASTER_M = 0.015
+"""Random displacement after a metre: its casters push it by a centimetre as they turn (chosen)."""
 
 PoseUse = Literal["auto", "required", "none"]
 """Whether external poses give the start pose: if they come, always, or never."""
@@ -71,6 +76,7 @@ def settings_for(rover: RoverProfile | None, described: RobotDescription | None 
     measured = {
         "wheel_mismatch_rad_m": (rover.imbalance_rad_m, rover.std.get("imbalance_rad_m")),
         "rotation_center_m": (rover.rotation_center_m, rover.std.get("rotation_center_m")),
+        "rotation_center_left_m": (rover.rotation_center_left_m, rover.std.get("rotation_center_left_m")),
     }
     # A profile has odometry's motion over the true one, the estimator the inverse.
     for name, ratio in (("distance_gain", "odometry_distance"), ("turn_gain", "odometry_heading")):
@@ -120,5 +126,7 @@ def _described(robot: RobotDescription) -> EstimatorSettings:
         noise_rad = robot.gyro.noise_rad_s * math.sqrt(GYRO_S / robot.gyro.rate_hz)
         changed["gyro_rad"] = max(default.gyro_rad, noise_rad)
     if robot.drive.kind == "differential":  # it turns about the middle of its axle, and does not slide
-        changed |= {"rotation_center_std_m": AXLE_STD_M, "downhill_std_m": AXLE_STD_M}
+        names = "rotation_center_std_m", "rotation_center_left_std_m", "downhill_std_m"
+        changed |= dict.fromkeys(names, AXLE_STD_M)
+        changed |= {"turn_gain_walk": AXLE_GAIN_WALK, "wander_m": CASTER_M}
     return default.model_copy(update=changed)

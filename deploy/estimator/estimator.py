@@ -22,10 +22,12 @@ from scipy.special import gammaincinv
 from deploy.estimator.history import TURN_S, History
 from deploy.estimator.measurements import Outcome
 from deploy.estimator.motion import (
+    ASIDE,
     BIAS,
     CENTER,
     DISTANCE,
     GAIN,
+    GYRO,
     MOTION,
     OMEGA,
     OWN,
@@ -209,16 +211,17 @@ class Estimator:
         ahead, _, turn = true_motion(x, self._settings)
         rows = np.zeros((5, SIZE))
         rows[:3, POSE] = np.eye(3)
-        rows[3, V], rows[3, DISTANCE] = x[DISTANCE], x[V]
         turned, by_omega = turned_without_gain(float(x[OMEGA]), self._settings)
-        rows[4, OMEGA], rows[4, GAIN], rows[4, V], rows[4, WHEEL_MISMATCH] = (
-            x[GAIN] * by_omega,
-            turned,
-            x[WHEEL_MISMATCH],
-            x[V],
-        )
+        columns = [OMEGA, GAIN, V, WHEEL_MISMATCH, GYRO]
+        rows[4, columns] = x[GAIN] * by_omega, turned, x[WHEEL_MISMATCH], x[V], turn / x[GYRO] ** 2
+        rows[4] *= x[GYRO]
+        rows[3] = x[ASIDE] * rows[4]
+        rows[3, V] += x[DISTANCE]
+        rows[3, DISTANCE], rows[3, ASIDE] = x[V], turn
         pose = Pose(*x[POSE].tolist())
-        return Estimate(t, pose, Velocity(ahead, turn), rows @ P @ rows.T, float(x[GAIN]), float(x[CENTER]))
+        return Estimate(
+            t, pose, Velocity(ahead, turn), rows @ P @ rows.T, float(x[GYRO] * x[GAIN]), float(x[CENTER])
+        )
 
     def forecast(
         self, path: Sequence[Pose], motion: Sequence[Velocity], period_s: float, gyro: bool
@@ -235,7 +238,7 @@ class Estimator:
         for pose, velocity in zip(path, motion, strict=True):
             if gyro:
                 x[MOTION] = velocity
-                ahead.gyro(true_motion(x, self._settings)[2] + float(x[BIAS]), t)
+                ahead.gyro(true_motion(x, self._settings)[2] / float(x[GYRO]) + float(x[BIAS]), t)
             ahead.odometry(compose(own_path, pose), velocity, t)
             t += period_s
         return ahead.at(t).covariance[:3, :3]

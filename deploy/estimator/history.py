@@ -31,6 +31,7 @@ from deploy.estimator.motion import (
     BIAS,
     DELAY,
     GAIN,
+    GYRO,
     MOTION,
     OWN,
     POSE,
@@ -199,10 +200,10 @@ class History:
     def turn_rate(self) -> float:
         """Return the turn rate that a gyro should show."""
         x = self._entries[self._valid - 1].x
-        return true_motion(x, self._settings)[2] + float(x[BIAS])
+        return true_motion(x, self._settings)[2] / float(x[GYRO]) + float(x[BIAS])
 
     def at(self, t: float) -> tuple[Array, Array]:
-        """Return state (18,) and covariance (18, 18) at ``t``, before the history those of its begin."""
+        """Return state (19,) and covariance (19, 19) at ``t``, before the history those of its begin."""
         self._apply_again(len(self._entries))
         place = max(bisect_right(self._entries, t, key=lambda entry: entry.t), 1)
         before, dt = self._entries[place - 1], max(t - self._entries[place - 1].t, 0.0)
@@ -335,7 +336,7 @@ class History:
         self._ekf.update(innovation, lambda _: H, lambda _: 0.0, R=covariance)
 
     def _innovation(self, measured: PoseMeasurement) -> tuple[Array, Array]:
-        """Return an external pose's innovation (3,) and its Jacobian (3, 18).
+        """Return an external pose's innovation (3,) and its Jacobian (3, 19).
 
         The pose was measured at its stamp minus the delay, and the rover went on until the entry's time.
         """
@@ -349,7 +350,7 @@ class History:
 
 
 def _turn_row(seconds: float) -> Array:
-    """Return the Jacobian (1, 18) of a gyro's turn in some seconds."""
+    """Return the Jacobian (1, 19) of a gyro's turn in some seconds."""
     return _ALL[TURN : TURN + 1] + seconds * _ALL[BIAS : BIAS + 1]
 
 

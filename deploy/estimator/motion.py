@@ -1,17 +1,17 @@
 """Motion of a skid-steered rover and of its odometry, with Jacobian and process noise.
 
 State: the pose x, y, θ in the course's frame; the pose in odometry's own frame; the encoders' speed v and
-turn rate ω; the turn of the true heading since its last comparison with the gyro; then errors of odometry
-and of the sensors:
+turn rate ω; the gyro's turn since its last comparison; then errors of odometry and of the sensors:
 
     DISTANCE        true distance over odometry's
-    GAIN            true turn over odometry's; with its weight off the middle, a skid-steered robot turns more
+    GAIN            gyro's turn over odometry's; a skid-steered robot with weight off its middle turns more
     WHEEL_MISMATCH  turn per distance beside the encoders', rad/m
     CENTER          lateral velocity over turn rate, m: distance of the centre of rotation behind the middle
+    ASIDE           speed beside the encoders' over turn rate, m: its distance to the left of the middle
     DOWNHILL        slide over turned angle, m/rad, in x and y of the course's frame: on a slope, turning
                     tyres slide and gravity moves the robot
-    DRIFT           drift of odometry's heading, rad/s, also while the rover stands
     BIAS            bias of the gyro, rad/s
+    GYRO            true turn over the gyro's; only external poses show it
     DELAY           delay of the external poses, s, beyond their stamps
 
 v and ω are constant but for white noise of the accelerations; one tick at the base's full acceleration
@@ -30,8 +30,8 @@ from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.geometry import Pose, compose, wrap_angle
 
 X, Y, THETA, OWN_X, OWN_Y, OWN_THETA, V, OMEGA, TURN = range(9)
-DISTANCE, GAIN, WHEEL_MISMATCH, CENTER, DOWN_X, DOWN_Y, DRIFT, BIAS, DELAY = range(9, 18)
-SIZE = 18
+DISTANCE, GAIN, WHEEL_MISMATCH, CENTER, ASIDE, DOWN_X, DOWN_Y, BIAS, GYRO, DELAY = range(9, 19)
+SIZE = 19
 POSE, OWN, MOTION = slice(X, THETA + 1), slice(OWN_X, OWN_THETA + 1), slice(V, OMEGA + 1)
 DOWNHILL = slice(DOWN_X, DOWN_Y + 1)
 
@@ -42,7 +42,7 @@ STANDING_SHARE = 0.01
 
 
 class Step(NamedTuple):
-    """The state after a step (18,), its Jacobian and the covariance of its process noise (18, 18)."""
+    """The state after a step (19,), its Jacobian and the covariance of its process noise (19, 19)."""
 
     x: Array
     jacobian: Array
@@ -60,11 +60,13 @@ def initial(settings: EstimatorSettings, own: Pose, pose: Pose) -> tuple[Array, 
     x[OWN] = own.x, own.y, wrap_angle(own.theta)
     slide = compose(Pose(0.0, 0.0, pose.theta), Pose(s.downhill_x_m, s.downhill_y_m, 0.0))
     x[DOWNHILL] = slide.x, slide.y
-    x[[DISTANCE, GAIN, WHEEL_MISMATCH, CENTER, DELAY]] = (
+    x[[DISTANCE, GAIN, WHEEL_MISMATCH, CENTER, ASIDE, GYRO, DELAY]] = (
         s.distance_gain,
         s.turn_gain,
         s.wheel_mismatch_rad_m,
         s.rotation_center_m,
+        s.rotation_center_left_m,
+        1.0,
         s.pose_delay_s,
     )
     deviations[OWN] = s.position_m, s.position_m, s.heading_rad
@@ -73,10 +75,11 @@ def initial(settings: EstimatorSettings, own: Pose, pose: Pose) -> tuple[Array, 
         s.turn_gain_std,
         s.wheel_mismatch_std_rad_m,
         s.rotation_center_std_m,
+        s.rotation_center_left_std_m,
         s.downhill_std_m,
         s.downhill_std_m,
-        s.drift_std_rad_s,
         s.gyro_bias_std_rad_s,
+        s.gyro_scale_std,
         s.pose_delay_std_s,
     )
     return x, np.diag(np.square(deviations))
@@ -85,8 +88,8 @@ def initial(settings: EstimatorSettings, own: Pose, pose: Pose) -> tuple[Array, 
 def true_motion(x: Array, settings: EstimatorSettings) -> tuple[float, float, float]:
     """Return the true speed ahead and to the left (m/s) and the turn rate (rad/s)."""
     v, omega = float(x[V]), float(x[OMEGA])
-    turn = float(x[GAIN]) * turned_without_gain(omega, settings)[0] + float(x[WHEEL_MISMATCH]) * v
-    return float(x[DISTANCE]) * v, float(x[CENTER]) * turn, turn
+    turn = float(x[GYRO] * (x[GAIN] * turned_without_gain(omega, settings)[0] + x[WHEEL_MISMATCH] * v))
+    return float(x[DISTANCE]) * v + float(x[ASIDE]) * turn, float(x[CENTER]) * turn, turn
 
 
 def standing(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) -> Step:
@@ -94,11 +97,10 @@ def standing(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool
     moved, jacobian, covariance = x.copy(), np.eye(SIZE), np.zeros((SIZE, SIZE))
     for row in (V, OMEGA, TURN) if new_turn else (V, OMEGA):
         moved[row] = jacobian[row, row] = 0.0
-    moved[OWN_THETA] = wrap_angle(x[OWN_THETA] + x[DRIFT] * dt)
-    jacobian[OWN_THETA, DRIFT] = dt
     covariance[OWN, OWN] = STANDING_SHARE * settings.slip * dt * np.eye(3)
     covariance[POSE, POSE] = dt * np.diag(np.square([settings.creep_m, settings.creep_m, settings.creep_rad]))
     covariance[TURN, TURN] = covariance[TURN, THETA] = covariance[THETA, TURN] = covariance[THETA, THETA]
+    covariance[BIAS, BIAS] = settings.gyro_bias_walk_rad_s**2 * dt
     return Step(moved, jacobian, covariance)
 
 
@@ -110,38 +112,42 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     moved, jacobian = x.copy(), np.eye(SIZE)
     if new_turn:
         moved[TURN] = jacobian[TURN, TURN] = 0.0
-    # Columns: the derivatives of all poses by distance and turn of the encoders, and by further turn.
+    # Columns: the derivatives of all poses by distance and turn of the encoders, and by the gyro's turn.
     by_distance, by_turn, by_mismatch = np.zeros((3, SIZE))
     own = x[OWN_THETA] + 0.5 * omega * dt
     c, z = math.cos(own), math.sin(own)
     by_distance[OWN_X], by_distance[OWN_Y] = c, z
     by_turn[OWN] = -0.5 * v * dt * z, 0.5 * v * dt * c, 1.0
-    moved[OWN_X] += v * dt * c
-    moved[OWN_Y] += v * dt * z
-    moved[OWN_THETA] = wrap_angle(x[OWN_THETA] + (omega + x[DRIFT]) * dt)
+    moved[[OWN_X, OWN_Y]] += v * dt * c, v * dt * z
+    moved[OWN_THETA] = wrap_angle(x[OWN_THETA] + omega * dt)
     jacobian[OWN_X, OWN_THETA], jacobian[OWN_Y, OWN_THETA] = -v * dt * z, v * dt * c
-    jacobian[OWN_THETA, DRIFT] = dt
 
     heading = x[THETA] + 0.5 * turn
     cos, sin = math.cos(heading), math.sin(heading)
     dx, dy = cos * ahead - sin * left, sin * ahead + cos * left
-    center, downhill = x[CENTER], x[DOWNHILL]
+    center, aside, downhill = x[CENTER], x[ASIDE], x[DOWNHILL]
     moved[[X, Y]] += np.array([dx, dy]) + abs(turn) * downhill
     moved[THETA] = wrap_angle(x[THETA] + turn)
-    moved[TURN] += turn
+    moved[TURN] += turn / x[GYRO]
     jacobian[X, THETA], jacobian[Y, THETA] = -dy, dx
-    by_mismatch[POSE] = -0.5 * dy - center * sin, 0.5 * dx + center * cos, 1.0
+    by_mismatch[POSE] = (
+        -0.5 * dy + aside * cos - center * sin,
+        0.5 * dx + aside * sin + center * cos,
+        1.0,
+    )
     by_mismatch[[X, Y]] += math.copysign(1.0, turn) * downhill
+    jacobian[:, GYRO] += turn / x[GYRO] * by_mismatch
+    by_mismatch *= x[GYRO]
     by_mismatch[TURN] = 1.0
     by_distance += x[WHEEL_MISMATCH] * by_mismatch
-    by_distance[X] += x[DISTANCE] * cos
-    by_distance[Y] += x[DISTANCE] * sin
+    by_distance[[X, Y]] += x[DISTANCE] * np.array([cos, sin])
     turned, by_omega = turned_without_gain(omega, s)
     by_turn += x[GAIN] * by_omega * by_mismatch
     jacobian[:, V] += dt * by_distance
     jacobian[:, OMEGA] += dt * by_turn
-    jacobian[X, DISTANCE], jacobian[Y, DISTANCE] = v * dt * cos, v * dt * sin
-    jacobian[X, CENTER], jacobian[Y, CENTER] = -turn * sin, turn * cos
+    jacobian[[X, Y], DISTANCE] = v * dt * cos, v * dt * sin
+    jacobian[[X, Y], CENTER] = -turn * sin, turn * cos
+    jacobian[[X, Y], ASIDE] = turn * cos, turn * sin
     jacobian[X, DOWN_X] = jacobian[Y, DOWN_Y] = abs(turn)
     jacobian[:, GAIN] += turned * dt * by_mismatch
     jacobian[:, WHEEL_MISMATCH] += v * dt * by_mismatch
@@ -151,11 +157,11 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     slip = math.sqrt(s.slip * dt)
     noise[[OWN_X, OWN_Y, X, Y], 4] = slip * c, slip * z, slip * cos, slip * sin
     noise[[OWN_X, OWN_Y, X, Y], 5] = -slip * z, slip * c, -slip * sin, slip * cos
-    length, angle = abs(ahead), abs(turn)
+    length, angle = abs(x[DISTANCE] * v * dt), abs(turn)
     noise[X, 6] = noise[Y, 7] = math.sqrt(s.wander_m**2 * length + s.skid_m**2 * angle)
     noise[:, 8] = math.sqrt(s.wander_rad**2 * length + s.skid_rad**2 * angle) * by_mismatch
     noise[GAIN, 9] = s.turn_gain_walk * math.sqrt(angle)
-    noise[CENTER, 10] = s.rotation_center_walk_m * math.sqrt(angle)
+    noise[BIAS, 10] = s.gyro_bias_walk_rad_s * math.sqrt(dt)
     return Step(moved, jacobian, noise @ noise.T)
 
 
@@ -168,7 +174,7 @@ def turned_without_gain(omega: float, settings: EstimatorSettings) -> tuple[floa
 
 
 def _acceleration_noise(by_distance: Array, by_turn: Array, dt: float, settings: EstimatorSettings) -> Array:
-    """Return the effects (18, 4) of white accelerations on speeds and poses, which are correlated."""
+    """Return the effects (19, 4) of white accelerations on speeds and poses, which are correlated."""
     noise = np.zeros((SIZE, 4))
     densities = settings.acceleration, settings.angular_acceleration
     for column, (by, rate) in enumerate(((by_distance, V), (by_turn, OMEGA))):

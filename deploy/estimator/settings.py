@@ -35,29 +35,31 @@ class EstimatorSettings(StrictModel):
     wheel_mismatch_rad_m: float = Field(default=0.0, description="turn per distance beside the encoders'")
     wheel_mismatch_std_rad_m: float = Field(default=0.025, gt=0, description="±0.03 rad/m, and slopes")
     rotation_center_m: float = Field(default=0.0, description="lateral velocity over turn rate")
-    rotation_center_std_m: float = Field(default=0.06, gt=0)
+    rotation_center_std_m: float = Field(default=0.08, gt=0, description="up to half a wheelbase")
+    rotation_center_left_m: float = Field(
+        default=0.0, description="speed beside the encoders' over turn rate"
+    )
+    rotation_center_left_std_m: float = Field(default=0.03, gt=0)
     downhill_x_m: float = Field(default=0.0, description="slide per turn, along the heading at the start")
     downhill_y_m: float = Field(default=0.0, description="slide per turn, to the left of it")
     downhill_std_m: float = Field(
         default=0.015, gt=0, description="slide per turn: a slope of 1 to 3 degrees"
     )
-    drift_std_rad_s: float = Field(default=0.0005, gt=0, description="of odometry's heading: ±0.05 °/s")
     gyro_bias_std_rad_s: float = Field(default=0.2, gt=0)
+    gyro_bias_walk_rad_s: float = Field(default=0.0005, gt=0, description="random change after 1 s")
+    gyro_scale_std: float = Field(default=0.02, gt=0, description="true turn over the gyro's")
     gyro_rad: float = Field(default=0.0007, gt=0, description="noise of a gyro's turn in 0.1 s")
     gyro_gate: float = Field(default=6.63, gt=0, description="largest NIS: 1 in 100 with 1 degree")
     gyro_disturbance_rad_s: float = Field(default=0.15, gt=0, description="turn rate of a disturbance")
     gyro_rejected_in_a_row: int = Field(default=10, ge=1, description="number that is a fault")
 
-    wander_m: float = Field(default=0.001, gt=0, description="random, after a metre")
+    wander_m: float = Field(default=0.005, gt=0, description="random, after a metre")
     wander_rad: float = Field(default=0.002, gt=0, description="random, after a metre")
     skid_m: float = Field(default=0.001, gt=0, description="random, after a turn of 1 rad")
     skid_rad: float = Field(default=0.003, gt=0, description="random, after a turn of 1 rad")
     creep_m: float = Field(default=0.0004, gt=0, description="random, after standing for 1 s")
     creep_rad: float = Field(default=0.0003, gt=0, description="random, after standing for 1 s")
-    turn_gain_walk: float = Field(default=0.02, gt=0, description="random change after a turn of 1 rad")
-    rotation_center_walk_m: float = Field(
-        default=0.003, gt=0, description="random change after a turn of 1 rad"
-    )
+    turn_gain_walk: float = Field(default=0.1, gt=0, description="random change after a turn of 1 rad")
 
     pose_m: float = Field(default=0.02, gt=0, description="external pose without a covariance")
     pose_rad: float = Field(default=0.035, gt=0)

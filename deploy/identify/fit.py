@@ -52,6 +52,7 @@ MAX_STD = {
     "downhill_x_m": 0.01,
     "downhill_y_m": 0.01,
     "rotation_center_m": 0.03,
+    "rotation_center_left_m": 0.03,
 }
 """Largest standard deviation of the other values, SI."""
 
@@ -90,7 +91,8 @@ def identify(log: MotionLog, name: str) -> RoverProfile:
             found |= _named(names, turn)
             odometry = odometry[0], OdometryErrors(turn.values[:2], turn.covariance[:2, :2])
         if center := fit_center(standstills):
-            found |= _named(("rotation_center_m", "downhill_x_m", "downhill_y_m"), center)
+            centers = "rotation_center_m", "rotation_center_left_m"
+            found |= _named((*centers, "downhill_x_m", "downhill_y_m"), center)
     for axis, keys in enumerate(_AXES):
         fitted = identify_axis(log, axis, odometry[axis])
         if fitted is not None:

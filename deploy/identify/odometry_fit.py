@@ -159,10 +159,11 @@ def fit_turns(log: MotionLog, stands: Sequence[Stand]) -> Fit | None:
 
 
 def fit_center(stands: Sequence[Stand]) -> Fit | None:
-    """Fit the centre of rotation (m), lateral velocity over turn rate, and the slide downhill (m/rad).
+    """Fit the centre of rotation (m, behind the middle and to its left), and the slide downhill (m/rad).
 
-    Turning on the spot from heading a to b moves the rover by center · (cos b − cos a, sin b − sin a) +
-    slide · |b − a|. The slide's x points along the first stand's heading. None from fewer than three turns.
+    Turning on the spot from heading a to b moves the rover by behind · (cos b − cos a, sin b − sin a) +
+    left · (sin b − sin a, cos a − cos b) + slide · |b − a|. The slide's x points along the first stand's
+    heading. None from fewer than three turns.
     """
     heading = stands[0].true[2] if stands else 0.0
     ahead, left = (math.cos(heading), math.sin(heading)), (-math.sin(heading), math.cos(heading))
@@ -173,7 +174,8 @@ def fit_center(stands: Sequence[Stand]) -> Fit | None:
             moves.append((b.true - a.true)[:2])
             arc = math.cos(b.true[2]) - math.cos(a.true[2]), math.sin(b.true[2]) - math.sin(a.true[2])
             angle = abs(b.true[2] - a.true[2])
-            arcs += [[arc[i], angle * ahead[i], angle * left[i]] for i in range(2)]
+            side = arc[1], -arc[0]
+            arcs += [[arc[i], side[i], angle * ahead[i], angle * left[i]] for i in range(2)]
             rows.append(row)
     if len(rows) < 3:
         return None
@@ -182,7 +184,7 @@ def fit_center(stands: Sequence[Stand]) -> Fit | None:
     both = np.kron(covariance, np.eye(2)).astype(np.float64)
     move, design = np.ravel(moves), np.array(arcs)
     limits = -CENTER_MAX_M, CENTER_MAX_M
-    return _fitted(lambda x, kept: (design @ x - move)[kept], [0.0] * 3, both, [limits] * 3, limits)
+    return _fitted(lambda x, kept: (design @ x - move)[kept], [0.0] * 4, both, [limits] * 4, limits)
 
 
 def _difference_covariance(

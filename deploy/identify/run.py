@@ -41,6 +41,7 @@ _WORDS: dict[str, tuple[str, float, str]] = {
     "odometry_heading": ("odometry's turn over the true one", 1.0, ""),
     "imbalance_rad_m": ("wheel mismatch", 1000.0, "mrad/m"),
     "rotation_center_m": ("centre of rotation behind the middle", 1000.0, "mm"),
+    "rotation_center_left_m": ("centre of rotation to the left of the middle", 1000.0, "mm"),
     "turn_asymmetry": ("asymmetry of turns, on this ground", 1000.0, "mrad/rad"),
     "downhill_x_m": ("slide ahead on a turn, on this ground", 1000.0, "mm/rad"),
     "downhill_y_m": ("slide to the left on a turn, on this ground", 1000.0, "mm/rad"),

@@ -1,4 +1,4 @@
-"""Drives of a skid-steered rover by its kinematics, with all errors that the estimator has states for."""
+"""Drives of a skid-steered rover by its kinematics, with errors that the estimator has states for."""
 
 import math
 from dataclasses import dataclass
@@ -40,7 +40,11 @@ class SkidDrive:
         self.gain = draw(s.turn_gain, s.turn_gain_std)
         self.pull = draw(s.wheel_mismatch_rad_m, s.wheel_mismatch_std_rad_m)
         self.center = draw(s.rotation_center_m, s.rotation_center_std_m)
-        self.drift = draw(0.0, s.drift_std_rad_s)
+        more = np.random.default_rng([seed, number, 1])
+        self.left = s.rotation_center_left_m + s.rotation_center_left_std_m * more.normal()
+        self.gyro_scale = 1.0 + s.gyro_scale_std * more.normal()
+        self.bias_steps = s.gyro_bias_walk_rad_s * math.sqrt(TICK_S) * more.normal(size=10_000)
+        self.drift = draw(0.0, 0.0005)
         self.bias = 0.1 * rng.normal()
         self.downhill = s.downhill_std_m * rng.normal(size=2)
         motion = np.array(random_course(seed, number)[1].motion)
@@ -67,10 +71,10 @@ class SkidDrive:
             creep = np.array([s.creep_m, s.creep_m, s.creep_rad]) * math.sqrt(h) * rng.normal(size=3)
             return x + np.array([*creep, 0.0, 0.0, h * self.drift, 0.0, 0.0])
         turn = self.gain * omega + self.pull * v
-        ahead, left = self.distance * v, self.center * turn
-        length, angle = abs(ahead) * h, abs(turn) * h
+        ahead, left = self.distance * v + self.left * turn, self.center * turn
+        length, angle = abs(self.distance * v) * h, abs(turn) * h
         self.gain += s.turn_gain_walk * math.sqrt(angle) * rng.normal()
-        self.center += s.rotation_center_walk_m * math.sqrt(angle) * rng.normal()
+        self.center += 0.003 * math.sqrt(angle) * rng.normal()
         heading, own = x[2] + 0.5 * h * turn, x[5] + 0.5 * h * omega
         spread = math.sqrt(s.wander_m**2 * length + s.skid_m**2 * angle)
         slide = angle * self.downhill + spread * rng.normal(size=2)
@@ -115,7 +119,8 @@ class SkidDrive:
             t = tick * TICK_S
             if gyro:
                 step = math.radians(0.954)
-                rate = self.turned[tick] / TICK_S + self.bias
+                self.bias += self.bias_steps[tick]
+                rate = self.turned[tick] / TICK_S / self.gyro_scale + self.bias
                 readings = [round(rate / step + 0.7 * rng.normal()) for _ in range(4)]
                 estimator.gyro(step * np.mean(readings), t)
             estimator.odometry(*self.report(tick), t)

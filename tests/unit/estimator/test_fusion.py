@@ -29,14 +29,14 @@ SENSORS = {
 }
 POSITION_M = {
     "encoders": (50, 0.10),
-    "gyro": (95, 0.12),
+    "gyro": (95, 0.14),
     "camera": (95, 0.014),
     "both": (95, 0.014),
     "motion capture": (95, 0.002),
 }
 """A percentile of the drives, and the largest error there. With encoders alone it is the median: the tail
 depends on how long the longest of these random courses are, from 0.2 to 0.6 m. Odometry that misses ±25 % of
-a turn errs by decimetres, odometry with a gyro by the slide of ±6 cm per rad. With poses the error is to be
+a turn errs by decimetres, odometry with a gyro by the slide of ±8 cm per rad. With poses the error is to be
 less than that of one of them (2.45 σ)."""
 
 

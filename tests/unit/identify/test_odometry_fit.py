@@ -77,7 +77,7 @@ def test_a_slide_beyond_what_can_be_is_not_found(slide):
     if abs(slide) > 0.5:
         assert fit is None
     else:
-        assert fit.values == pytest.approx([0.0, slide, 0.0], abs=1e-6)
+        assert fit.values == pytest.approx([0.0, 0.0, slide, 0.0], abs=1e-6)
         assert math.isfinite(fit.covariance.sum())
 
 

@@ -212,8 +212,8 @@ class Estimator:
         rows = np.zeros((5, SIZE))
         rows[:3, POSE] = np.eye(3)
         turned, by_omega = turned_without_gain(float(x[OMEGA]), self._settings)
-        columns = [OMEGA, GAIN, V, WHEEL_MISMATCH, GYRO]
-        rows[4, columns] = x[GAIN] * by_omega, turned, x[WHEEL_MISMATCH], x[V], turn / x[GYRO] ** 2
+        rows[4, OMEGA], rows[4, GAIN] = x[GAIN] * by_omega, turned
+        rows[4, V], rows[4, WHEEL_MISMATCH], rows[4, GYRO] = x[WHEEL_MISMATCH], x[V], turn / x[GYRO] ** 2
         rows[4] *= x[GYRO]
         rows[3] = x[ASIDE] * rows[4]
         rows[3, V] += x[DISTANCE]

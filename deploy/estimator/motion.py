@@ -33,7 +33,7 @@ X, Y, THETA, OWN_X, OWN_Y, OWN_THETA, V, OMEGA, TURN = range(9)
 DISTANCE, GAIN, WHEEL_MISMATCH, CENTER, ASIDE, DOWN_X, DOWN_Y, BIAS, GYRO, DELAY = range(9, 19)
 SIZE = 19
 POSE, OWN, MOTION = slice(X, THETA + 1), slice(OWN_X, OWN_THETA + 1), slice(V, OMEGA + 1)
-DOWNHILL = slice(DOWN_X, DOWN_Y + 1)
+XY, DOWNHILL = slice(X, Y + 1), slice(DOWN_X, DOWN_Y + 1)
 
 Array = NDArray[np.float64]
 
@@ -118,36 +118,37 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     c, z = math.cos(own), math.sin(own)
     by_distance[OWN_X], by_distance[OWN_Y] = c, z
     by_turn[OWN] = -0.5 * v * dt * z, 0.5 * v * dt * c, 1.0
-    moved[[OWN_X, OWN_Y]] += v * dt * c, v * dt * z
+    moved[OWN_X], moved[OWN_Y] = x[OWN_X] + v * dt * c, x[OWN_Y] + v * dt * z
     moved[OWN_THETA] = wrap_angle(x[OWN_THETA] + omega * dt)
     jacobian[OWN_X, OWN_THETA], jacobian[OWN_Y, OWN_THETA] = -v * dt * z, v * dt * c
 
     heading = x[THETA] + 0.5 * turn
     cos, sin = math.cos(heading), math.sin(heading)
     dx, dy = cos * ahead - sin * left, sin * ahead + cos * left
-    center, aside, downhill = x[CENTER], x[ASIDE], x[DOWNHILL]
-    moved[[X, Y]] += np.array([dx, dy]) + abs(turn) * downhill
+    scale, gain, mismatch, center, aside, _, _, _, gyro, _ = x[DISTANCE:].tolist()
+    downhill = x[DOWNHILL]
+    moved[XY] += np.array([dx, dy]) + abs(turn) * downhill
     moved[THETA] = wrap_angle(x[THETA] + turn)
-    moved[TURN] += turn / x[GYRO]
+    moved[TURN] += turn / gyro
     jacobian[X, THETA], jacobian[Y, THETA] = -dy, dx
     by_mismatch[POSE] = (
         -0.5 * dy + aside * cos - center * sin,
         0.5 * dx + aside * sin + center * cos,
         1.0,
     )
-    by_mismatch[[X, Y]] += math.copysign(1.0, turn) * downhill
-    jacobian[:, GYRO] += turn / x[GYRO] * by_mismatch
-    by_mismatch *= x[GYRO]
+    by_mismatch[XY] += math.copysign(1.0, turn) * downhill
+    jacobian[:, GYRO] += turn / gyro * by_mismatch
+    by_mismatch *= gyro
     by_mismatch[TURN] = 1.0
-    by_distance += x[WHEEL_MISMATCH] * by_mismatch
-    by_distance[[X, Y]] += x[DISTANCE] * np.array([cos, sin])
+    by_distance += mismatch * by_mismatch
+    by_distance[X], by_distance[Y] = by_distance[X] + scale * cos, by_distance[Y] + scale * sin
     turned, by_omega = turned_without_gain(omega, s)
-    by_turn += x[GAIN] * by_omega * by_mismatch
+    by_turn += gain * by_omega * by_mismatch
     jacobian[:, V] += dt * by_distance
     jacobian[:, OMEGA] += dt * by_turn
-    jacobian[[X, Y], DISTANCE] = v * dt * cos, v * dt * sin
-    jacobian[[X, Y], CENTER] = -turn * sin, turn * cos
-    jacobian[[X, Y], ASIDE] = turn * cos, turn * sin
+    jacobian[X, DISTANCE], jacobian[Y, DISTANCE] = v * dt * cos, v * dt * sin
+    jacobian[X, CENTER], jacobian[Y, CENTER] = -turn * sin, turn * cos
+    jacobian[X, ASIDE], jacobian[Y, ASIDE] = turn * cos, turn * sin
     jacobian[X, DOWN_X] = jacobian[Y, DOWN_Y] = abs(turn)
     jacobian[:, GAIN] += turned * dt * by_mismatch
     jacobian[:, WHEEL_MISMATCH] += v * dt * by_mismatch
@@ -157,11 +158,13 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     slip = math.sqrt(s.slip * dt)
     noise[[OWN_X, OWN_Y, X, Y], 4] = slip * c, slip * z, slip * cos, slip * sin
     noise[[OWN_X, OWN_Y, X, Y], 5] = -slip * z, slip * c, -slip * sin, slip * cos
-    length, angle = abs(x[DISTANCE] * v * dt), abs(turn)
+    length, angle = abs(scale * v * dt), abs(turn)
     noise[X, 6] = noise[Y, 7] = math.sqrt(s.wander_m**2 * length + s.skid_m**2 * angle)
     noise[:, 8] = math.sqrt(s.wander_rad**2 * length + s.skid_rad**2 * angle) * by_mismatch
-    noise[GAIN, 9] = s.turn_gain_walk * math.sqrt(angle)
-    noise[BIAS, 10] = s.gyro_bias_walk_rad_s * math.sqrt(dt)
+    noise[GAIN, 9], noise[BIAS, 10] = (
+        s.turn_gain_walk * math.sqrt(angle),
+        s.gyro_bias_walk_rad_s * math.sqrt(dt),
+    )
     return Step(moved, jacobian, noise @ noise.T)
 
 

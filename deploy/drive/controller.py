@@ -37,8 +37,6 @@ HOLD = Velocity(0.004, math.radians(1.0))
 """Near the end of a course, commands below both follow only noise of the estimate: a parked rover holds."""
 COMING_TO_REST_S = 1.0
 """Time to come to rest before the verdict's standstill; until then, small commands correct the pose."""
-TURNED_SHARE = 0.9
-"""Heading error, as a share of the parked tolerance, with which the rover must not rest."""
 
 
 @dataclass(frozen=True)
@@ -85,9 +83,8 @@ class Controller:
         self._interface = RoverInterface(policy)
         self._course = course
         self._hold_s = course.horizon_s - course.parked.still_s - COMING_TO_REST_S
-        self._holds = self._rests_turned = False
+        self._holds = False
         self._reference = plan_reference(course) if self._interface.needs_reference else None
-        self._last_moving = self._reference.last_moving if self._reference else course.ticks
         if runner is None:
             assert isinstance(policy, Policy)  # signals come with a runner
             runner = Runner(policy)
@@ -142,34 +139,22 @@ class Controller:
         turn_gain = float(np.clip(estimate.turn_gain, *TURN_GAINS))
         command = Velocity(float(v) / self._gains.v, float(omega) / (self._gains.omega * turn_gain))
         tiny = abs(command.v) < HOLD.v and abs(command.omega) < HOLD.omega
-        if index > self._last_moving:
-            turned = self._turned(estimate.pose) > TURNED_SHARE * self._course.parked.heading_rad
-            self._rests_turned = (tiny or self._rests_turned) and turned
         if index * TICK_S > self._hold_s:
             self._holds = (tiny or self._holds) and self._is_parked(estimate.pose)
             command = Velocity(0.0, 0.0) if self._holds else command
         return Tick(index, index * TICK_S, estimate, command, self._runner.potentials)
 
     def _steered(self, estimate: Estimate) -> Pose:
-        """Return the pose of the centre of rotation, which does not slide in turns, shifted to meet the goal.
-
-        For a rover that rests turned away from the goal the lateral error is hidden: no turn on the spot
-        reduces it, and a circuit rests where lateral and heading error balance.
-        """
-        (x, y, theta), goal, behind = estimate.pose, self._course.goal, estimate.rotation_center_m
-        cos, sin = math.cos(goal.theta), math.sin(goal.theta)
-        x, y = x + behind * (cos - math.cos(theta)), y + behind * (sin - math.sin(theta))
-        if self._rests_turned:
-            left = (y - goal.y) * cos - (x - goal.x) * sin
-            x, y = x + left * sin, y - left * cos
+        """Return the pose of the centre of rotation, which does not slide, shifted to meet the goal."""
+        (x, y, theta), goal, behind = estimate.pose, self._course.goal.theta, estimate.rotation_center_m
+        x += behind * (math.cos(goal) - math.cos(theta))
+        y += behind * (math.sin(goal) - math.sin(theta))
         return Pose(x, y, theta)
 
     def _is_parked(self, pose: Pose) -> bool:
         rule, goal = self._course.parked, self._course.goal
-        return distance(pose, goal) <= rule.position_m and self._turned(pose) <= rule.heading_rad
-
-    def _turned(self, pose: Pose) -> float:
-        return abs(wrap_angle(pose.theta - self._course.goal.theta))
+        turned = abs(wrap_angle(pose.theta - goal.theta))
+        return distance(pose, goal) <= rule.position_m and turned <= rule.heading_rad
 
     def record_estimate(self, index: int, t: float) -> Estimate:
         """Record the estimate at time ``t`` for the verdict, without a tick of the circuit."""

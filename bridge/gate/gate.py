@@ -178,13 +178,14 @@ def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateStat
     With a fence, a pose that jumps shows that odometry restarted.
     """
     before, low_since_s, repeats, frozen_m, frozen_rad = state.base, None, 0, 0.0, 0.0
-    elapsed, restarted = state.now - state.base_s, state.odometry_restarted
+    elapsed, pose_s, restarted = state.now - state.base_s, state.now, state.odometry_restarted
     if before is not None and limits.fence is not None:
         restarted = restarted or jumps(before, base, elapsed, limits)
     if before is not None and (base.x, base.y, base.theta) == (before.x, before.y, before.theta):
-        repeats = state.repeats + 1
-        frozen_m = state.frozen_m + _sustained_speed(before.v, base.v) * elapsed
-        frozen_rad = state.frozen_rad + _sustained_speed(before.omega, base.omega) * elapsed
+        repeats, pose_s = state.repeats + 1, state.pose_s
+        if state.now - pose_s > limits.speed_mean_s:
+            frozen_m = state.frozen_m + _sustained_speed(before.v, base.v) * elapsed
+            frozen_rad = state.frozen_rad + _sustained_speed(before.omega, base.omega) * elapsed
     if 0.0 < base.battery_v < limits.battery_min_v:
         low_since_s = state.now if state.low_since_s is None else state.low_since_s
     return replace(
@@ -194,6 +195,7 @@ def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateStat
         base_s=state.now,
         odometry_restarted=restarted,
         low_since_s=low_since_s,
+        pose_s=pose_s,
         repeats=repeats,
         frozen_m=frozen_m,
         frozen_rad=frozen_rad,

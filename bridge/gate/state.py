@@ -181,11 +181,16 @@ class GateState:
     """Reason for the last loss of the base."""
     base_s: float = -math.inf
     low_since_s: float | None = None
+    pose_s: float = -math.inf
+    """When the base first reported its present pose."""
     repeats: int = 0
     """Number of repeated reports of the same pose."""
     frozen_m: float = 0.0
     frozen_rad: float = 0.0
-    """Distance by the base's reported speeds since its reported pose last changed."""
+    """Distance by the base's reported speeds since its reported pose last changed.
+
+    If these are means, they count when they no longer include motion before that.
+    """
     stalled_v: float = 0.0
     """Direction of travel when a motor began to stall: 1 forward, −1 backward, 0 unknown."""
     odometry_restarted: bool = False

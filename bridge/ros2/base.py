@@ -29,7 +29,7 @@ from bridge.base import (
     TurnRate,
 )
 from bridge.inbox import RobotMessage
-from bridge.ros2.base_timeout import TimeoutMeasurement, TimeoutRecord
+from bridge.ros2.base_timeout import HALTED, TimeoutMeasurement, TimeoutRecord
 from bridge.ros2.discovery import Announced
 from bridge.ros2.odometry import CLOCK_BACK_S, LOSS_S, MIN_IN_RATE, RATE_S, Moved, RosOdometer
 from bridge.ros2.scan import ScanRoom
@@ -226,7 +226,9 @@ class Ros2Base:
         # With a zero already sent, it would measure how the robot obeys and not how it halts by itself.
         if not self._ready or abs(self._speed) < MOVING_M_S or self._out == ZERO:
             return "the wheels do not turn by a command"
-        self._measurement = TimeoutMeasurement(self._sent[-1][0], self._speed)
+        # A mean falls to this share so much later than the speed.
+        late_s = HALTED * self._description.odometry.speed_mean_s
+        self._measurement = TimeoutMeasurement(self._sent[-1][0] + late_s, self._speed)
         return ""
 
     def close(self, now: float) -> None:

@@ -9,7 +9,9 @@ GRADIENTS_STAMP := $(VENV)/.gradients
 # uv where it is present, or pip.
 UV := $(shell uv --version >/dev/null 2>&1 && command -v uv)
 MAKE_VENV := $(if $(UV),$(UV) venv --quiet --seed --allow-existing --python $(PYTHON),$(PYTHON) -m venv)
-INSTALL := $(if $(UV),$(UV) pip install --quiet --python $(BIN)/python,$(BIN)/python -m pip install --quiet) --constraint constraints.txt
+# A test starts hundreds of Python processes: each would compile the libraries anew.
+unexport PYTHONDONTWRITEBYTECODE
+INSTALL := $(if $(UV),$(UV) pip install --quiet --compile-bytecode --python $(BIN)/python,$(BIN)/python -m pip install --quiet) --constraint constraints.txt
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 
 .PHONY: help
@@ -22,10 +24,9 @@ park: $(STAMP) ## Park a simulated robot with a circuit trained on the spot.
 
 .PHONY: test
 test: $(STAMP) ## The quick tests, which plain pytest runs too.
-# Process tests run in three workers, because they wait for processes. System tests measure times: alone.
+# Process tests run in four workers, because they mostly wait.
 	$(BIN)/pytest tests/unit --durations=25 --numprocesses 2 --dist worksteal
-	$(BIN)/pytest tests/process --durations=25 --numprocesses 3 --dist worksteal
-	$(BIN)/pytest tests/system
+	$(BIN)/pytest tests/process --durations=25 --numprocesses 4 --dist worksteal
 
 .PHONY: check lint types contracts
 check: lint types contracts ## Lint, types and import contracts.

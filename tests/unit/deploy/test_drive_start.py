@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from kit.virtual_drive import COURSE, STILL, VirtualDrive
+from kit.virtual_drive import COURSE, LONG, STILL, VirtualDrive
 
 from deploy.drive.records import TICKS_TOPIC, TickRecord
 from deploy.replay import replay
@@ -23,13 +23,18 @@ ORIGIN = Pose(0.0, 0.0, 0.0)
 COVARIANCE = np.diag([1e-4, 1e-4, 3e-4])
 
 
-def localised(link, start=ORIGIN, frame="course"):
-    """Have each odometry bring the external pose of the one before; the rover began at ``start``."""
+def localised(link, start=ORIGIN, frame="course", rng=None):
+    """Have each odometry bring the external pose of the one before; the rover began at ``start``.
+
+    With an ``rng``, poses have errors of their covariance.
+    """
     waiting = []
 
     def change(data):
         sample = read_odometry(data)
         seen = compose(start, sample.pose)
+        if rng is not None:
+            seen = Pose(*rng.multivariate_normal(seen, COVARIANCE))
         waiting.append(pose_with_covariance(seen, COVARIANCE, sample.stamp_ns, frame))
         if len(waiting) > 1:
             link.put("pose", waiting.pop(0))
@@ -137,6 +142,23 @@ def test_rover_that_was_carried_away_is_stopped(tmp_path):
     assert virtual.stands()
 
 
+@pytest.mark.parametrize(("pose", "rule"), [("required", "pose-age"), ("auto", None)])
+def test_rover_that_moves_for_three_seconds_without_a_required_pose_is_stopped(pose, rule):
+    virtual = VirtualDrive(course=LONG, pose=pose, ticks=50)
+    link, ended_ns = virtual.link, []
+
+    def harm():
+        del link.change["odom"]
+        ended_ns.append(virtual.bridge.now_ns)
+
+    localised(link)
+    link.harm = harm
+    result = virtual.run()
+    assert result.stopped_by == rule
+    assert (3.0 <= (link.released_ns - ended_ns[0]) * 1e-9 < 3.3) is (rule is not None)
+    assert virtual.stands()
+
+
 NEAR = Course.model_validate(
     {
         "name": "near",
@@ -224,7 +246,7 @@ def test_rover_with_an_external_start_pose_parks_on_the_true_pose(tmp_path):
     start, course = Pose(0.07, -0.09, 0.15), load_course("parking")
     policy = load_policy("course")
     virtual = VirtualDrive(policy, course, tmp_path / "run.mcap", pose="required")
-    localised(virtual.link, start)
+    localised(virtual.link, start, rng=np.random.default_rng(1))
     result = virtual.run()
     assert (result.exit_code, result.verdict) == (0, Parked.YES)
     assert result.pose.used > 50

@@ -112,7 +112,8 @@ def _described(robot: RobotDescription) -> EstimatorSettings:
         "acceleration": max(motion.accel, motion.decel) ** 2 / odometry.rate_hz,
         "angular_acceleration": max(motion.alpha, motion.alpha_decel) ** 2 / odometry.rate_hz,
         "rejected_in_a_row": max(default.rejected_in_a_row, math.ceil(REJECTED_S * odometry.rate_hz)),
-        "distance_gain_std": odometry.distance_error / math.sqrt(3.0),
+        # Tyres and their air change distances by 6 %, whatever the model.
+        "distance_gain_std": max(default.distance_gain_std, odometry.distance_error / math.sqrt(3.0)),
         "turn_gain_std": odometry.turn_error / math.sqrt(3.0),
     }
     if robot.gyro is not None:

@@ -7,7 +7,7 @@ import pytest
 import reference_pages
 import yaml
 from kit.paths import ROOT
-from result_fields import COMMON, RESULTS, result_fields
+from result_fields import RESULTS, result_fields
 
 from rover_ncp import api
 from rover_ncp.circuit.policy_file import load_circuit
@@ -44,11 +44,6 @@ def test_a_generated_page_is_that_of_the_present_code(name, pages):
 @pytest.mark.parametrize("command", RESULTS)
 def test_every_field_of_a_result_has_a_meaning(command):
     assert [path for path, meaning in result_fields(command).items() if not meaning] == []
-
-
-def test_every_meaning_that_fields_share_is_of_a_field():
-    ends = [f".{path}" for command in RESULTS for path in result_fields(command)]
-    assert [name for name in COMMON if not any(end.endswith(f".{name}") for end in ends)] == []
 
 
 def test_every_example_is_shown():

@@ -2,12 +2,13 @@
 
 import math
 from importlib.metadata import version
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
 from deploy.drive.safety_monitor import Timeouts
 from deploy.estimator.settings import GYRO_S, EstimatorSettings
+from rover_ncp.course.course import Course
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile
 
@@ -57,6 +58,18 @@ class DriveConfig(Timeouts):
     estimator: EstimatorSettings = EstimatorSettings()
     rover: RoverProfile | None = Field(default=None, description="what was measured of this robot")
     described: RobotDescription | None = Field(default=None, description="what is known of its model")
+
+
+def config_for(
+    course: Course, rover: RoverProfile | None, described: RobotDescription | None, **settings: Any
+) -> DriveConfig:
+    """Return the settings of a drive of a whole course by a robot; ``settings`` are further ones."""
+    about: dict[str, Any] = {
+        "course": course.name,
+        "ticks": course.ticks,
+        "estimator": settings_for(rover, described),
+    }
+    return DriveConfig(**about | {"rover": rover, "described": described} | settings)
 
 
 def settings_for(rover: RoverProfile | None, described: RobotDescription | None = None) -> EstimatorSettings:

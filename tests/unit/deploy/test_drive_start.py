@@ -186,9 +186,13 @@ def test_an_uncertain_verdict_says_what_would_help_and_fails_only_where_certaint
     required, exit_code
 ):
     def drive(**settings):
-        result = VirtualDrive(course=NEAR, require_certainty=required, **settings).run()
+        virtual = VirtualDrive(course=NEAR, require_certainty=required, **settings)
+        result = virtual.run()
         assert (result.exit_code, result.verdict, result.stopped_by) == (exit_code, Parked.UNCERTAIN, None)
         assert 0.0 < result.probability < SURE
+        assert result.words.startswith("parked, uncertain; ")
+        last = virtual.link.statuses[-1]
+        assert (last.state, last.probability) == ("parked, uncertain", result.probability)
         return result.reason
 
     reason = drive()

@@ -23,13 +23,18 @@ ORIGIN = Pose(0.0, 0.0, 0.0)
 COVARIANCE = np.diag([1e-4, 1e-4, 3e-4])
 
 
-def localised(link, start=ORIGIN, frame="course"):
-    """Have each odometry bring the external pose of the one before; the rover began at ``start``."""
+def localised(link, start=ORIGIN, frame="course", rng=None):
+    """Have each odometry bring the external pose of the one before; the rover began at ``start``.
+
+    With an ``rng``, poses have errors of their covariance.
+    """
     waiting = []
 
     def change(data):
         sample = read_odometry(data)
         seen = compose(start, sample.pose)
+        if rng is not None:
+            seen = Pose(*rng.multivariate_normal(seen, COVARIANCE))
         waiting.append(pose_with_covariance(seen, COVARIANCE, sample.stamp_ns, frame))
         if len(waiting) > 1:
             link.put("pose", waiting.pop(0))
@@ -264,7 +269,7 @@ def test_rover_with_an_external_start_pose_parks_on_the_true_pose(tmp_path):
     start, course = Pose(0.07, -0.09, 0.15), load_course("parking")
     policy = load_policy("course")
     virtual = VirtualDrive(policy, course, tmp_path / "run.mcap", pose="required")
-    localised(virtual.link, start)
+    localised(virtual.link, start, rng=np.random.default_rng(1))
     result = virtual.run()
     assert (result.exit_code, result.verdict) == (0, Parked.YES)
     assert result.pose.used > 50

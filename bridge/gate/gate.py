@@ -38,7 +38,6 @@ from bridge.gate.motion import (
 )
 from bridge.gate.state import (
     NO_CONTACT,
-    ZERO,
     BaseLost,
     Contact,
     Enable,
@@ -54,7 +53,7 @@ from bridge.gate.state import (
     describe,
 )
 from rover_ncp.core.clock_offset import update_clock_offset
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.wire.protocol import CommandTag
 
 ROS_AGE_S = 0.3
@@ -108,7 +107,7 @@ def step(
     held = hazard or _hold_reason(state, limits)
     if state.held is None and held not in {None, Reason.NO_LEASE}:
         state = replace(state, stops=_count(state.stops, held))
-    velocity = ZERO
+    velocity = STANDSTILL
     if held is None and state.target is not None:
         velocity = approach(state.target, state.out, limits, elapsed)
     state = _switch_motors(replace(state, held=held, out=velocity))
@@ -298,7 +297,7 @@ def _command(
         admitted = _untagged(state, command, limits)
     if isinstance(admitted, Reason):
         waits = state.hazard_since_untagged and state.lease is None
-        if waits and command.tag is None and velocity != ZERO:
+        if waits and command.tag is None and velocity != STANDSTILL:
             state = replace(state, untagged_until_s=state.now + UNTAGGED_PAUSE_S)
         return replace(state, dropped=_count(state.dropped, admitted)), admitted
     state, flaw = admitted.state, _flaw(velocity)
@@ -355,9 +354,9 @@ def _untagged(state: GateState, command: VelocityCommand, limits: Limits) -> _Ad
     if not abs(age) <= ROS_AGE_S:
         return Reason.STALE
     if state.lease is None:
-        known = one_sided_contact(state) if command.velocity == ZERO else NO_CONTACT
+        known = one_sided_contact(state) if command.velocity == STANDSTILL else NO_CONTACT
         refusal = _hazard(state, limits, known) or _flaw(command.velocity)
-        if refusal is None and state.now < state.untagged_until_s and command.velocity != ZERO:
+        if refusal is None and state.now < state.untagged_until_s and command.velocity != STANDSTILL:
             refusal = Reason.NO_LEASE
         if refusal is None:
             state, refusal = _enable(state, Enable("ros"), limits)

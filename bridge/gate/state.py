@@ -8,10 +8,9 @@ from typing import NamedTuple, TypeAlias
 
 from bridge.base import BaseReport
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.wire.protocol import REASONS, UNNAMED, CommandTag, Signed
 
-ZERO = Velocity(0.0, 0.0)
 DETAIL_LENGTH = 200
 
 
@@ -201,7 +200,7 @@ class GateState:
     no_command: Reason = Reason.SILENCE
     """Hold reason while there is no command in force."""
     held: Reason | None = Reason.NO_BASE
-    out: Velocity = ZERO
+    out: Velocity = STANDSTILL
     minima: tuple[tuple[int, float], ...] = ()
     """Second of arrival, and the smallest (arrival − stamp) in it."""
     motors: bool = False

@@ -189,7 +189,9 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
             rover=self._profile,
             described=self._robot,
         )
-        controller = Controller(self.signals, self.course, config.estimator, self._profile, runner=handover)
+        controller = Controller(
+            self.signals, self.course, config.estimator, self._profile, self._robot, runner=handover
+        )
         prepare_for_real_time()
         with ZenohLink(self._address, _not_recorded) as link:
             publisher = Publisher(link, _not_recorded, ())

@@ -48,7 +48,7 @@ def run(
 
     Raises RoverNcpError if the drive could not begin.
     """
-    controller = Controller(policy, course, config.estimator, config.rover)
+    controller = Controller(policy, course, config.estimator, config.rover, config.described)
     files = attachments(policy, course, config)
     prepare_for_real_time()
     with Interrupts() as interrupts, recorder, ZenohLink(address, recorder.put) as link:

@@ -186,7 +186,9 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
             policy="gymnasium",
             pose=self._pose,
         )
-        controller = Controller(self.signals, self.course, config.estimator, self._profile, runner=handover)
+        controller = Controller(
+            self.signals, self.course, config.estimator, self._profile, self._robot, runner=handover
+        )
         prepare_for_real_time()
         with ZenohLink(self._address, _not_recorded) as link:
             publisher = Publisher(link, _not_recorded, ())

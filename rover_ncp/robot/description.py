@@ -72,6 +72,15 @@ class Drive(StrictModel):
     """Difference of wheel speeds over turn rate, as its odometry has it; None = the wheels' track."""
 
 
+class DeadBand(StrictModel):
+    """Speeds that are too small for the motors: the base takes a smaller command as 0 and follows others."""
+
+    v: float = Field(default=0.0, ge=0, le=0.5)
+    """Least speed command that moves the robot, m/s."""
+    omega: float = Field(default=0.0, ge=0, le=2)
+    """Least turn command that moves the robot, rad/s."""
+
+
 class Motion(StrictModel):
     """Limits in m/s, rad/s, m/s² and rad/s² that the base keeps by itself."""
 
@@ -87,6 +96,12 @@ class Motion(StrictModel):
     """Largest turn acceleration away from zero."""
     alpha_decel: float = Field(gt=0, le=100)
     """Largest turn deceleration towards zero."""
+    dead_band: DeadBand = DeadBand()
+    """Commands that do not move the robot; a driver sends pulses in their place."""
+    wheel_min: float = Field(default=0.0, ge=0, le=0.5)
+    """Least speed of a turning wheel, m/s; a driver commands no slower wheel but 0."""
+    slow_wheels: Literal["stand", "turn"] = "stand"
+    """Whether a simulated wheel that is commanded slower than `wheel_min` stands, or turns at `wheel_min`."""
 
 
 class Delays(StrictModel):

@@ -37,6 +37,10 @@ class RoverProfile(StrictModel):
     """Speed over commanded speed, as odometry reports it."""
     gain_omega: float | None = _Factor
     """Turn rate over commanded turn rate, as odometry reports it."""
+    dead_band_v: float | None = Field(default=None, ge=0, le=0.5)
+    """Least speed command that moves the robot, m/s."""
+    dead_band_omega: float | None = Field(default=None, ge=0, le=2)
+    """Least turn command that moves the robot, rad/s."""
     odometry_distance: float | None = _Factor
     """Distance by odometry over true distance."""
     odometry_heading: float | None = _Factor

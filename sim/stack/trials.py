@@ -166,7 +166,12 @@ class Stack:
         if self.identify or place not in self._controllers:
             runner = self.driver.runner()
             self._controllers[place] = Controller(
-                self.driver.signals, self.courses[place], config.estimator, config.rover, runner
+                self.driver.signals,
+                self.courses[place],
+                config.estimator,
+                config.rover,
+                config.described,
+                runner=runner,
             )
         return copy.deepcopy(self._controllers[place])
 

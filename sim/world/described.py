@@ -29,8 +29,13 @@ def default_rover(**different: float) -> RoverModel:
 
 def described_rover(description: RobotDescription) -> RoverModel:
     """Return the simulated rover of a description. Its outline lies evenly around its centre of rotation."""
+    motion = description.motion
     return RoverModel(
-        **description.motion.model_dump(),
+        **motion.model_dump(exclude={"dead_band", "slow_wheels"}),
+        dead_band_v=motion.dead_band.v,
+        dead_band_omega=motion.dead_band.omega,
+        slow_wheels_turn=motion.slow_wheels == "turn",
+        half_track_m=description.half_track_m,
         delay_v_s=description.delays.v_s,
         delay_omega_s=description.delays.omega_s,
         length=description.length_m,

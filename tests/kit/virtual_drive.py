@@ -144,7 +144,9 @@ class VirtualDrive:
         """Drive; return the result as JSON has it."""
         files = attachments(self.policy, self.course, self.config)
         publisher = Publisher(self.link, self.recorded.append, self.policy.circuit.neurons, self.bridge)
-        controller = Controller(self.policy, self.course, self.config.estimator, self.config.rover)
+        controller = Controller(
+            self.policy, self.course, self.config.estimator, self.config.rover, self.config.described
+        )
         drive = Drive(self.link, controller, publisher, self.config, self.interrupted, clock=self.bridge)
         try:
             drive.wait()

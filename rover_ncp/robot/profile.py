@@ -20,7 +20,7 @@ _Factor = Field(default=None, gt=0.2, lt=5)
 class RoverProfile(StrictModel):
     """SI units; factors are 1 for a robot as it should be, None where nothing is known."""
 
-    format: Literal[1] = 1
+    format: Literal[1] = Field(default=1, description="version of the profile's format")
     name: str = Field(min_length=1, max_length=64)
     """Name of this robot in messages and files."""
     delay_v_s: float | None = _Delay

@@ -11,10 +11,12 @@ from datetime import date
 
 from pydantic import BaseModel, Field
 
+from deploy.drive.dead_zone import DeadZone
 from deploy.drive.lease import ACCEPTED_S, NOT_ACCEPTED
 from deploy.drive.measurements import NS, Measurement, Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.zenoh_link import ZenohLink
+from deploy.identify.excitation import ramps
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.errors import FormatError, RoverNcpError, SafetyStop
 from rover_ncp.core.geometry import Velocity, relative
@@ -46,6 +48,10 @@ MEASURING_S, POLL_S = 8.0, 0.2
 SCALE = 0.15
 """How far the distance by the pose and the distance by the speed may differ, as a share."""
 STANDING = 0.01
+MAX_BAND = Velocity(0.06, 0.28)
+"""Largest dead band with which the shipped policy parks 9 of 10 robots."""
+UNKNOWN_BAND = Velocity(0.02, 0.06)
+"""Dead band that a driver need not know, with the resolution of the measurement."""
 
 
 class Finding(BaseModel):
@@ -117,6 +123,7 @@ class Preflight:
             "motors": self._check_motors,
             "forward": self._check_forward,
             "left": self._check_left,
+            "slow": self._check_slow,
             "silence": self._check_silence,
             "bridge": self._check_base_timeout,
         }
@@ -202,6 +209,25 @@ class Preflight:
         moved = f"commanded {OMEGA_RAD_S} rad/s, the base reports {reported}"
         return ok, moved if ok else f"{moved}: {self._gate_since(gate)}"
 
+    def _check_slow(self) -> tuple[bool, str]:
+        """Measure the dead band; a driver must know a large one."""
+        found = [0.0, 0.0]
+        for step in ramps(self._measurements):
+            self._command(step.velocity, step.seconds)
+            found = [speed or before for speed, before in zip(step.velocity, found, strict=True)]
+        words = f"follows commands from {found[0]:.3g} m/s and {found[1]:.3g} rad/s on"
+        if found[0] > MAX_BAND.v or found[1] > MAX_BAND.omega:
+            most = f"{MAX_BAND.v:g} m/s and {MAX_BAND.omega:g} rad/s"
+            return (
+                False,
+                f"{words}, expected from {most} on at most: a policy cannot park with this dead band",
+            )
+        known = DeadZone(described=self._robot).band
+        if found[0] <= known.v + UNKNOWN_BAND.v and found[1] <= known.omega + UNKNOWN_BAND.omega:
+            return True, words
+        line = f"motion.dead_band: {{v: {found[0]:.3g}, omega: {found[1]:.3g}}}"
+        return False, f"{words}, the driver does not know of it; for the robot's description: {line}"
+
     def _check_silence(self) -> tuple[bool, str]:
         """Test the stop when no more commands arrive."""
         self._move(Velocity(V_M_S, 0.0))
@@ -273,10 +299,12 @@ class Preflight:
         self._until(lambda: False, ACCEPTED_S)
         return self._command(velocity)
 
-    def _command(self, velocity: Velocity) -> tuple[OdometrySample, OdometrySample, float]:
+    def _command(
+        self, velocity: Velocity, seconds: float = MOVE_S
+    ) -> tuple[OdometrySample, OdometrySample, float]:
         before = newest = self._newest
         by_speed, due = 0.0, self._clock.monotonic()
-        end = due + MOVE_S
+        end = due + seconds
         while self._clock.monotonic() < end:
             self._link.command(velocity)
             self._link.lease.check(self._link.gate, self._clock.monotonic_ns())

@@ -60,8 +60,8 @@ class DeadZone:
         self._half_track = described.half_track_m if described else 1.0
         self._least = _clear_of(v, STEP.v), _clear_of(omega, STEP.omega)
         self._wheel_least = _clear_of(wheel, 0.0)
-        self.exists = any((v, omega, wheel))
-        """Whether there are commands that the base does not follow."""
+        self.band = Velocity(max(v, wheel), max(omega, wheel / self._half_track))
+        """Least speed and least turn rate that the base follows, each by itself; 0: it follows all."""
         self._pulses = [Pulse()] * 4
         """Of v, omega, the left and the right wheel."""
 

@@ -38,9 +38,9 @@ class RoverProfile(StrictModel):
     gain_omega: float | None = _Factor
     """Turn rate over commanded turn rate, as odometry reports it."""
     dead_band_v: float | None = Field(default=None, ge=0, le=0.5)
-    """Least speed command that moves the robot, m/s."""
+    """Least speed command that the robot follows, m/s; 0: it follows all."""
     dead_band_omega: float | None = Field(default=None, ge=0, le=2)
-    """Least turn command that moves the robot, rad/s."""
+    """Least turn command that the robot follows, rad/s; 0: it follows all."""
     odometry_distance: float | None = _Factor
     """Distance by odometry over true distance."""
     odometry_heading: float | None = _Factor

@@ -114,7 +114,7 @@ class Odometry(StrictModel):
     speed_mean_s: float = Field(default=0.0, ge=0, le=10)
     """Reported speeds are means over so many seconds, which a driver does not use; 0: of the moment."""
     distance_error: float = Field(gt=0, lt=0.5)
-    """Distances are right within ± this share."""
+    """Distances are right within ± this share; a driver without a profile expects ±4 % at least."""
     turn_error: float = Field(gt=0, lt=0.5)
     """Turns are right within ± this share."""
 

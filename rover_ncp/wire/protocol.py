@@ -287,6 +287,7 @@ class DriverStatus(StrictModel):
     """Status of the driving process on ``rover/status``; ``warning`` says what may make the drive wrong.
 
     ``error_95_m`` is the position error that 95 % of estimates like the present one do not exceed.
+    ``probability``, at the end, is that of the rover being within the tolerances, by the estimate.
     """
 
     state: str
@@ -298,6 +299,7 @@ class DriverStatus(StrictModel):
     overruns: int = 0
     warning: str = ""
     error_95_m: float | None = None
+    probability: float | None = None
 
 
 def parse_json(model: type[ModelT], data: bytes | str) -> ModelT:

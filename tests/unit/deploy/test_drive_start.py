@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from kit.virtual_drive import COURSE, LONG, VirtualDrive
+from kit.virtual_drive import COURSE, VirtualDrive
 
 from deploy.drive.records import TICKS_TOPIC, TickRecord
 from deploy.replay import replay
@@ -141,21 +141,31 @@ def test_rover_that_was_carried_away_is_stopped(tmp_path):
     assert virtual.stands()
 
 
-@pytest.mark.parametrize(("pose", "rule"), [("required", "pose-age"), ("auto", None)])
-def test_rover_that_moves_for_three_seconds_without_a_required_pose_is_stopped(pose, rule):
-    virtual = VirtualDrive(course=LONG, pose=pose, ticks=50)
-    link, ended_ns = virtual.link, []
-
-    def harm():
-        del link.change["odom"]
-        ended_ns.append(virtual.bridge.now_ns)
-
+@pytest.mark.parametrize(
+    ("pose", "silent_s", "stopped_by"),
+    [("required", 9.0, "pose-age"), ("required", 0.4, None), ("auto", 9.0, None)],
+)
+def test_required_poses_that_stop_end_the_drive_unless_they_resume_in_time(
+    tmp_path, pose, silent_s, stopped_by
+):
+    virtual = VirtualDrive(pose=pose, pose_age_s=0.6, path=tmp_path / "run.mcap")
+    link, bridge, silent = virtual.link, virtual.bridge, []
     localised(link)
-    link.harm = harm
+    posed = link.change["odom"]
+
+    def lose_poses():
+        silent.append(bridge.now_ns)
+        until_ns = bridge.now_ns + silent_s * 1e9
+        link.change["odom"] = lambda data: data if bridge.now_ns < until_ns else posed(data)
+
+    link.harm = lose_poses
     result = virtual.run()
-    assert result.stopped_by == rule
-    assert (3.0 <= (link.released_ns - ended_ns[0]) * 1e-9 < 3.3) is (rule is not None)
+    assert (result.stopped_by, result.exit_code) == (stopped_by, 4 if stopped_by else 1)
+    if stopped_by:
+        assert "the rover has moved for 0.6 s without an external pose that fits" in result.reason
+        assert 0.4 < (link.released_ns - silent[0]) * 1e-9 < 0.9
     assert virtual.stands()
+    assert replay(virtual.path).difference is None
 
 
 NEAR = Course.model_validate(
@@ -175,15 +185,28 @@ def test_an_uncertain_verdict_says_what_would_help_and_fails_only_where_certaint
     required, exit_code
 ):
     def drive(**settings):
-        result = VirtualDrive(course=NEAR, require_certainty=required, **settings).run()
+        virtual = VirtualDrive(course=NEAR, require_certainty=required, **settings)
+        result = virtual.run()
         assert (result.exit_code, result.verdict, result.stopped_by) == (exit_code, Parked.UNCERTAIN, None)
         assert 0.0 < result.probability < SURE
+        assert result.words.startswith("parked, uncertain; ")
+        last = virtual.link.statuses[-1]
+        assert (last.state, last.probability) == ("parked, uncertain", result.probability)
         return result.reason
 
     reason = drive()
     assert reason.endswith("external poses or a gyro or a profile of 'identify' would reduce it")
     reason = drive(rover=RoverProfile(name="mine", gain_v=1.0))
     assert reason.endswith("external poses or a gyro would reduce it")
+
+
+def test_a_rover_that_stands_needs_no_further_poses():
+    waits = NEAR.model_copy(update={"start_signal_s": 2.0})
+    virtual = VirtualDrive(load_policy("course"), waits, pose="required", pose_age_s=0.9)
+    localised(virtual.link)
+    virtual.link.after, virtual.link.harm = 1, virtual.link.change.clear
+    result = virtual.run()
+    assert (result.stopped_by, result.ticks) == (None, waits.ticks)
 
 
 def test_refusal_moves_nothing_and_has_its_reason():

@@ -20,6 +20,11 @@ EXAMPLES = ROOT / "docs" / "examples"
 OPTIONAL = {"randomization", "robot", "rover", "limits"}
 
 
+@pytest.fixture(scope="module")
+def pages():
+    return reference_pages.reference_pages()
+
+
 @pytest.mark.parametrize("name", reference_pages.MODELS)
 def test_an_example_is_valid_and_has_every_key_that_its_file_needs(name):
     _, model = reference_pages.MODELS[name]
@@ -31,9 +36,9 @@ def test_an_example_is_valid_and_has_every_key_that_its_file_needs(name):
 
 
 @pytest.mark.parametrize("name", ["commands.md", "files.md", "keys.md", "results.md"])
-def test_a_generated_page_is_that_of_the_present_code(name):
+def test_a_generated_page_is_that_of_the_present_code(name, pages):
     page = (ROOT / "docs" / "reference" / name).read_text()
-    assert page == reference_pages.reference_pages()[name], "make reference writes it"
+    assert page == pages[name], "make reference writes it"
 
 
 @pytest.mark.parametrize("command", RESULTS)
@@ -59,16 +64,16 @@ def test_the_example_of_a_circuit_can_be_trained_on_the_example_of_a_course():
     assert sim_api.rollout(task.policy, api.load_course(course)).total < 0
 
 
-def test_the_page_of_commands_has_every_option():
-    page = reference_pages.commands_page()
+def test_the_page_of_commands_has_every_option(pages):
+    page = pages["commands.md"]
     assert "`--random-courses <int range>`" in page
     assert page.count("\n## ") == len(set(re.findall(r"^## (.+)$", page, re.MULTILINE)))
     for options in ("--robot", "--cluster", "--fault", "--ros"):
         assert re.search(rf"^\| `{options}", page, re.MULTILINE)
 
 
-def test_the_page_of_files_has_the_bounds_and_the_notes_of_the_code():
-    page = reference_pages.files_page()
+def test_the_page_of_files_has_the_bounds_and_the_notes_of_the_code(pages):
+    page = pages["files.md"]
     assert re.search(
         r"\| `command_timeout_s` \| number, > 0, ≤ 0\.4 \| `0\.3` \| A command is in force", page
     )

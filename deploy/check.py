@@ -48,8 +48,8 @@ MEASURING_S, POLL_S = 8.0, 0.2
 SCALE = 0.15
 """How far the distance by the pose and the distance by the speed may differ, as a share."""
 STANDING = 0.01
-MAX_BAND = Velocity(0.06, 0.28)
-"""Largest dead band with which the shipped policy parks 9 of 10 robots."""
+MAX_BAND = Velocity(0.05, 0.26)
+"""Largest dead bands of simulated robots that parked in 9 of 10 trials; with 0.06 and 0.28 it was 6 of 10."""
 UNKNOWN_BAND = Velocity(0.02, 0.06)
 """Dead band that a driver need not know, with the resolution of the measurement."""
 
@@ -216,7 +216,7 @@ class Preflight:
             self._command(step.velocity, step.seconds)
             found = [speed or before for speed, before in zip(step.velocity, found, strict=True)]
         words = f"follows commands from {found[0]:.3g} m/s and {found[1]:.3g} rad/s on"
-        if found[0] > MAX_BAND.v or found[1] > MAX_BAND.omega:
+        if found[0] > 1.01 * MAX_BAND.v or found[1] > 1.01 * MAX_BAND.omega:  # steps have rounding errors
             most = f"{MAX_BAND.v:g} m/s and {MAX_BAND.omega:g} rad/s"
             return (
                 False,

@@ -101,7 +101,7 @@ class Motion(StrictModel):
     wheel_min: float = Field(default=0.0, ge=0, le=0.5)
     """Least speed of a turning wheel, m/s; a driver commands no slower wheel but 0."""
     slow_wheels: Literal["stand", "turn"] = "stand"
-    """Whether a simulated wheel that is commanded slower than `wheel_min` stands, or turns at `wheel_min`."""
+    """Whether a mock's wheel that is commanded slower than `wheel_min` stands, or turns at `wheel_min`."""
 
 
 class Delays(StrictModel):

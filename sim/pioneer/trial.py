@@ -92,7 +92,7 @@ def draw_rover(
     ranges: Randomization, description: RobotDescription, course: Course | None, *, seed: int, number: int
 ) -> Drawn:
     """Draw trial ``number`` of a seed, for as long as the course lasts."""
-    model = described_rover(description)
+    model = described_rover(description, motors=True)
     ticks, obstacles = (course.ticks, course.obstacles) if course else (TRIAL_TICKS, ())
     trials = draw_trials(ranges, model, seed, count=1, ticks=ticks, first=number)
     if ranges.skid_steer is None:

@@ -12,7 +12,7 @@ from rover_ncp.robot.profile import RoverProfile
 BAND = RoverProfile(name="band", dead_band_v=0.05, dead_band_omega=0.1)
 
 
-def robot(name="turtlebot4", **motion):
+def robot(name="turtlebot3-burger", **motion):
     description = load_description(name)
     return description.model_copy(update={"motion": description.motion.model_copy(update=motion)})
 
@@ -38,7 +38,7 @@ def test_speed_that_the_base_follows_and_zero_owe_nothing():
 
 
 @pytest.mark.parametrize(
-    "zone", [DeadZone(), DeadZone(RoverProfile(name="x"), load_description("turtlebot4"))]
+    "zone", [DeadZone(), DeadZone(RoverProfile(name="x"), load_description("turtlebot3-burger"))]
 )
 def test_commands_pass_unchanged_without_a_band(zone):
     commands = [Velocity(random.gauss(0, 0.1), random.gauss(0, 0.1)) for _ in range(100)]

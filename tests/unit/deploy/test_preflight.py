@@ -115,7 +115,7 @@ def test_a_robot_may_brake_as_slowly_as_its_description_says(monkeypatch, decel,
 def check(*faults, limits=None, while_turning="", model=None, robot="p3at-sh"):
     """Check a robot on the virtual clock; return the findings, the link and the rover."""
     described = load_description(robot) if isinstance(robot, str) else robot
-    rover = PymunkRover(described_rover(described), Ground(()))
+    rover = PymunkRover(described_rover(described, motors=True), Ground(()))
     if described.arcos:
         base = Firmware(described, rover, faults=Faults([parse_fault(fault) for fault in faults]))
     else:
@@ -189,7 +189,7 @@ def with_band(v, omega):
         ((0.0, 0.0), None, True, "follows commands from 0.005 m/s and 0.02 rad/s on"),
         ((0.05, 0.14), (0.05, 0.14), True, "from 0.05 m/s and 0.16 rad/s on"),
         ((0.05, 0.14), None, False, "for the robot's description: motion.dead_band: {v: 0.05, omega: 0.16}"),
-        ((0.08, 0.1), (0.08, 0.1), False, "expected from 0.06 m/s and 0.28 rad/s on at most"),
+        ((0.08, 0.1), (0.08, 0.1), False, "expected from 0.05 m/s and 0.26 rad/s on at most"),
     ],
 )
 def test_dead_band_is_measured_and_a_driver_must_know_it(band, known, ok, words):

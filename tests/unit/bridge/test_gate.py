@@ -102,9 +102,7 @@ def test_mean_speeds_are_frozen_odometry_only_after_the_time_of_the_mean(name):
     gate, held = Gate(LIMITS.model_copy(update={"speed_mean_s": 1.0})).driving(), {}
     for k in range(1, 60):
         pose = {"x": 0.04 * min(k, 16)} if name == "v" else {"theta": 0.04 * min(k, 16)}
-        speed = (
-            0.0 if 24 < k < 40 else 0.3
-        )  # it stands from k = 16 on, and has the time of the mean to say so
+        speed = 0.0 if 24 < k < 40 else 0.3  # it stands from k = 16 on; the mean lags
         gate.at(0.125 * k, BaseReport(**pose, **{name: speed}))
         held[k] = gate.drive(0.125 * k).held
     assert not any(held[k] for k in range(1, 41))

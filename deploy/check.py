@@ -195,8 +195,10 @@ class Preflight:
         if after.velocity.v <= 0.5 * V_M_S or ahead <= 0.0:
             moved = f"commanded {V_M_S} m/s, the base reports {after.velocity.v:.2f} m/s and {ahead:.2f} m"
             return False, f"{moved}: {self._gate_since(gate)}"
-        matches = abs(ahead - by_speed) <= SCALE * by_speed
-        return matches, f"{ahead:.3f} m by its pose, {by_speed:.3f} m by its speed"
+        words = f"{ahead:.3f} m by its pose, {by_speed:.3f} m by its speed"
+        if self._speed_mean_s:
+            return True, f"{words}, which is a mean over {self._speed_mean_s:g} s"
+        return abs(ahead - by_speed) <= SCALE * by_speed, words
 
     def _check_left(self) -> tuple[bool, str]:
         gate = self._link.gate
@@ -234,8 +236,9 @@ class Preflight:
         if self._robot is not None:
             braking_s = max(braking_s, self._robot.delays.v_s + V_M_S / self._robot.motion.decel)
         allowed = STOP_S + braking_s + REPORT_S
-        stands = self._until(self._stands, 2 * allowed)
-        took = self._newest.ref.measured_ns / NS - silent  # a stall of this process does not count
+        stands = self._until(self._stands, 2 * allowed + self._speed_mean_s)
+        # A stall of this process does not count, and mean speeds end later than the motion.
+        took = self._newest.ref.measured_ns / NS - silent - self._speed_mean_s
         words = f"stands {took:.2f} s after the last command" if stands else "does not stop"
         return stands and took <= allowed, f"{words} (at most {allowed:.2f} s)"
 
@@ -310,6 +313,10 @@ class Preflight:
             last, newest = newest, self._newest
             by_speed += newest.sample.velocity.v * (newest.ref.measured_ns - last.ref.measured_ns) * 1e-9
         return before.sample, newest.sample, by_speed
+
+    @property
+    def _speed_mean_s(self) -> float:
+        return 0.0 if self._robot is None else self._robot.odometry.speed_mean_s
 
     @property
     def _newest(self) -> Measurement[OdometrySample]:

@@ -118,7 +118,9 @@ def _described(robot: RobotDescription) -> EstimatorSettings:
     default, motion, odometry = EstimatorSettings(), robot.motion, robot.odometry
     changed = {
         "position_m": max(default.position_m, odometry.noise_m),
-        "heading_rad": max(default.heading_rad, odometry.noise_rad),
+        "heading_rad": max(
+            default.heading_rad, math.hypot(odometry.noise_rad, odometry.heading_step_rad / math.sqrt(12.0))
+        ),
         "speed_m_s": math.hypot(default.speed_m_s, odometry.noise_m_s),
         "turn_rad_s": math.hypot(default.turn_rad_s, odometry.noise_rad_s),
         "uses_speeds": odometry.speed_mean_s == 0.0,

@@ -25,14 +25,13 @@ from deploy.estimator.settings import TURN_GAINS, EstimatorSettings
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.circuit.runner import Runner
-from rover_ncp.core.geometry import Pose, Velocity, compose, distance, wrap_angle
+from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, compose, distance, wrap_angle
 from rover_ncp.course.course import TICK_S, Course, Verdict
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
 
-ORIGIN = Pose(0.0, 0.0, 0.0)
 FORECAST_TICKS = 2
 """Steps of a forecast; a gyro's readings may be 0.25 s apart."""
 HOLD = Velocity(0.004, math.radians(1.0))

@@ -12,8 +12,9 @@ Rules of this file:
 4. The rover stands between two odometry samples that report no motion and the same place, both within their
    declared noise. Its pose then stays the same, and noise does not move the estimate.
 5. Odometry whose speeds are means, or contradict its pose, or whose steps alternate, is irregular: its pose
-   alone is applied, with the noise of a stamp that is some milliseconds off. If that does not fit, it is
-   rejected. After speeds that contradicted their pose, no speed is applied for some seconds.
+   alone is applied, with the noise of stamps that are some milliseconds off and of a coarse heading. If
+   that does not fit, it is rejected. After speeds that contradicted their pose, no speed is applied for some
+   seconds.
 6. A gyro's turn that does not fit is a disturbance, if one explains it, and otherwise rejected. The heading
    follows a disturbance, with a standard deviation that also covers a false reading. A turn that would move
    the turn gain out of its limits is rejected, and so is a long disturbance.
@@ -57,6 +58,8 @@ STILL_SIGMAS = 5.0
 """Limit for no motion between two samples, in standard deviations of odometry's noise."""
 STAMP_STD_S = 0.02
 """Standard deviation of the stamps of irregular odometry: robots report poses of other moments than these."""
+COARSE_STD_RAD = 0.0018
+"""Standard deviation of a heading in steps of 0.35°, which some robots send."""
 IRREGULAR_S = 10.0
 """Time for which speeds do not count after one that contradicted its pose."""
 TURN_S = 0.08
@@ -288,7 +291,8 @@ class History:
     def _irregular_covariance(self) -> Array:
         """Return the covariance (3, 3) of a pose of irregular odometry."""
         v, omega = STAMP_STD_S * self._ekf.x[MOTION]
-        covariance: Array = self._odometry_covariance[:3, :3] + np.diag(np.square([v, v, omega]))
+        more = np.square([v, v, math.hypot(omega, COARSE_STD_RAD)])
+        covariance: Array = self._odometry_covariance[:3, :3] + np.diag(more)
         return covariance
 
     def _pose_fits(self, z: Array) -> bool:

@@ -107,7 +107,7 @@ def _write_profile(
     robot: RobotDescription | None = None,
 ) -> int:
     """Return 1 when delays or gains could not be determined, else 0."""
-    profile = identify(motion_log(messages), name_from(out, "rover"))
+    profile = identify(motion_log(messages, robot), name_from(out, "rover"))
     made = {"from": origin, "version": version("rover-ncp")} | ({"model": robot.name} if robot else {})
     profile = profile.model_copy(update={"measured": made | profile.measured})
     write_atomic(out, dump_yaml(profile.model_dump(mode="json", exclude_none=True)))

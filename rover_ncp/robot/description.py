@@ -122,6 +122,8 @@ class Odometry(StrictModel):
     """Standard deviation of a reported x and y."""
     noise_rad: float = Field(default=0.0, ge=0, le=1)
     """Standard deviation of a reported heading."""
+    heading_step_rad: float = Field(default=0.0, ge=0, le=0.1)
+    """Step of the reported heading; 0: none."""
     noise_m_s: float = Field(default=0.0, ge=0, le=1)
     """Standard deviation of a reported speed."""
     noise_rad_s: float = Field(default=0.0, ge=0, le=1)

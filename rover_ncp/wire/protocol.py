@@ -10,11 +10,11 @@ import hmac
 import struct
 from enum import IntEnum, StrEnum
 from hashlib import blake2b
-from typing import Annotated, NamedTuple, Self, TypeVar
+from typing import Annotated, NamedTuple, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from rover_ncp.core.config import StrictModel
+from rover_ncp.core.config import ModelT, StrictModel
 from rover_ncp.core.errors import FormatError
 
 PROTOCOL = 2
@@ -300,9 +300,6 @@ class DriverStatus(StrictModel):
     warning: str = ""
     error_95_m: float | None = None
     probability: float | None = None
-
-
-ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
 def parse_json(model: type[ModelT], data: bytes | str) -> ModelT:

@@ -8,7 +8,7 @@ pose in that tick. Quantised commands are not among a trial's errors here: ARCOS
 
 from typing import NamedTuple
 
-from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.geometry import ORIGIN, Pose, Velocity
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.robot.description import RobotDescription
 from sim.world.described import described_rover
@@ -18,7 +18,6 @@ from sim.world.rover import SUBSTEP_S, Rover, RoverModel
 from sim.world.skid_robot import draw_robot, rigid_body_of
 from sim.world.trial_errors import apply_base_errors, base_errors, odometry_errors
 
-ORIGIN = Pose(0.0, 0.0, 0.0)
 TRIAL_TICKS = 600
 """Length of a trial without a course; its noise then begins again."""
 

@@ -13,7 +13,7 @@ from deploy.drive.records import TICKS_TOPIC, attachments
 from deploy.drive.result import result_of
 from kit.paths import DATA
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.recording.recording import Recorded, RecordingWriter
 from rover_ncp.wire.key_table import spec
@@ -32,7 +32,6 @@ from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 
-STILL = Velocity(0.0, 0.0)
 AHEAD = load_policy(DATA / "golden/parking.bnn")
 """A circuit that drives straight ahead at full speed after the start signal."""
 COURSE = Course.model_validate(

@@ -5,13 +5,13 @@ import math
 
 import numpy as np
 import pytest
-from kit.virtual_drive import COURSE, STILL, VirtualDrive
+from kit.virtual_drive import COURSE, VirtualDrive
 
 from deploy.drive.records import TICKS_TOPIC, TickRecord
 from deploy.replay import replay
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import NoBridge, NoPose, NoRobot
-from rover_ncp.core.geometry import Pose, compose, distance, wrap_angle
+from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, compose, distance, wrap_angle
 from rover_ncp.course.certainty import SURE
 from rover_ncp.course.course import Course, Parked, load_course
 from rover_ncp.recording.recording import read_recording, rewrite
@@ -19,7 +19,6 @@ from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import imu, pose_with_covariance, read_odometry, read_pose, read_text
 from rover_ncp.wire.protocol import StopRequest, dump_json, parse_json
 
-ORIGIN = Pose(0.0, 0.0, 0.0)
 COVARIANCE = np.diag([1e-4, 1e-4, 3e-4])
 
 
@@ -136,7 +135,7 @@ def test_rover_that_was_carried_away_is_stopped(tmp_path):
     assert (result.exit_code, result.stopped_by) == (4, "external-pose")
     assert "5 external poses rejected in a row" in result.reason
     assert result.ticks < 16
-    assert virtual.link.sent[-1] == STILL
+    assert virtual.link.sent[-1] == STANDSTILL
     assert max(abs(pose.y) for pose in estimates(virtual)) < 0.05  # the estimate did not follow
     assert replay(virtual.path).difference is None
     assert virtual.stands()

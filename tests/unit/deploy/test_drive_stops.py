@@ -4,11 +4,11 @@ import collections
 import math
 
 import pytest
-from kit.virtual_drive import AHEAD, LONG, LOST, STILL, VirtualDrive
+from kit.virtual_drive import AHEAD, LONG, LOST, VirtualDrive
 
 from deploy.drive.link import STEPS_BACK
 from deploy.view.recorded_drive import read_drive
-from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity
 from rover_ncp.course.course import Course, Parked
 from rover_ncp.wire.messages import bumpers, twist_stamped
 from rover_ncp.wire.protocol import CommandTag, Signed
@@ -58,7 +58,7 @@ def test_bad_odometry_stops_the_rover_within_half_a_second(virtual, name):
     result = virtual.run()
     assert (result.exit_code, result.state, result.stopped_by) == (4, "fault", rule)
     assert rule in result.reason
-    assert link.sent[-1] == STILL
+    assert link.sent[-1] == STANDSTILL
     assert (link.released_ns - began_ns[0]) * 1e-9 < 0.5
     assert virtual.stands()
 
@@ -116,7 +116,7 @@ def test_driver_whose_commands_are_not_accepted_stops_within_half_a_second(virtu
 
 def test_rover_that_does_not_follow_its_commands_is_stopped():
     virtual = VirtualDrive(course=LONG)
-    virtual.link.change_odometry(lambda sample: (Pose(0.0, 0.0, 0.0), STILL))
+    virtual.link.change_odometry(lambda sample: (Pose(0.0, 0.0, 0.0), STANDSTILL))
     result = virtual.run()
     assert (result.exit_code, result.stopped_by) == (4, "no-response")
     assert result.ticks < 60
@@ -131,7 +131,7 @@ def test_interruption_stops_the_rover_first(virtual):
         "interrupted; the rover was stopped",
     )
     assert result.ticks == 6
-    assert virtual.link.sent[-1] == STILL
+    assert virtual.link.sent[-1] == STANDSTILL
     assert virtual.stands()
 
 

@@ -141,7 +141,7 @@ def check(*faults, limits=None, while_turning="", model=None, robot="p3at-sh"):
 NAMES = ["odometry", "battery", "stop", "motors", "forward", "left", "slow", "silence", "bridge"]
 
 
-@pytest.mark.parametrize("robot", ["p3at-sh", "turtlebot4"])
+@pytest.mark.parametrize("robot", ["p3at-sh", "turtlebot4", "husky-a200"])
 def test_robot_that_is_well_passes_all_checks_and_stands(robot):
     findings, link, rover = check(robot=robot, model=robot)
     assert [finding for finding in findings if not finding.ok] == []

@@ -119,6 +119,20 @@ def test_repeated_and_backward_stamps_neither_stop_the_drive_nor_move_the_estima
     assert not estimator.fault
 
 
+def test_a_description_tells_the_estimator_how_its_odometry_is():
+    def settings(**odometry):
+        described = HUSKY.odometry.model_copy(update={"speed_mean_s": 0.0, "noise_rad": 0.0} | odometry)
+        return settings_for(None, HUSKY.model_copy(update={"odometry": described}))
+
+    usual = settings()
+    assert usual.uses_speeds
+    assert not settings(speed_mean_s=0.5).uses_speeds
+    assert settings(heading_step_rad=0.012).heading_rad == pytest.approx(0.012 / math.sqrt(12.0))
+    assert settings(heading_step_rad=0.001).heading_rad == usual.heading_rad
+    assert usual.distance_gain_std == 0.025
+    assert settings(distance_error=0.1).distance_gain_std == pytest.approx(0.1 / math.sqrt(3.0))
+
+
 def test_recorded_odometry_of_a_husky_is_accepted():
     rows = np.loadtxt(DATA / "husky_a200.csv", delimiter=",").tolist()
     estimator = Estimator(settings_for(None, HUSKY))

@@ -6,10 +6,13 @@ STAMP := $(VENV)/.installed
 BROWSER_STAMP := $(VENV)/.browser
 DOCS_STAMP := $(VENV)/.docs
 GRADIENTS_STAMP := $(VENV)/.gradients
+FUZZ_STAMP := $(VENV)/.fuzz
 # uv where it is present, or pip.
 UV := $(shell uv --version >/dev/null 2>&1 && command -v uv)
 MAKE_VENV := $(if $(UV),$(UV) venv --quiet --seed --allow-existing --python $(PYTHON),$(PYTHON) -m venv)
-INSTALL := $(if $(UV),$(UV) pip install --quiet --python $(BIN)/python,$(BIN)/python -m pip install --quiet) --constraint constraints.txt
+# A test starts hundreds of Python processes: each would compile the libraries anew.
+unexport PYTHONDONTWRITEBYTECODE
+INSTALL := $(if $(UV),$(UV) pip install --quiet --compile-bytecode --python $(BIN)/python,$(BIN)/python -m pip install --quiet) --constraint constraints.txt
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 
 .PHONY: help
@@ -22,10 +25,9 @@ park: $(STAMP) ## Park a simulated robot with a circuit trained on the spot.
 
 .PHONY: test
 test: $(STAMP) ## The quick tests, which plain pytest runs too.
-# Process tests run in three workers, because they wait for processes. System tests measure times: alone.
+# Process tests run in four workers, because they mostly wait.
 	$(BIN)/pytest tests/unit --durations=25 --numprocesses 2 --dist worksteal
-	$(BIN)/pytest tests/process --durations=25 --numprocesses 3 --dist worksteal
-	$(BIN)/pytest tests/system
+	$(BIN)/pytest tests/process --durations=25 --numprocesses 4 --dist worksteal
 
 .PHONY: check lint types contracts
 check: lint types contracts ## Lint, types and import contracts.
@@ -117,15 +119,16 @@ mutate: $(STAMP) ## Tests must fail on every mutant of the modules that keep the
 	$(BIN)/python tests/tools/mutate.py
 
 .PHONY: fuzz
-fuzz: $(STAMP) ## Fuzz the readers of external data for FUZZ_S seconds, guided by branch coverage.
-	$(INSTALL) --editable '.[dev,fuzz]'
+fuzz: $(FUZZ_STAMP) ## Fuzz the readers of external data for FUZZ_S seconds, guided by branch coverage.
 	$(BIN)/python tests/tools/fuzz_atheris.py
 
 .PHONY: test-installs
 test-installs: ## The quick unit tests on each Python from 3.11 to 3.13 that is present.
 	for version in 3.11 3.12 3.13; do \
-		if command -v python$$version >/dev/null && python$$version -c '' 2>/dev/null; then \
+		if python$$version -c '' 2>/dev/null; then \
 			$(MAKE) VENV=build/venv-$$version PYTHON=python$$version test-unit || exit 1; \
+		else \
+			echo "python$$version is not here: not tested"; \
 		fi; \
 	done
 
@@ -133,16 +136,23 @@ test-installs: ## The quick unit tests on each Python from 3.11 to 3.13 that is 
 test-unit: $(STAMP)
 	$(BIN)/pytest tests/unit --numprocesses 2 --dist worksteal
 
-.PHONY: nightly
-nightly: $(STAMP) ## All that takes hours: examples of Hypothesis, matrices, soak, mutants, fuzzing, torch, installs.
-	$(BIN)/pytest tests/unit tests/process -m "not browser" --hypothesis-profile=full --numprocesses 2 --dist worksteal
-	$(BIN)/pytest tests/system -m "long and not browser and not timed" --numprocesses 2 --dist worksteal
+.PHONY: nightly nightly-waits nightly-cpu
+nightly: $(GRADIENTS_STAMP) $(FUZZ_STAMP) ## All that takes an hour or more: matrices, soak, all examples of Hypothesis, mutants, fuzzing, torch, installs.
+	$(MAKE) --jobs 2 --output-sync=line nightly-waits nightly-cpu
+
+# What waits for processes and measures times has precedence over what only computes. All is installed before.
+nightly-waits:
 	$(MAKE) test-timed
+	$(BIN)/pytest tests/process tests/system -m "not browser and not timed" --hypothesis-profile=full \
+		--numprocesses 3 --dist worksteal
 	$(MAKE) soak
-	$(MAKE) mutate
-	$(MAKE) fuzz
-	$(MAKE) test-installs
-	$(MAKE) test-torch
+
+nightly-cpu:
+	nice -n 19 $(BIN)/pytest tests/unit -m "not browser" --hypothesis-profile=full
+	nice -n 19 $(MAKE) mutate
+	nice -n 19 $(MAKE) fuzz
+	nice -n 19 $(MAKE) test-torch
+	nice -n 19 $(MAKE) test-installs
 
 $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "rover-ncp needs Python 3.11 to 3.13, found %d.%d; run make PYTHON=..." % v)'
@@ -156,6 +166,10 @@ $(BROWSER_STAMP): $(STAMP)
 
 $(DOCS_STAMP): $(STAMP)
 	$(INSTALL) --editable '.[dev,docs]'
+	touch $@
+
+$(FUZZ_STAMP): $(STAMP)
+	$(INSTALL) --editable '.[dev,fuzz]'
 	touch $@
 
 # By pip: the environment may limit what pip takes of torch, which uv does not read.

@@ -60,7 +60,15 @@ def run_bridge(
         Interrupts() as interrupts,
         ZenohLink(listen, namespace, zenoh_config, inbox, insecure=insecure, ros=ros) as link,
     ):
-        line, driven, note = open_base(chosen, allowed, inbox, link, no_base_watchdog=no_base_watchdog)
+        line, driven, note = open_base(
+            chosen,
+            allowed,
+            inbox,
+            link,
+            no_base_watchdog=no_base_watchdog,
+            interrupted=lambda: interrupts.raised,
+            say=output.say,
+        )
 
         def ready() -> None:
             link.announce()

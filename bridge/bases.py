@@ -14,7 +14,7 @@ from bridge.base import Base
 from bridge.gate.limits import Limits
 from bridge.inbox import Inbox
 from bridge.pioneer.base import ArcosBase
-from bridge.pioneer.base_connection import BaseConnection
+from bridge.pioneer.base_connection import first_connection
 from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
@@ -118,15 +118,24 @@ def gate_limits(file: Path | None, description: RobotDescription | None) -> Limi
         chosen[name] = min(value, most)
     if "battery_min_v" not in given.model_fields_set:
         chosen["battery_min_v"] = description.battery.min_v
+    if "speed_mean_s" not in given.model_fields_set:
+        chosen["speed_mean_s"] = description.odometry.speed_mean_s
     return given.model_copy(update=chosen)
 
 
 def open_base(
-    chosen: ChosenBase, limits: Limits, inbox: Inbox, link: ZenohLink, *, no_base_watchdog: bool
+    chosen: ChosenBase,
+    limits: Limits,
+    inbox: Inbox,
+    link: ZenohLink,
+    *,
+    no_base_watchdog: bool,
+    interrupted: Callable[[], bool],
+    say: Callable[[str], None],
 ) -> tuple[ByteCounts, Base, str]:
     """Open the line to the base; also return what a user has to know of it.
 
-    Raises UsageError, FileError, ConfigError or NoRobot.
+    Raises UsageError, FileError, ConfigError, NoRobot, and KeyboardInterrupt while it waits for a Pioneer.
     """
     if chosen.entry_point is not None:
         assert chosen.description is not None  # choose_base checks it
@@ -140,7 +149,7 @@ def open_base(
         return base, base, ""
     if chosen.ros2 is None:
         session = Session(chosen.description, MotionLimits(v=limits.v_max, omega=limits.omega_max))
-        connection = BaseConnection(chosen.address, inbox)
+        connection = first_connection(chosen.address, inbox, interrupted, say)
         return connection, ArcosBase(connection, session), ""
     assert chosen.description is not None and chosen.description.topics is not None  # choose_base checks it
     line = RosConnection(chosen.ros2, chosen.description.topics, inbox)

@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from bridge.base import Base, BaseEvent, BaseReport, BaseTimeout, LinkHealth, Lost, Notice, Ready, Setpoint
-from bridge.gate.state import ZERO
 from rover_ncp.core.errors import NoRobot, RoverNcpError
+from rover_ncp.core.geometry import STANDSTILL
 from rover_ncp.wire.protocol import TimeoutState
 
 
@@ -55,7 +55,7 @@ class GuardedBase:
 
     def shut_down(self, now: float) -> list[str]:
         """Stop the base, switch its motors off, then close it; return what failed."""
-        stop = Setpoint(ZERO, motors=False, emergency=False)
+        stop = Setpoint(STANDSTILL, motors=False, emergency=False)
         found = [self._text(lambda: self._base.drive(stop, now)), self._text(lambda: self._base.close(now))]
         return [problem for problem in found if problem]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from deploy.drive.config import DriveConfig
 from deploy.drive.control_loop import Drive
-from deploy.drive.controller import ORIGIN, Controller
+from deploy.drive.controller import Controller
 from deploy.drive.publisher import Publisher
 from deploy.drive.records import attachments
 from deploy.drive.result import result_of
@@ -17,7 +17,7 @@ from deploy.recorder import Recorder
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.console import Output
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import ORIGIN, STANDSTILL
 from rover_ncp.core.process import Interrupts
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.wire.messages import (
@@ -32,7 +32,6 @@ from rover_ncp.wire.messages import (
 
 SWITCH_INTERVAL_S = 0.0005
 """How long another thread may keep the interpreter from the control loop (Python's default is 5 ms)."""
-STANDSTILL = Velocity(0.0, 0.0)
 
 
 def run(
@@ -49,7 +48,7 @@ def run(
 
     Raises RoverNcpError if the drive could not begin.
     """
-    controller = Controller(policy, course, config.estimator, config.rover)
+    controller = Controller(policy, course, config.estimator, config.rover, config.described)
     files = attachments(policy, course, config)
     prepare_for_real_time()
     with Interrupts() as interrupts, recorder, ZenohLink(address, recorder.put) as link:

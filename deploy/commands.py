@@ -88,7 +88,7 @@ def deploy(
     if duration == math.inf:
         raise UsageError(f"--duration {duration}: expected seconds")
     from deploy.app import run
-    from deploy.drive.config import DriveConfig, settings_for
+    from deploy.drive.config import config_for
     from deploy.recorder import Recorder
     from deploy.zenoh_client import BridgeAddress
     from rover_ncp.circuit.policy_file import load_policy
@@ -104,18 +104,17 @@ def deploy(
     if described is not None:
         goal, pace = slowed(goal, described)
         output.say(pace)
-    config = DriveConfig(
+    config = config_for(
+        goal,
+        rover,
+        described,
         robot=robot,
         namespace=namespace,
         policy=circuit.circuit.name,
-        course=goal.name,
         dry_run=dry_run,
         ticks=goal.ticks if duration is None else min(goal.ticks, round(duration / TICK_S)),
         pose=pose,
         require_certainty=require_certainty,
-        estimator=settings_for(rover, described),
-        rover=rover,
-        described=described,
     )
     address, recorder = BridgeAddress(robot, namespace, zenoh_config), Recorder(record, overwrite=overwrite)
     return run(address, output, policy=circuit, course=goal, config=config, recorder=recorder)

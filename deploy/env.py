@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from deploy.app import prepare_for_real_time
-from deploy.drive.config import DriveConfig, PoseUse, settings_for
+from deploy.drive.config import PoseUse, config_for
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
 from deploy.drive.publisher import Publisher
@@ -177,19 +177,18 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
             handover.observed.put(None)
 
     def _drive(self, handover: _Handover, closing: threading.Event) -> None:
-        config = DriveConfig(
+        config = config_for(
+            self.course,
+            self._profile,
+            self._robot,
             robot=self._address.robot,
             namespace=self._address.namespace,
             policy="gymnasium",
-            course=self.course.name,
-            dry_run=False,
-            ticks=self.course.ticks,
             pose=self._pose,
-            estimator=settings_for(self._profile, self._robot),
-            rover=self._profile,
-            described=self._robot,
         )
-        controller = Controller(self.signals, self.course, config.estimator, self._profile, runner=handover)
+        controller = Controller(
+            self.signals, self.course, config.estimator, self._profile, self._robot, runner=handover
+        )
         prepare_for_real_time()
         with ZenohLink(self._address, _not_recorded) as link:
             publisher = Publisher(link, _not_recorded, ())

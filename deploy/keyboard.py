@@ -14,13 +14,12 @@ a second. It never reports the release of a key. Rules of this file:
 import re
 from enum import StrEnum
 
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import STANDSTILL, Velocity
 
 HOLD_S = 0.4
 NUDGE = 0.5
 V_M_S, OMEGA_RAD_S = 0.12, 0.14
 """Three quarters of what the circuits' motors can do, so that a recorded drive makes a course."""
-STANDSTILL = Velocity(0.0, 0.0)
 
 # The place of a key is the direction of the drive, as in ROS's teleop_twist_keyboard; arrows alike.
 KEYS: dict[str, tuple[int, int]] = {

@@ -67,7 +67,7 @@ def replay(path: Path) -> Comparison:
     recording = read_recording(path, topics=TOPICS)
     policy, course, config = attached(recording)
     start, ticks = _records(recording)
-    controller = Controller(policy, course, config.estimator, config.rover)
+    controller = Controller(policy, course, config.estimator, config.rover, config.described)
     ticks_done, difference = 0, None
     for record, difference in _compared(recording, controller, start, ticks, policy.circuit.neurons):
         if difference is not None:

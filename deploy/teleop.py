@@ -27,13 +27,13 @@ from deploy.drive.link import Link
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.zenoh_link import ZenohLink
-from deploy.keyboard import HELP, STANDSTILL, Keyboard, KeyReader, Press
+from deploy.keyboard import HELP, Keyboard, KeyReader, Press
 from deploy.recorder import Recorder, RecordingResult
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.console import Output, printable
 from rover_ncp.core.errors import SafetyStop, UsageError
-from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.core.geometry import STANDSTILL, Pose, distance, wrap_angle
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Clock, Interrupts
 from rover_ncp.wire.protocol import in_words

@@ -38,7 +38,6 @@ from bridge.gate.motion import (
 )
 from bridge.gate.state import (
     NO_CONTACT,
-    ZERO,
     BaseLost,
     Contact,
     Enable,
@@ -54,7 +53,7 @@ from bridge.gate.state import (
     describe,
 )
 from rover_ncp.core.clock_offset import update_clock_offset
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.wire.protocol import CommandTag
 
 ROS_AGE_S = 0.3
@@ -108,7 +107,7 @@ def step(
     held = hazard or _hold_reason(state, limits)
     if state.held is None and held not in {None, Reason.NO_LEASE}:
         state = replace(state, stops=_count(state.stops, held))
-    velocity = ZERO
+    velocity = STANDSTILL
     if held is None and state.target is not None:
         velocity = approach(state.target, state.out, limits, elapsed)
     state = _switch_motors(replace(state, held=held, out=velocity))
@@ -178,13 +177,14 @@ def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateStat
     With a fence, a pose that jumps shows that odometry restarted.
     """
     before, low_since_s, repeats, frozen_m, frozen_rad = state.base, None, 0, 0.0, 0.0
-    elapsed, restarted = state.now - state.base_s, state.odometry_restarted
+    elapsed, pose_s, restarted = state.now - state.base_s, state.now, state.odometry_restarted
     if before is not None and limits.fence is not None:
         restarted = restarted or jumps(before, base, elapsed, limits)
     if before is not None and (base.x, base.y, base.theta) == (before.x, before.y, before.theta):
-        repeats = state.repeats + 1
-        frozen_m = state.frozen_m + _sustained_speed(before.v, base.v) * elapsed
-        frozen_rad = state.frozen_rad + _sustained_speed(before.omega, base.omega) * elapsed
+        repeats, pose_s = state.repeats + 1, state.pose_s
+        if state.now - pose_s > limits.speed_mean_s:
+            frozen_m = state.frozen_m + _sustained_speed(before.v, base.v) * elapsed
+            frozen_rad = state.frozen_rad + _sustained_speed(before.omega, base.omega) * elapsed
     if 0.0 < base.battery_v < limits.battery_min_v:
         low_since_s = state.now if state.low_since_s is None else state.low_since_s
     return replace(
@@ -194,6 +194,7 @@ def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateStat
         base_s=state.now,
         odometry_restarted=restarted,
         low_since_s=low_since_s,
+        pose_s=pose_s,
         repeats=repeats,
         frozen_m=frozen_m,
         frozen_rad=frozen_rad,
@@ -296,7 +297,7 @@ def _command(
         admitted = _untagged(state, command, limits)
     if isinstance(admitted, Reason):
         waits = state.hazard_since_untagged and state.lease is None
-        if waits and command.tag is None and velocity != ZERO:
+        if waits and command.tag is None and velocity != STANDSTILL:
             state = replace(state, untagged_until_s=state.now + UNTAGGED_PAUSE_S)
         return replace(state, dropped=_count(state.dropped, admitted)), admitted
     state, flaw = admitted.state, _flaw(velocity)
@@ -353,9 +354,9 @@ def _untagged(state: GateState, command: VelocityCommand, limits: Limits) -> _Ad
     if not abs(age) <= ROS_AGE_S:
         return Reason.STALE
     if state.lease is None:
-        known = one_sided_contact(state) if command.velocity == ZERO else NO_CONTACT
+        known = one_sided_contact(state) if command.velocity == STANDSTILL else NO_CONTACT
         refusal = _hazard(state, limits, known) or _flaw(command.velocity)
-        if refusal is None and state.now < state.untagged_until_s and command.velocity != ZERO:
+        if refusal is None and state.now < state.untagged_until_s and command.velocity != STANDSTILL:
             refusal = Reason.NO_LEASE
         if refusal is None:
             state, refusal = _enable(state, Enable("ros"), limits)

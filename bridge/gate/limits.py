@@ -60,6 +60,8 @@ class Limits(StrictModel):
     """The gate drops a signed command that is older than this on arrival; one of plain ROS, above 0.3 s."""
     odometry_s: float = Field(default=0.35, gt=0, le=0.45)
     """The gate holds the rover when odometry is older than this: three SIPs of 0.1 s may be lost."""
+    speed_mean_s: float = Field(default=0.0, ge=0, le=10)
+    """The base reports speeds as means over so many seconds; 0: of the moment."""
     lease_s: float = Field(default=1.0, gt=0, le=5.0)
     """A lease ends this long after the last accepted command or renewal."""
     battery_min_v: float = Field(default=11.0, ge=0)

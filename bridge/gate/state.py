@@ -8,10 +8,9 @@ from typing import NamedTuple, TypeAlias
 
 from bridge.base import BaseReport
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.wire.protocol import REASONS, UNNAMED, CommandTag, Signed
 
-ZERO = Velocity(0.0, 0.0)
 DETAIL_LENGTH = 200
 
 
@@ -181,11 +180,16 @@ class GateState:
     """Reason for the last loss of the base."""
     base_s: float = -math.inf
     low_since_s: float | None = None
+    pose_s: float = -math.inf
+    """When the base first reported its present pose."""
     repeats: int = 0
     """Number of repeated reports of the same pose."""
     frozen_m: float = 0.0
     frozen_rad: float = 0.0
-    """Distance by the base's reported speeds since its reported pose last changed."""
+    """Distance by the base's reported speeds since its reported pose last changed.
+
+    If these are means, they count when they no longer include motion before that.
+    """
     stalled_v: float = 0.0
     """Direction of travel when a motor began to stall: 1 forward, −1 backward, 0 unknown."""
     odometry_restarted: bool = False
@@ -196,7 +200,7 @@ class GateState:
     no_command: Reason = Reason.SILENCE
     """Hold reason while there is no command in force."""
     held: Reason | None = Reason.NO_BASE
-    out: Velocity = ZERO
+    out: Velocity = STANDSTILL
     minima: tuple[tuple[int, float], ...] = ()
     """Second of arrival, and the smallest (arrival − stamp) in it."""
     motors: bool = False

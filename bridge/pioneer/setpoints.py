@@ -12,7 +12,7 @@ from typing import Protocol
 
 from bridge.base import BaseReport
 from bridge.pioneer.arcos import Command
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import STANDSTILL, Velocity
 
 PULSE_S, REFRESH_S = 0.5, 0.2
 """Period of PULSE while the motors are off (the watchdog waits 2 s), of the setpoints while they are on."""
@@ -28,8 +28,6 @@ HOLD_S, MAX_HOLD_S = 0.05, 0.25
 
 _EARLY_S = 0.002
 """Tolerance for a loop at 20 Hz that runs a little early; without it half of its ticks would be lost."""
-
-_ZERO = Velocity(0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,7 @@ class Quantiser:
     """
 
     def __init__(self) -> None:
-        self._command = _ZERO
+        self._command = STANDSTILL
         self._chosen = (0, 0)
         self._chosen_s = self._stepped_s = -math.inf
         self._owed = 0.0
@@ -61,7 +59,7 @@ class Quantiser:
 
     def zero(self) -> None:
         """Command zero and drop the remainder."""
-        self._command, self._chosen, self._owed = _ZERO, (0, 0), 0.0
+        self._command, self._chosen, self._owed = STANDSTILL, (0, 0), 0.0
 
     def step(self, command: Velocity, now: float) -> tuple[int, int]:
         """Return VEL (mm/s) and RVEL (deg/s) that stand for a finite command from ``now`` on."""
@@ -95,7 +93,7 @@ class Setpoints:
         self._limits = limits
         self._send = send
         self._quantiser = Quantiser()
-        self._velocity = _ZERO
+        self._velocity = STANDSTILL
         self._sent = (0, 0)
         self._sent_s = self._motors_s = self._reset_s = -math.inf
         self._wanted = False
@@ -111,7 +109,7 @@ class Setpoints:
 
     def set_motion(self, velocity: Velocity) -> None:
         """Set the speeds that the next tick sends."""
-        self._velocity = velocity if self._wanted else _ZERO
+        self._velocity = velocity if self._wanted else STANDSTILL
 
     def enable(self, on: bool, now: float) -> None:
         """Ask for the motors or switch them off, standing still."""
@@ -162,7 +160,7 @@ class Setpoints:
             self._sent_s = now
 
     def _clear_motion(self) -> None:
-        self._velocity = _ZERO
+        self._velocity = STANDSTILL
         self._quantiser.zero()
 
     def _send_speeds(self, v_mm_s: int, omega_deg_s: int, now: float) -> None:

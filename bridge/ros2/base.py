@@ -29,12 +29,12 @@ from bridge.base import (
     TurnRate,
 )
 from bridge.inbox import RobotMessage
-from bridge.ros2.base_timeout import TimeoutMeasurement, TimeoutRecord
+from bridge.ros2.base_timeout import HALTED, TimeoutMeasurement, TimeoutRecord
 from bridge.ros2.discovery import Announced
 from bridge.ros2.odometry import CLOCK_BACK_S, LOSS_S, MIN_IN_RATE, RATE_S, Moved, RosOdometer
 from bridge.ros2.scan import ScanRoom
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.robot.description import RobotDescription, Topics
 from rover_ncp.wire.cdr import decode, encode
 from rover_ncp.wire.messages import (
@@ -70,7 +70,6 @@ COAST_S, DRIVES_ALONE_S = 2.0, 0.5
 """A robot that still drives so long after the last command, for so long, is driven by another."""
 MOVING_M_S, MOVING_RAD_S = 0.05, 0.15
 _BUMPERS = frozenset({BUMP, CLIFF, WHEEL_DROP})
-ZERO = Velocity(0.0, 0.0)
 _LOOP = (
     "the robot's Zenoh network is connected to the drivers': commands could reach the robot past the bridge; "
     "connect the ROS bridge or rmw_zenohd to one of the two"
@@ -145,7 +144,7 @@ class Ros2Base:
         self._known_restarts = 0
         self._began_s: float | None = None
         self._sent: deque[tuple[float, bytes]] = deque(maxlen=256)
-        self._out = ZERO
+        self._out = STANDSTILL
         self._lease = 0
         """Number of the lease of the last setpoint."""
         self._driven_s = self._reported_s = -math.inf
@@ -179,7 +178,7 @@ class Ros2Base:
     def drive(self, setpoint: Setpoint, now: float) -> Sequence[BaseEvent]:
         """See Base."""
         events = self._watch(now)
-        velocity = setpoint.velocity if setpoint.motors and self._ready else ZERO
+        velocity = setpoint.velocity if setpoint.motors and self._ready else STANDSTILL
         same_lease, self._lease = setpoint.lease == self._lease, setpoint.lease
         ends = setpoint.emergency or not (setpoint.motors and setpoint.lease and same_lease and self._ready)
         if ends and self._measurement is not None:  # zeros halt the robot, not its own timeout
@@ -192,7 +191,7 @@ class Ros2Base:
                 return events
         if velocity != self._out or not self._sent or now - self._sent[-1][0] >= REFRESH_S:
             self._send(velocity, now)
-        if velocity != ZERO:
+        if velocity != STANDSTILL:
             self._driven_s = now
         if measurement is not None and now >= measurement.counts_s:
             self._measurement = None
@@ -224,16 +223,18 @@ class Ros2Base:
     def measure_base_timeout(self, now: float) -> str:
         """See Base."""
         # With a zero already sent, it would measure how the robot obeys and not how it halts by itself.
-        if not self._ready or abs(self._speed) < MOVING_M_S or self._out == ZERO:
+        if not self._ready or abs(self._speed) < MOVING_M_S or self._out == STANDSTILL:
             return "the wheels do not turn by a command"
-        self._measurement = TimeoutMeasurement(self._sent[-1][0], self._speed)
+        # A mean falls to this share so much later than the speed.
+        late_s = HALTED * self._description.odometry.speed_mean_s
+        self._measurement = TimeoutMeasurement(self._sent[-1][0] + late_s, self._speed)
         return ""
 
     def close(self, now: float) -> None:
         """See Base."""
         try:
             for number in range(LAST_ZEROS):
-                self._send(ZERO, now + number * REFRESH_S)
+                self._send(STANDSTILL, now + number * REFRESH_S)
                 self._line.wait(REFRESH_S)
         finally:
             self._line.close()

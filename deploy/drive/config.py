@@ -2,12 +2,13 @@
 
 import math
 from importlib.metadata import version
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
 from deploy.drive.safety_monitor import Timeouts
 from deploy.estimator.settings import GYRO_S, EstimatorSettings
+from rover_ncp.course.course import Course
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile
 
@@ -64,6 +65,18 @@ class DriveConfig(Timeouts):
     described: RobotDescription | None = Field(default=None, description="what is known of its model")
 
 
+def config_for(
+    course: Course, rover: RoverProfile | None, described: RobotDescription | None, **settings: Any
+) -> DriveConfig:
+    """Return the settings of a drive of a whole course by a robot; ``settings`` are further ones."""
+    about: dict[str, Any] = {
+        "course": course.name,
+        "ticks": course.ticks,
+        "estimator": settings_for(rover, described),
+    }
+    return DriveConfig(**about | {"rover": rover, "described": described} | settings)
+
+
 def settings_for(rover: RoverProfile | None, described: RobotDescription | None = None) -> EstimatorSettings:
     """Return the estimator's settings for a robot, from what was measured and described of its odometry.
 
@@ -111,14 +124,17 @@ def _described(robot: RobotDescription) -> EstimatorSettings:
     default, motion, odometry = EstimatorSettings(), robot.motion, robot.odometry
     changed = {
         "position_m": max(default.position_m, odometry.noise_m),
-        "heading_rad": max(default.heading_rad, odometry.noise_rad),
+        "heading_rad": max(
+            default.heading_rad, math.hypot(odometry.noise_rad, odometry.heading_step_rad / math.sqrt(12.0))
+        ),
         "speed_m_s": math.hypot(default.speed_m_s, odometry.noise_m_s),
         "turn_rad_s": math.hypot(default.turn_rad_s, odometry.noise_rad_s),
         "uses_speeds": odometry.speed_mean_s == 0.0,
         "acceleration": max(motion.accel, motion.decel) ** 2 / odometry.rate_hz,
         "angular_acceleration": max(motion.alpha, motion.alpha_decel) ** 2 / odometry.rate_hz,
         "rejected_in_a_row": max(default.rejected_in_a_row, math.ceil(REJECTED_S * odometry.rate_hz)),
-        "distance_gain_std": odometry.distance_error / math.sqrt(3.0),
+        # Tyres and their air change distances by 6 %, whatever the model.
+        "distance_gain_std": max(default.distance_gain_std, odometry.distance_error / math.sqrt(3.0)),
         "turn_gain_std": odometry.turn_error / math.sqrt(3.0),
     }
     if robot.gyro is not None:

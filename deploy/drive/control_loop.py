@@ -317,5 +317,6 @@ class Drive:
                 overruns=keeper.overruns,
                 warning=warning,
                 error_95_m=None if self.estimate is None else self.estimate.error_95_m,
+                probability=None if self.verdict is None else self.verdict.probability,
             )
         )

@@ -18,19 +18,20 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.drive.dead_zone import DeadZone
 from deploy.estimator.estimator import Estimate, Estimator, error_95_m
 from deploy.estimator.measurements import Outcome
 from deploy.estimator.settings import TURN_GAINS, EstimatorSettings
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.circuit.runner import Runner
-from rover_ncp.core.geometry import Pose, Velocity, compose, distance, wrap_angle
+from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, compose, distance, wrap_angle
 from rover_ncp.course.course import TICK_S, Course, Verdict
 from rover_ncp.course.reference import plan_reference
+from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
 
-ORIGIN = Pose(0.0, 0.0, 0.0)
 FORECAST_TICKS = 2
 """Steps of a forecast; a gyro's readings may be 0.25 s apart."""
 HOLD = Velocity(0.004, math.radians(1.0))
@@ -68,8 +69,9 @@ class Controller:
     """Estimator and circuit of one drive. Times are seconds on one clock, any zero.
 
     Commands are divided by the known gains of a ``rover`` and by the turn gain that the estimator finds on
-    the way, so that it moves as the circuit asks. With a ``runner``, the names of its signals take the place
-    of the policy.
+    the way, so that it moves as the circuit asks. Commands that the motors would not follow become pulses,
+    if their dead band is known of the ``rover`` or ``described``. With a ``runner``, the names of its signals
+    take the place of the policy.
     """
 
     def __init__(
@@ -78,6 +80,8 @@ class Controller:
         course: Course,
         settings: EstimatorSettings,
         rover: RoverProfile | None = None,
+        described: RobotDescription | None = None,
+        *,
         runner: RunnerLike | None = None,
     ) -> None:
         self._interface = RoverInterface(policy)
@@ -92,6 +96,7 @@ class Controller:
         self._runner.tick([0.0] * len(self._interface.places))  # compiles now, before the rover waits for it
         self.estimator = Estimator(settings)
         self._gains = _gains(rover)
+        self._dead_zone = DeadZone(rover, described)
         self._times: list[float] = []
         self._estimates: list[Estimate] = []
 
@@ -142,7 +147,8 @@ class Controller:
         if index * TICK_S > self._hold_s:
             self._holds = (tiny or self._holds) and self._is_parked(estimate.pose)
             command = Velocity(0.0, 0.0) if self._holds else command
-        return Tick(index, index * TICK_S, estimate, command, self._runner.potentials)
+        sent = self._dead_zone.pass_on(command)
+        return Tick(index, index * TICK_S, estimate, sent, self._runner.potentials)
 
     def _steered(self, estimate: Estimate) -> Pose:
         """Return the pose of the centre of rotation, which does not slide, shifted to meet the goal."""

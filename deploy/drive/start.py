@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.drive.config import DriveConfig
-from deploy.drive.controller import ORIGIN
 from deploy.drive.link import Link
 from deploy.drive.measurements import NS, Measurement, Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.estimator.estimator import completed
 from deploy.estimator.history import STILL_SIGMAS
 from rover_ncp.core.errors import AnotherDriver, NoPose, SafetyStop
-from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.core.geometry import ORIGIN, Pose, distance, wrap_angle
 from rover_ncp.core.process import Clock
 from rover_ncp.wire.messages import OdometrySample, PoseSample
 

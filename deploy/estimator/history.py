@@ -12,7 +12,9 @@ Rules of this file:
 4. The rover stands between two odometry samples that report no motion and the same place, both within their
    declared noise. Its pose then stays the same, and noise does not move the estimate.
 5. Odometry whose speeds are means, or contradict its pose, or whose steps alternate, is irregular: its pose
-   alone is applied, with the noise of a stamp that is some milliseconds off. Otherwise it is rejected.
+   alone is applied, with the noise of stamps that are some milliseconds off and of a coarse heading. If
+   that does not fit, it is rejected. After speeds that contradicted their pose, no speed is applied for some
+   seconds.
 6. A gyro's turn that does not fit is a disturbance, if one explains it, and otherwise rejected. The heading
    follows a disturbance, with a standard deviation that also covers a false reading. A turn that would move
    the turn gain out of its limits is rejected, and so is a long disturbance.
@@ -57,6 +59,10 @@ STILL_SIGMAS = 5.0
 """Limit for no motion between two samples, in standard deviations of odometry's noise."""
 STAMP_STD_S = 0.02
 """Standard deviation of the stamps of irregular odometry: robots report poses of other moments than these."""
+COARSE_STD_RAD = 0.0018
+"""Standard deviation of a heading in steps of 0.35°, which some robots send."""
+IRREGULAR_S = 10.0
+"""Time for which speeds do not count after one that contradicted its pose."""
 TURN_S = 0.08
 """Minimum time over which a gyro's turn is compared with odometry's."""
 MAX_DISTURBANCE_RAD = 0.2
@@ -120,6 +126,8 @@ class History:
         self._disturbance = Disturbance(
             np.diag(np.square([s.disturbance_m, s.disturbance_m, s.disturbance_rad]))
         )
+        self._irregular_until = -math.inf
+        """Until when the speeds of odometry do not count, s."""
         self._disturbed = False
         """Whether the covariance grew by a disturbance since the last accepted pose."""
         self._turn_began = t, math.nan
@@ -143,9 +151,12 @@ class History:
             return Applied(Outcome.OUT_OF_ORDER)
         if t > self.t + GAP_S:
             return Applied(Outcome.OUTLIER)
-        irregular = not (self._predicted(z, t)[0] <= self._settings.gate and self._settings.uses_speeds)
+        fits = self._predicted(z, t)[0] <= self._settings.gate
+        irregular = not (fits and self._settings.uses_speeds and t > self._irregular_until)
         if irregular and not self._pose_fits(z):
             return Applied(Outcome.OUTLIER)
+        if not fits:
+            self._irregular_until = t + IRREGULAR_S
         stood, turn, turn_outcome = self._stands(z), None, None
         self._correct_by_odometry(z, stood, irregular)
         turned, seconds = angle - before, t - began
@@ -281,7 +292,8 @@ class History:
     def _irregular_covariance(self) -> Array:
         """Return the covariance (3, 3) of a pose of irregular odometry."""
         v, omega = STAMP_STD_S * self._ekf.x[MOTION]
-        covariance: Array = self._odometry_covariance[:3, :3] + np.diag(np.square([v, v, omega]))
+        more = np.square([v, v, math.hypot(omega, COARSE_STD_RAD)])
+        covariance: Array = self._odometry_covariance[:3, :3] + np.diag(more)
         return covariance
 
     def _pose_fits(self, z: Array) -> bool:

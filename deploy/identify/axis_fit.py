@@ -21,8 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtrit
 
 from deploy.identify.motion_log import FloatArray, MotionLog
 
@@ -274,7 +273,7 @@ def _covariance(
         score = rows.T @ np.linalg.solve(inside, block_residuals)
         clustered += np.outer(score, score)
     if len(moved) < FEW_BLOCKS:
-        clustered *= (student.ppf(0.975, len(moved) - 1) / norm.ppf(0.975)) ** 2
+        clustered *= (stdtrit(len(moved) - 1, 0.975) / ndtri(0.975)) ** 2
     by_blocks: FloatArray = bread @ clustered @ bread
     np.fill_diagonal(by_blocks, np.maximum(np.diag(by_blocks), np.diag(by_rounding)))
     return by_blocks

@@ -1,4 +1,4 @@
-"""A short excitation drive: steps forward and back, left and right, with pauses between them.
+"""A short excitation drive: steps forward and back, left and right, with pauses, and two slow ramps.
 
 Rules of this file:
 
@@ -11,6 +11,8 @@ Rules of this file:
 
 import math
 import time
+from collections.abc import Iterator
+from itertools import chain
 from typing import NamedTuple
 
 from deploy.drive.link import Link
@@ -35,6 +37,15 @@ _TURN_S, _TURN_REST_S = 2.13, 1.86
 _BEFORE_S, _AFTER_S = 0.6, 0.6
 
 
+RAMP = Velocity(0.005, 0.02)
+"""First speed of the ramps that measure the dead band, and their steps."""
+RAMP_STEPS = 20
+LEVEL_S = 0.65
+"""Time at each speed of a ramp, longer than a base's delay and acceleration."""
+FOLLOWED = 0.5, 1.5
+"""Reported speed over command of a robot that follows a command."""
+
+
 class Step(NamedTuple):
     """A velocity, and for how long (s)."""
 
@@ -43,7 +54,7 @@ class Step(NamedTuple):
 
 
 def steps(robot: RobotDescription | None = None) -> list[Step]:
-    """Return the whole drive, 51 s, at speeds that the robot reaches."""
+    """Return the steps, 51 s, at speeds that the robot reaches."""
     v_share = min(1.0, robot.motion.v_max / max(_SPEEDS_M_S)) if robot else 1.0
     turn_share = min(1.0, robot.motion.omega_max / math.radians(max(_TURNS_DEG_S))) if robot else 1.0
     rest = Velocity(0.0, 0.0)
@@ -76,7 +87,7 @@ def excite(
         link.request_motors("identify")
         monitor.granted()
         due = clock.monotonic()
-        for step in steps(robot):
+        for step in chain(steps(robot), ramps(measurements)):
             end = due + step.seconds
             while due < end:
                 monitor.check()
@@ -87,6 +98,23 @@ def excite(
                     measurements.odometry(left_s)
     finally:
         link.release()
+
+
+def follows(reported: float, command: float) -> bool:
+    """Return whether a reported speed is that of a robot that follows a command other than 0."""
+    return FOLLOWED[0] < reported / command < FOLLOWED[1]
+
+
+def ramps(measurements: Measurements) -> Iterator[Step]:
+    """Yield slow steps on each axis, each a little faster, until the robot follows one."""
+    for axis, unit in enumerate((Velocity(RAMP.v, 0.0), Velocity(0.0, RAMP.omega))):
+        for number in range(1, RAMP_STEPS + 1):
+            velocity = Velocity(number * unit.v, number * unit.omega)
+            yield Step(velocity, LEVEL_S)
+            newest = measurements.newest
+            if newest is not None and follows(newest.sample.velocity[axis], velocity[axis]):
+                break
+        yield Step(Velocity(0.0, 0.0), _AFTER_S)
 
 
 def _check_fence(odometry: OdometrySample, start: Pose, fence_m: float) -> None:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deploy.identify.axis_fit import OdometryErrors, identify_axis
+from deploy.identify.dead_band import dead_bands
 from deploy.identify.motion_log import MotionLog
 from deploy.identify.odometry_fit import Fit, fit_center, fit_distance, fit_turns, standstills_with_poses
 from rover_ncp.robot.profile import RoverProfile
@@ -63,6 +64,9 @@ _AXES = (
 )
 
 
+_BANDS = "dead_band_v", "dead_band_omega"
+
+
 class _Value(NamedTuple):
     value: float
     std: float
@@ -93,6 +97,10 @@ def identify(log: MotionLog, name: str) -> RoverProfile:
         if center := fit_center(standstills):
             centers = "rotation_center_m", "rotation_center_left_m"
             found |= _named((*centers, "downhill_x_m", "downhill_y_m"), center)
+    bands = dead_bands(log)
+    found |= {key: _Value(band, 0.0) for key, band in zip(_BANDS, bands, strict=True) if band is not None}
+    obeyed = np.where(np.abs(log.sent) < 0.999 * np.array([band or 0.0 for band in bands]), 0.0, log.sent)
+    log = log._replace(sent=obeyed)
     for axis, keys in enumerate(_AXES):
         fitted = identify_axis(log, axis, odometry[axis])
         if fitted is not None:
@@ -118,7 +126,7 @@ def _named(names: Sequence[str | None], fit: Fit) -> dict[str, _Value]:
 
 def _sure(key: str, found: _Value) -> bool:
     """Return whether a value is certain enough to be of use."""
-    max_std = MAX_STD[key] if key in MAX_STD else MAX_STD_SHARE[key] * found.value
+    max_std = MAX_STD[key] if key in MAX_STD else MAX_STD_SHARE.get(key, 0.0) * found.value
     return found.std <= max_std
 
 

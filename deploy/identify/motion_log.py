@@ -16,6 +16,7 @@ from scipy.optimize import linprog
 from deploy.drive.measurements import read_course_pose
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.recording.recording import Recorded
+from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.messages import read_odometry, read_twist
 
 FloatArray = NDArray[np.float64]
@@ -44,13 +45,16 @@ class MotionLog(NamedTuple):
     """(m, 2) v in m/s, omega in rad/s."""
     odometry: Track
     motion: FloatArray
-    """(n, 2) v and omega as odometry reports them with each pose."""
+    """(n, 2) v and omega as odometry reports them with each pose, or from its poses."""
     external: Track
     """Poses from outside, by the time of their arrival on the bridge's clock; may be empty."""
 
 
-def motion_log(messages: Iterable[Recorded]) -> MotionLog:
-    """Read a drive's messages; skip malformed ones. Raises FileError when there are too few."""
+def motion_log(messages: Iterable[Recorded], robot: RobotDescription | None = None) -> MotionLog:
+    """Read a drive's messages; skip malformed ones. Raises FileError when there are too few.
+
+    Where a robot reports mean speeds, those of the moment are from its poses.
+    """
     sent, external, offsets_ns = [], [], list[int]()
     odometry: list[tuple[float, ...]] = []
     for message in messages:
@@ -80,6 +84,12 @@ def motion_log(messages: Iterable[Recorded]) -> MotionLog:
     samples = _table(odometry, zero_ns, 6)
     outside = _table([(stamp_ns(*seen), *pose) for seen, pose in external], zero_ns, 4)
     samples[:, 0] = _measured(samples[:, 0])
+    if robot is not None and robot.odometry.speed_mean_s:
+        samples = samples[np.diff(samples[:, 0], prepend=-math.inf) > 0.0]
+        t, x, y, theta = samples[:, :4].T
+        slope_x, slope_y = np.gradient(x, t), np.gradient(y, t)
+        samples[:, 4] = np.cos(theta) * slope_x + np.sin(theta) * slope_y
+        samples[:, 5] = np.gradient(np.unwrap(theta), t)
     return MotionLog(commands[:, 0], commands[:, 1:], _track(samples[:, :4]), samples[:, 4:], _track(outside))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
-from scipy.stats import norm, t
+from scipy.special import ndtri, stdtrit
 
 from deploy.identify.motion_log import FloatArray, MotionLog
 
@@ -26,7 +26,7 @@ NOISE_SIGMAS = 4.0
 """Limit for the noise of some hundred headings, in standard deviations."""
 MIN_POSES = 3
 """Of odometry and of external poses in a stand."""
-DISTURBED = float(norm.isf(0.0005))
+DISTURBED = float(ndtri(0.9995))
 """An interval with a larger standardised residual counts as disturbed: one in 1000 by chance."""
 PLAUSIBLE = 0.5, 2.0
 """Plausible scales of odometry; external poses that give others belong to another object."""
@@ -251,7 +251,7 @@ def _fitted(
             # Student's quantile replaces 1.96.
             misfit = 2.0 * fit.cost / free
             return Fit(
-                x, values * (misfit * (t.ppf(0.975, free) / norm.ppf(0.975)) ** 2 if misfit > 1.0 else 1.0)
+                x, values * (misfit * (stdtrit(free, 0.975) / ndtri(0.975)) ** 2 if misfit > 1.0 else 1.0)
             )
         kept[np.flatnonzero(kept)[worst]] = False
 

@@ -31,6 +31,8 @@ _WORDS: dict[str, tuple[str, float, str]] = {
     "delay_omega_s": ("delay of the turn", 1000.0, "ms"),
     "gain_v": ("speed over command, by odometry", 1.0, ""),
     "gain_omega": ("turn over command, by odometry", 1.0, ""),
+    "dead_band_v": ("least speed command that it follows", 1000.0, "mm/s"),
+    "dead_band_omega": ("least turn command that it follows", 1000.0, "mrad/s"),
     "accel": ("acceleration", 1.0, "m/s²"),
     "decel": ("deceleration", 1.0, "m/s²"),
     "alpha": ("turning acceleration", 1.0, "rad/s²"),
@@ -90,7 +92,7 @@ def identify_robot(
             output.say(link.other_model(robot))
         about = {"version": version("rover-ncp"), "robot": address.robot}
         recorder.open({SETTINGS_FILE: dump_yaml(about).encode()})
-        seconds = sum(step.seconds for step in steps())
+        seconds = sum(step.seconds for step in steps(robot))
         output.say(f"driving for {seconds:.0f} s within {fence_m} m of here; Ctrl-C stops the rover")
         excite(link, measurements, monitor, fence_m, robot=robot)
     if recorder.failure:
@@ -106,7 +108,7 @@ def _write_profile(
     robot: RobotDescription | None = None,
 ) -> int:
     """Return 1 when delays or gains could not be determined, else 0."""
-    profile = identify(motion_log(messages), name_from(out, "rover"))
+    profile = identify(motion_log(messages, robot), name_from(out, "rover"))
     made = {"from": origin, "version": version("rover-ncp")} | ({"model": robot.name} if robot else {})
     profile = profile.model_copy(update={"measured": made | profile.measured})
     write_atomic(out, dump_yaml(profile.model_dump(mode="json", exclude_none=True)))

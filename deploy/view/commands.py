@@ -59,7 +59,7 @@ def course(
     Ends with 1 if the course cannot be driven; new writes its file all the same.
     """
     from rover_ncp.course.course import load_course
-    from rover_ncp.course.feasibility import check_course
+    from rover_ncp.course.feasibility import CourseResult, check_course
     from rover_ncp.course.fit import slowed
     from rover_ncp.robot.description import load_description
 
@@ -74,30 +74,28 @@ def course(
         found = check_course(made, robot)
         if out is not None:
             _draw(out, made, found, robot)
-    miss_m = max(miss.error_m for miss in found.deviations)
-    miss_rad = max(miss.error_rad for miss in found.deviations)
-    fields = {
-        "course": made.name,  #: its name
-        "drivable": found.drivable,  #: whether there is no problem
-        "problems": found.problems,  #: times count in the course, checkpoints from 1
-        "checkpoints": len(made.checkpoints),  #: how many
-        "horizon_s": made.horizon_s,
-        "worst_miss_m": miss_m,  #: of the nearest drive, at the checkpoints
-        "worst_miss_rad": miss_rad,
-        "clearance_m": found.clearance_m,  #: null without obstacles
-        "scaled": [pace] if pace else [],  #: the line on a course that takes longer for --model
-        "out": str(out) if out else None,  #: the file that was written
-    }
+    result = CourseResult(
+        course=made.name,
+        drivable=found.drivable,
+        problems=found.problems,
+        checkpoints=len(made.checkpoints),
+        horizon_s=made.horizon_s,
+        worst_miss_m=max(miss.error_m for miss in found.deviations),
+        worst_miss_rad=max(miss.error_rad for miss in found.deviations),
+        clearance_m=found.clearance_m,
+        scaled=(pace,) if pace else (),
+        out=str(out) if out else None,
+    )
     words = (
-        f"{made.name}: {'' if found.drivable else 'not '}drivable; {len(made.checkpoints)} checkpoints, "
-        f"{made.horizon_s:g} s; the nearest drive misses them by at most {1000 * miss_m:.0f} mm and "
-        f"{1000 * miss_rad:.0f} mrad"
+        f"{made.name}: {'' if found.drivable else 'not '}drivable; {result.checkpoints} checkpoints, "
+        f"{made.horizon_s:g} s; the nearest drive misses them by at most {1000 * result.worst_miss_m:.0f} mm "
+        f"and {1000 * result.worst_miss_rad:.0f} mrad"
     )
     if found.clearance_m is not None:
         words += f"; {1000 * found.clearance_m:.0f} mm from the nearest obstacle"
     output.result(
-        fields,
-        "\n".join([*fields["scaled"], words, *map(str, found.problems), *([f"wrote {out}"] if out else [])]),
+        result.model_dump(),
+        "\n".join([*result.scaled, words, *map(str, found.problems), *([f"wrote {out}"] if out else [])]),
     )
     return 0 if found.drivable else 1
 

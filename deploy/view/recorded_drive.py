@@ -88,11 +88,14 @@ def summarise(drive: Drive) -> Summary:
         rows.append(("Dry run", "no command was sent"))
     if not drive.complete:
         rows.append(("Recording", f"{drive.damage}; the page shows what precedes it"))
+    reason, status = verdict.reason, drive.timeline.status
+    if verdict.words is Parked.UNCERTAIN and status is not None:
+        reason = status.reason  # that of the driver
     began = datetime.fromtimestamp(drive.timeline.ticks[0].wall_ns * 1e-9, UTC)
     names = f"policy {drive.policy.circuit.name} on course {drive.course.name}"
     return Summary(
         parked=verdict.words,
-        headline=verdict.words.capitalize() + (f": {verdict.reason}" if verdict.reason else ""),
+        headline=verdict.words.capitalize() + (f": {reason}" if reason else ""),
         subline=f"{names}, {began:%Y-%m-%d %H:%M:%S} UTC",
         rows=tuple(rows),
         origin=tuple(_origin(drive)),

@@ -34,6 +34,7 @@ from deploy.view.page import watch_page
 from deploy.view.shapes import outline_of
 from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
 from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.config import ResultModel
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FormatError, NoBridge, NotAuthorised, PortInUse, UnreachableError
 from rover_ncp.core.interruption import INTERRUPTED
@@ -94,6 +95,15 @@ class Viewer(ZenohClient):
         raise NotAuthorised(f"not authorised to stop: the bridge at {self.robot} accepts no stop from us")
 
 
+class WatchResult(ResultModel):
+    """What ``rover-ncp watch`` prints at its end."""
+
+    address: str
+    """to open in a browser"""
+    robot: str
+    """the bridge's Zenoh address"""
+
+
 def run(address: BridgeAddress, policy: str, course: str, port: int, output: Output, *, model: str) -> int:
     """Serve until interrupted. Raises RoverNcpError if it could not begin."""
     the_policy, the_course = load_policy(policy), load_course(course)
@@ -105,7 +115,8 @@ def run(address: BridgeAddress, policy: str, course: str, port: int, output: Out
         page = watch_page(address.robot, url, the_policy, the_course, outline)
         with Viewer(address, feed.take) as viewer:
             _serve(listener, _application(page, feed, viewer), lambda: output.announce(f"watching at {url}"))
-    output.result({"address": url, "robot": viewer.robot}, "interrupted; no longer watching")
+    result = WatchResult(address=url, robot=viewer.robot)
+    output.result(result.model_dump(), "interrupted; no longer watching")
     return INTERRUPTED
 
 

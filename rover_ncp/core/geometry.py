@@ -29,6 +29,10 @@ class Velocity(NamedTuple):
     omega: float
 
 
+ORIGIN = Pose(0.0, 0.0, 0.0)
+STANDSTILL = Velocity(0.0, 0.0)
+
+
 def wrap_angle(angle: float) -> float:
     """Return the same direction within (−π, π], in radians."""
     wrapped = math.remainder(angle, math.tau)

@@ -44,7 +44,6 @@ STEP_M, STEP_RAD = 0.10, 0.20
 MOVED_M, MOVED_RAD = 0.01, 0.02
 """Smaller motion counts as standing."""
 _DECIMALS = 4
-_POSE = ("x", "y", "theta")
 _NUMBER = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*", re.ASCII)
 _READERS: dict[str, Callable[[bytes], PoseSample | OdometrySample]] = {
     "rover/estimate": read_pose,
@@ -149,12 +148,12 @@ def _from_csv(path: Path) -> PoseList:
     reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
     try:
         header = [name.strip() for name in next(reader, [])]
-        if missing := [name for name in _POSE if name not in header]:
+        if missing := [name for name in Pose._fields if name not in header]:
             raise FileError(
                 f"{path}: its first line lacks {', '.join(missing)} (expected x, y, theta, "
                 f"got {_SHORT.repr(', '.join(header))})"
             )
-        columns = [header.index(name) for name in _POSE]
+        columns = [header.index(name) for name in Pose._fields]
         for row in reader:
             if row:
                 cells = [row[column] if column < len(row) else "" for column in columns]
@@ -177,7 +176,7 @@ def _numbers(cells: Sequence[str], where: str) -> tuple[float, float, float]:
 
 def _listed(path: Path, poses: Sequence[tuple[float, float, float]]) -> PoseList:
     """Return poses that were not read from YAML, by the same rules. Raises ConfigError."""
-    data = [dict(zip(_POSE, pose, strict=True)) for pose in poses]
+    data = [dict(zip(Pose._fields, pose, strict=True)) for pose in poses]
     return validated({"poses": data}, PoseList, str(path))
 
 

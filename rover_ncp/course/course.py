@@ -99,12 +99,17 @@ class Verdict:
     """Result of a run: errors to the last checkpoint, and the failure with a reason in numbers."""
 
     parked: bool
+    """whether the rover parked"""
     error_m: float
+    """final position error"""
     error_rad: float
+    """final heading error"""
     reason: str = ""
+    """why it did not park, or empty"""
     failure: Failure = Failure.NONE
+    """the first condition that was missed, or empty"""
     probability: float | None = None
-    """That the true pose is within the tolerances, by the estimate that was judged; None for a true pose."""
+    """that the true pose is within the tolerances, by the estimate that was judged; null for a true pose"""
 
     @property
     def words(self) -> Parked:

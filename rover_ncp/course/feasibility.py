@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from rover_ncp.core.config import ResultModel
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.course.course import TICK_S, Checkpoint, Course, Obstacle
@@ -41,12 +42,16 @@ class Cause(StrEnum):
 
 @dataclass(frozen=True)
 class Problem:
-    """``checkpoint`` counts from 1; ``t`` is in the course's time."""
+    """A checkpoint that cannot be reached."""
 
     checkpoint: int
+    """counted from 1"""
     t: float
+    """time on the course in s"""
     cause: Cause
+    """what makes it undrivable"""
     detail: str
+    """in words"""
 
     def __str__(self) -> str:
         return f"checkpoint {self.checkpoint} ({self.t:g} s): {self.cause.value}: {self.detail}"
@@ -66,6 +71,31 @@ class Drivability:
     def drivable(self) -> bool:
         """Whether there is no problem."""
         return not self.problems
+
+
+class CourseResult(ResultModel):
+    """What ``rover-ncp course`` prints."""
+
+    course: str
+    """its name"""
+    drivable: bool
+    """whether there is no problem"""
+    problems: tuple[Problem, ...]
+    """times count in the course, checkpoints from 1"""
+    checkpoints: int
+    """how many"""
+    horizon_s: float
+    """how long the course lasts"""
+    worst_miss_m: float
+    """of the nearest drive, at the checkpoints"""
+    worst_miss_rad: float
+    """largest difference of heading at a checkpoint"""
+    clearance_m: float | None
+    """null without obstacles"""
+    scaled: tuple[str, ...]
+    """the line on a course that takes longer for --model"""
+    out: str | None
+    """the file that was written"""
 
 
 def check_course(course: Course, robot: RobotDescription | None = None) -> Drivability:

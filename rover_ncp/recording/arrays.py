@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.core.errors import FileError, FormatError
+from rover_ncp.core.geometry import Pose
 from rover_ncp.recording.recorded import steady
 from rover_ncp.recording.recording import read_recording
 from rover_ncp.wire import messages
-
-_POSE = ("x", "y", "theta")
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[np.void]]:
@@ -52,7 +51,9 @@ def _odometry(data: bytes) -> dict[str, float]:
 def _pose(data: bytes) -> dict[str, float]:
     sample = messages.read_pose(data)
     deviations = np.sqrt(np.maximum(np.diag(sample.covariance), 0.0))
-    return sample.pose._asdict() | dict(zip((f"std_{name}" for name in _POSE), deviations, strict=True))
+    return sample.pose._asdict() | dict(
+        zip((f"std_{name}" for name in Pose._fields), deviations, strict=True)
+    )
 
 
 _READERS: dict[str, Callable[[bytes], Mapping[str, float]]] = {

@@ -72,6 +72,15 @@ class Drive(StrictModel):
     """Difference of wheel speeds over turn rate, as its odometry has it; None = the wheels' track."""
 
 
+class DeadBand(StrictModel):
+    """Speeds that are too small for the motors: the base takes a smaller command as 0 and follows others."""
+
+    v: float = Field(default=0.0, ge=0, le=0.5)
+    """Least speed command that moves the robot, m/s."""
+    omega: float = Field(default=0.0, ge=0, le=2)
+    """Least turn command that moves the robot, rad/s."""
+
+
 class Motion(StrictModel):
     """Limits in m/s, rad/s, m/s² and rad/s² that the base keeps by itself."""
 
@@ -87,6 +96,12 @@ class Motion(StrictModel):
     """Largest turn acceleration away from zero."""
     alpha_decel: float = Field(gt=0, le=100)
     """Largest turn deceleration towards zero."""
+    dead_band: DeadBand = DeadBand()
+    """Commands that do not move the robot; a driver sends pulses in their place."""
+    wheel_min: float = Field(default=0.0, ge=0, le=0.5)
+    """Least speed of a turning wheel, m/s; a driver commands no slower wheel but 0."""
+    slow_wheels: Literal["stand", "turn"] = "stand"
+    """Whether a mock's wheel that is commanded slower than `wheel_min` stands, or turns at `wheel_min`."""
 
 
 class Delays(StrictModel):
@@ -107,6 +122,8 @@ class Odometry(StrictModel):
     """Standard deviation of a reported x and y."""
     noise_rad: float = Field(default=0.0, ge=0, le=1)
     """Standard deviation of a reported heading."""
+    heading_step_rad: float = Field(default=0.0, ge=0, le=0.1)
+    """Step of the reported heading; 0: none."""
     noise_m_s: float = Field(default=0.0, ge=0, le=1)
     """Standard deviation of a reported speed."""
     noise_rad_s: float = Field(default=0.0, ge=0, le=1)
@@ -114,7 +131,7 @@ class Odometry(StrictModel):
     speed_mean_s: float = Field(default=0.0, ge=0, le=10)
     """Reported speeds are means over so many seconds, which a driver does not use; 0: of the moment."""
     distance_error: float = Field(gt=0, lt=0.5)
-    """Distances are right within ± this share."""
+    """Distances are right within ± this share; a driver without a profile expects ±4 % at least."""
     turn_error: float = Field(gt=0, lt=0.5)
     """Turns are right within ± this share."""
 

@@ -20,7 +20,7 @@ _Factor = Field(default=None, gt=0.2, lt=5)
 class RoverProfile(StrictModel):
     """SI units; factors are 1 for a robot as it should be, None where nothing is known."""
 
-    format: Literal[1] = 1
+    format: Literal[1] = Field(default=1, description="version of the profile's format")
     name: str = Field(min_length=1, max_length=64)
     """Name of this robot in messages and files."""
     delay_v_s: float | None = _Delay
@@ -37,6 +37,10 @@ class RoverProfile(StrictModel):
     """Speed over commanded speed, as odometry reports it."""
     gain_omega: float | None = _Factor
     """Turn rate over commanded turn rate, as odometry reports it."""
+    dead_band_v: float | None = Field(default=None, ge=0, le=0.5)
+    """Least speed command that the robot follows, m/s; 0: it follows all."""
+    dead_band_omega: float | None = Field(default=None, ge=0, le=2)
+    """Least turn command that the robot follows, rad/s; 0: it follows all."""
     odometry_distance: float | None = _Factor
     """Distance by odometry over true distance."""
     odometry_heading: float | None = _Factor

@@ -10,11 +10,11 @@ import hmac
 import struct
 from enum import IntEnum, StrEnum
 from hashlib import blake2b
-from typing import Annotated, NamedTuple, Self, TypeVar
+from typing import Annotated, NamedTuple, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from rover_ncp.core.config import StrictModel
+from rover_ncp.core.config import ModelT, StrictModel
 from rover_ncp.core.errors import FormatError
 
 PROTOCOL = 2
@@ -287,6 +287,7 @@ class DriverStatus(StrictModel):
     """Status of the driving process on ``rover/status``; ``warning`` says what may make the drive wrong.
 
     ``error_95_m`` is the position error that 95 % of estimates like the present one do not exceed.
+    ``probability``, at the end, is that of the rover being within the tolerances, by the estimate.
     """
 
     state: str
@@ -298,9 +299,7 @@ class DriverStatus(StrictModel):
     overruns: int = 0
     warning: str = ""
     error_95_m: float | None = None
-
-
-ModelT = TypeVar("ModelT", bound=BaseModel)
+    probability: float | None = None
 
 
 def parse_json(model: type[ModelT], data: bytes | str) -> ModelT:

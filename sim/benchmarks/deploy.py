@@ -6,7 +6,6 @@ them straight back. What the driver adds is its time beyond half of that round t
 """
 
 import os
-import socket
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -26,6 +25,7 @@ from rover_ncp.core.files import write_atomic
 from rover_ncp.course.course import TICK_S, load_course
 from sim.benchmarks.peer import BenchPeer, Moments
 from sim.live.processes import Process, ProcessError, TimedOut, wait_for
+from sim.pioneer.ros2_server import free_port
 
 RATES_HZ = (10.0, 50.0, 100.0)
 FASTEST_HZ, FASTEST_S = 500.0, 20.0
@@ -141,7 +141,7 @@ def _measure(rate_hz: float, seconds: float, *, ping: bool) -> RateResult:
     with tempfile.TemporaryDirectory() as name, ExitStack() as running:
         folder = Path(name)
         course = _course(folder, ticks)
-        peer = BenchPeer(_free_port(), rate_hz, ping)
+        peer = BenchPeer(free_port("127.0.0.1"), rate_hz, ping)
         running.callback(peer.close)
         echo = running.enter_context(Process("echo", [peer.robot], folder, module))
         echo.wait_for_line("ready")
@@ -207,11 +207,6 @@ def _course(folder: Path, ticks: int) -> Path:
     path = folder / "course.yaml"
     write_atomic(path, dump_yaml(course.model_dump(mode="json")))
     return path
-
-
-def _free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return int(listener.getsockname()[1])
 
 
 def _cpu_s(pid: int) -> float:

@@ -14,7 +14,7 @@ import zenoh
 
 from bridge.zenoh.config import configured
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.geometry import STANDSTILL, Pose
 from rover_ncp.wire.messages import odometry, read_twist, text
 from rover_ncp.wire.protocol import (
     KEY_BYTES,
@@ -29,7 +29,6 @@ from sim.benchmarks.programs import PING, PONG
 from sim.live.peers import Peer
 
 STATUS_NS = 100_000_000
-STILL = Velocity(0.0, 0.0)
 
 
 @dataclass
@@ -51,7 +50,7 @@ class BenchPeer(Peer):
         self.moments = Moments()
         self._period_ns, self._ping = round(1e9 / rate_hz), ping
         self._leases, self._driven, self._sequence = 0, False, -1
-        self._velocity, self._pose = STILL, Pose(0.0, 0.0, 0.0)
+        self._velocity, self._pose = STANDSTILL, Pose(0.0, 0.0, 0.0)
         subscribe: Any = self.session.declare_subscriber
         self._declared = [
             subscribe("cmd_vel", self._command),
@@ -106,7 +105,7 @@ class BenchPeer(Peer):
             except FormatError as error:
                 query.reply_err(str(error))
                 return
-            self._driven, self._velocity, self._sequence = request.enable, STILL, -1
+            self._driven, self._velocity, self._sequence = request.enable, STANDSTILL, -1
             self._leases += request.enable
             grant = MotorsReply(granted=True, lease=self._leases, key=secrets.token_hex(KEY_BYTES))
             query.reply("rover/motors", dump_json(grant))

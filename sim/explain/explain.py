@@ -21,7 +21,7 @@ from deploy.view.trace import Trace
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.config import ResultModel
-from rover_ncp.course.course import Course, Verdict, load_course
+from rover_ncp.course.course import Course, Parked, Verdict, load_course
 from sim.explain.what_if import Knockout, Outcome, Sensitivity, knock_outs, sensitivities
 from sim.learn.engine.evaluator import Evaluator
 from sim.learn.engine.rollout import Rollout, rollout
@@ -66,8 +66,8 @@ class Explanation:
         """The run's end in words."""
         if self.verdict is None:
             return f"mean return {number(self.intact.total)} of {len(self.returns)} episodes"
-        how = "parked" if self.verdict.parked else f"not parked: {self.verdict.reason}"
-        return f"{how}; return in simulation {number(self.intact.total)}"
+        reason = self.verdict.reason and f": {self.verdict.reason}"
+        return f"{self.verdict.words}{reason}; return in simulation {number(self.intact.total)}"
 
     def result(self, files: Sequence[Path] = ()) -> "Result":
         """Return everything but the potentials, with the files that were written."""
@@ -78,6 +78,7 @@ class Explanation:
             course=None if self.course is None else self.course.name,
             task=self.task,
             run=self.verdict,
+            verdict=None if self.verdict is None else self.verdict.words,
             simulated=Simulated(
                 total=self.intact.total,
                 returns=self.returns,
@@ -121,6 +122,8 @@ class Result(ResultModel):
     """its name; null for a course"""
     run: Verdict | None
     """the explained drive, simulated or recorded; null for a task"""
+    verdict: Parked | None
+    """on that drive: parked, 'parked, uncertain' or not parked"""
     simulated: Simulated
     """the intact circuit"""
     phases: tuple[ExplainedPhase, ...]

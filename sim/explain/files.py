@@ -113,14 +113,13 @@ def write(found: Explanation, folder: Path) -> list[Path]:
 def page(found: Explanation) -> str:
     """Return an explanation as a page."""
     from deploy.view.page import Table, run_page
+    from deploy.view.recorded_drive import KINDS
 
     verdict = found.verdict
     if verdict is None:
         headline = f"mean return {number(found.intact.total)}", "", f"of {len(found.returns)} episodes"
-    elif verdict.parked:
-        headline = "Parked", "good", ""
     else:
-        headline = "Not parked", "bad", verdict.reason
+        headline = verdict.words.capitalize(), KINDS[verdict.words], verdict.reason
     drives = found.course is not None
     parts = sorted(found.knock_outs, key=lambda row: row.total)
     return run_page(

@@ -46,7 +46,7 @@ class _Settings(StrictModel):
 
 
 class _CourseSettings(_Settings):
-    course: str = "parking"
+    course: str = Field(default="parking", description="its name")
     model: str | None = Field(
         default=None, exclude_if=lambda name: name is None, description="the robot, if it is not a 3-AT"
     )
@@ -76,9 +76,9 @@ class TrainSettings(_CourseSettings):
 class RobustSettings(_CourseSettings):
     """Settings that decide the result of a training on random trials."""
 
-    circuit: str = "tracking"
-    randomize: str = "full"
-    seed: int = Field(default=0, ge=0)
+    circuit: str = Field(default="tracking", description="its name")
+    randomize: str = Field(default="full", description="the ranges of the rovers")
+    seed: int = Field(default=0, ge=0, description="of random numbers")
     iterations: int = Field(default=2600, ge=1, description="generations")
     rollouts: int = Field(default=144, ge=1, description="trials of a candidate")
     worst: int = Field(default=144, ge=1, description="number of worst rollouts in the average")
@@ -104,9 +104,9 @@ class RobustSettings(_CourseSettings):
 class TaskSettings(_Settings):
     """Settings that decide the result of a training on a Gymnasium environment."""
 
-    task: str
-    circuit: str
-    seed: int = Field(default=0, ge=0)
+    task: str = Field(description="its name")
+    circuit: str = Field(description="its name")
+    seed: int = Field(default=0, ge=0, description="of random numbers")
     iterations: int = Field(default=200, ge=1, description="generations")
     rollouts: int = Field(default=8, ge=1, description="episodes of a candidate")
 

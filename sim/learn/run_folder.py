@@ -91,26 +91,35 @@ class RunFolder(Generic[SettingsT]):
         write_atomic(self.path / name, text)
 
     def write_state(self, name: str, state: SearchState) -> None:
-        """Write what resuming needs as JSON, with a digest of it and of the run's settings."""
-        text = dump_state(state)
-        self.write(name, f'{{"sha256": "{self._digest(name, text)}", "state": {text}}}\n')
+        """Write what resuming needs, with a digest of it and of the run's settings."""
+        self.write(name, dump_checked(state, f"{self._settings}{name}"))
 
     def read_state(self, name: str) -> dict[str, Any] | None:
         """Return what ``write_state`` wrote, None without such a file. Raises FileError for another file."""
         path = self.path / name
-        if not path.is_file():
-            return None
-        try:
-            data = json.loads(read_text(path))
-            state: dict[str, Any] = data["state"]
-            if data["sha256"] == self._digest(name, dump_state(state)):
-                return state
-        except (ValueError, KeyError, TypeError, RecursionError):
-            pass
-        raise FileError(f"{path}: damaged, or not of this run; delete it to begin it again")
+        return load_checked(path, f"{self._settings}{name}") if path.is_file() else None
 
-    def _digest(self, name: str, text: str) -> str:
-        return hashlib.sha256(f"{self._settings}{name}\n{text}".encode()).hexdigest()
+
+def dump_checked(state: SearchState, owner: str) -> str:
+    """Return a state as a line of JSON, with a digest of it and of ``owner``, a text that names its run."""
+    text = dump_state(state)
+    return f'{{"sha256": "{_digest(owner, text)}", "state": {text}}}\n'
+
+
+def load_checked(path: Path, owner: str) -> dict[str, Any]:
+    """Return a state that ``dump_checked`` made. Raises FileError for a damaged file, or of another owner."""
+    try:
+        data = json.loads(read_text(path))
+        state: dict[str, Any] = data["state"]
+        if data["sha256"] == _digest(owner, dump_state(state)):
+            return state
+    except (ValueError, KeyError, TypeError, RecursionError):
+        pass
+    raise FileError(f"{path}: damaged, or not of this run; delete it to begin it again")
+
+
+def _digest(owner: str, text: str) -> str:
+    return hashlib.sha256(f"{owner}\n{text}".encode()).hexdigest()
 
 
 @contextmanager

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from deploy.view.timeline import TRUTH_TOPIC
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.course import TICK_S, Course, Verdict
@@ -16,7 +17,6 @@ from sim.world.rover import STILL_M_S, STILL_RAD_S
 
 TRUTH = "truth.csv"
 """Name of the mock's file in the folder of a run."""
-TRUTH_TOPIC = "truth/pose"
 TRUTH_FRAME = "course"
 SAMPLE_S = 0.01
 """Time between two lines of the mock's file; also the mock's step."""

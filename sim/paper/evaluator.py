@@ -14,6 +14,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.kernels.jit import kernel
 from rover_ncp.kernels.vectors import WIDTH
 from sim.learn.engine.commander import circuit_commander
+from sim.learn.engine.lanes import IDLE
 from sim.learn.engine.networks import Net, network_commander
 from sim.learn.search.base import Seeds
 from sim.paper.plants.lanes import NO_MUJOCO, Plants, observe, reset_plant, step_plant
@@ -21,7 +22,6 @@ from sim.paper.tasks import Benchmark
 
 FloatArray = NDArray[np.float64]
 
-_IDLE = -1
 _LANES, _MUJOCO_LANES = WIDTH, 16
 """The kernel computes all lanes while one of them has an episode: fewer lanes, fewer idle ones."""
 _LOST = -1e6
@@ -50,25 +50,25 @@ def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
         """
         count = plants.state.shape[1]
         observations, commands = np.zeros((shape[0], count)), np.zeros((shape[1], count))
-        episodes, ticks = np.full(count, _IDLE), np.zeros(count, np.int64)
+        episodes, ticks = np.full(count, IDLE), np.zeros(count, np.int64)
         results = np.zeros((len(queue.vectors), 3))
         waiting, running = 0, 0
         while True:
             for lane in range(count):
-                if episodes[lane] == _IDLE and waiting < len(results):
+                if episodes[lane] == IDLE and waiting < len(results):
                     start_lane(arrays, lane, queue.vectors[waiting])
                     reset_plant(plants, lane, queue.starts[waiting])
                     episodes[lane], ticks[lane] = waiting, -queue.warm_up
                     waiting += 1
                     running += 1
-                if episodes[lane] != _IDLE:
+                if episodes[lane] != IDLE:
                     observe(plants, lane, observations)
             if running == 0:
                 return results
             tick_lanes(arrays, observations, commands)
             for lane in range(count):
                 episode = episodes[lane]
-                if episode == _IDLE:
+                if episode == IDLE:
                     continue
                 ticks[lane] += 1
                 if ticks[lane] <= 0:
@@ -78,7 +78,7 @@ def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
                 results[episode, 1] += bonus
                 results[episode, 2] = ticks[lane]
                 if terminated or ticks[lane] == queue.horizon:
-                    episodes[lane] = _IDLE
+                    episodes[lane] = IDLE
                     running -= 1
 
     return run_episodes

@@ -70,6 +70,8 @@ class ParkResult(NotTrained):
 
     true_error_m: float = Field(description="distance to the last checkpoint at the end")
     true_error_rad: float = Field(description="difference of its heading then")
+    verdict: str | None = Field(description="the driver's, by its estimate: as deploy reports it")
+    probability: float | None = Field(description="as deploy reports it")
     estimate_error_m: float | None = Field(description="as deploy reports it")
     estimate_error_rad: float | None = Field(description="as deploy reports it")
     ticks: int = Field(description="as deploy reports them")
@@ -143,6 +145,8 @@ def run_park(
         train=training,
         true_error_m=verdict.error_m,
         true_error_rad=verdict.error_rad,
+        verdict=done.result["verdict"],
+        probability=done.result["probability"],
         estimate_error_m=done.result["estimate_error_m"],
         estimate_error_rad=done.result["estimate_error_rad"],
         ticks=done.result["ticks"],
@@ -159,7 +163,7 @@ def run_park(
     output.result(
         result.model_dump(),
         f"{ending}; true final errors {1000 * verdict.error_m:.0f} mm and "
-        f"{1000 * verdict.error_rad:.0f} mrad\n"
+        f"{1000 * verdict.error_rad:.0f} mrad; the driver's verdict: {result.verdict}\n"
         f"picture: {picture}\nrecording: {recording}\nreport: {report}",
     )
     return 0 if verdict.parked else 1

@@ -43,7 +43,8 @@ class DriveTrain:
         self._half_track = robot.half_track_m
         self._way_left: float | None = None
         self._heading: float | None = None
-        self._commanded = (0.0, 0.0)
+        self._commanded: tuple[float, float] | None = None
+        """The setpoints in force; None while the motors are off or rest."""
         self._pushing_s = self._resting_s = 0.0
         self.restore_flash()
 
@@ -114,7 +115,7 @@ class DriveTrain:
     def place(self, pose: Pose) -> None:
         """Put the rover somewhere; odometry does not notice."""
         self.rover.set_pose(pose)
-        self._commanded = (0.0, 0.0)
+        self._commanded = None
 
     # State.
 
@@ -149,9 +150,9 @@ class DriveTrain:
     def substep(self, halted: bool) -> None:
         """Advance by 0.01 s. While ``halted``, the setpoints wait (watchdog)."""
         idle = halted or not self.enabled or self._resting_s > 0.0
-        wanted = (0.0, 0.0) if idle else (self._speed(), self._turn())
+        wanted = None if idle else (self._speed(), self._turn())
         if wanted != self._commanded:
-            self.rover.command(*self._trial.driven(*wanted))
+            self.rover.command(*((0.0, 0.0) if wanted is None else self._trial.driven(*wanted)))
             self._commanded = wanted
         self.rover.substep()
         self._count_way()

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 from bridge.pioneer.arcos import Packet
 from bridge.pioneer.odometry import COUNTER_BITS, HEADING_BITS, WHEEL_SPEED_M_S, counter_difference
 from bridge.pioneer.packets import ConfigPac, Flag, Sip
+from rover_ncp.core.geometry import ORIGIN
 from rover_ncp.robot.description import RobotDescription
 from sim.pioneer.drive_train import DriveTrain
 from sim.pioneer.models import TICKS_PER_MM
 from sim.pioneer.sensors import Sonars
-from sim.pioneer.trial import ORIGIN
 
 SIMSTAT, ENCODER, IO = 0x62, 0x90, 0xF0
 """Packet types that the bridge does not read."""

@@ -12,7 +12,7 @@ from collections import deque
 import numpy as np
 
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.geometry import Pose, compose, wrap_angle
+from rover_ncp.core.geometry import Pose, Velocity, compose, wrap_angle
 from rover_ncp.course.course import TICK_S
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire import messages
@@ -70,6 +70,9 @@ class Ros2Robot(SimulatedBase):
         self._rates = {name: hz for name, hz in rates.items() if name is not None and hz}
         """How often it publishes each of its topics, by name."""
         self._due = dict.fromkeys(self._rates, start_s)
+        spans = round(description.odometry.speed_mean_s * description.odometry.rate_hz)
+        self._ways = deque([(start_s, 0.0, 0.0)], maxlen=spans + 1)
+        """Times of the last reports, with the ways (m) of the left and the right wheel."""
         self._held: deque[tuple[float, bytes]] = deque()
         """Odometry that is sent late, and when."""
         self._turns = TurnMeter(rover, start_s)
@@ -163,7 +166,7 @@ class Ros2Robot(SimulatedBase):
     def _send_odometry(self) -> None:
         """Publish odometry, or hold it back for as long as a trial's messages take."""
         frames = self.topics.odom_frame, self.topics.base_frame
-        data = messages.odometry(self._pose(), self.drive.measured, self._stamp_ns(), frames=frames)
+        data = messages.odometry(self._pose(), self._motion(), self._stamp_ns(), frames=frames)
         age_s = self._trial.next_age_s
         if age_s or self._held:
             self._held.append((max(self.now + age_s, self._held[-1][0] if self._held else 0.0), data))
@@ -195,14 +198,24 @@ class Ros2Robot(SimulatedBase):
         (x, y, theta), noise, gauss = self.drive.odometry, self._trial.noise, self._random.gauss
         own = self.robot.odometry if self.drive.rover.moving else None
         spread_m, spread_rad = (own.noise_m, own.noise_rad) if own else (0.0, 0.0)
-        pose = Pose(
-            x + noise.x + gauss(0.0, spread_m) + (self._fault("jump-odometry") or 0.0),
-            y + noise.y + gauss(0.0, spread_m),
-            wrap_angle(theta + noise.theta + gauss(0.0, spread_rad)),
-        )
+        x += noise.x + gauss(0.0, spread_m) + (self._fault("jump-odometry") or 0.0)
+        y += noise.y + gauss(0.0, spread_m)
+        theta += noise.theta + gauss(0.0, spread_rad)
+        if step_rad := self.robot.odometry.heading_step_rad:
+            theta = step_rad * round(theta / step_rad)
+        pose = Pose(x, y, wrap_angle(theta))
         if self._fault("freeze-odometry") is not None:
             self._frozen = pose
         return pose
+
+    def _motion(self) -> Velocity:
+        """Return the motion that it reports: that of the moment, or its mean over some reports."""
+        self._ways.append((self.now, *self.drive.wheels_m))
+        (began_s, *began_m), (now_s, *now_m) = self._ways[0], self._ways[-1]
+        if len(self._ways) < 2 or now_s <= began_s:
+            return self.drive.measured
+        left, right = ((way - before) / (now_s - began_s) for way, before in zip(now_m, began_m, strict=True))
+        return Velocity((left + right) / 2.0, (right - left) / (2.0 * self.robot.half_track_m))
 
     def _emit(self, topic: str, payload: bytes) -> None:
         self._out.append((topic, self._faults.damage(payload, self._driven_s)))

@@ -8,24 +8,16 @@ pose in that tick. Quantised commands are not among a trial's errors here: ARCOS
 
 from typing import NamedTuple
 
-from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.geometry import ORIGIN, Pose, Velocity
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.robot.description import RobotDescription
 from sim.world.described import described_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
-from sim.world.randomization import (
-    Randomization,
-    Trials,
-    apply_base_errors,
-    base_errors,
-    draw_trials,
-    odometry_errors,
-    trial_body,
-)
+from sim.world.randomization import Randomization, Trials, draw_trials, trial_body
 from sim.world.rover import SUBSTEP_S, Rover, RoverModel
 from sim.world.skid_robot import draw_robot, rigid_body_of
+from sim.world.trial_errors import apply_base_errors, base_errors, odometry_errors
 
-ORIGIN = Pose(0.0, 0.0, 0.0)
 TRIAL_TICKS = 600
 """Length of a trial without a course; its noise then begins again."""
 
@@ -100,7 +92,7 @@ def draw_rover(
     ranges: Randomization, description: RobotDescription, course: Course | None, *, seed: int, number: int
 ) -> Drawn:
     """Draw trial ``number`` of a seed, for as long as the course lasts."""
-    model = described_rover(description)
+    model = described_rover(description, motors=True)
     ticks, obstacles = (course.ticks, course.obstacles) if course else (TRIAL_TICKS, ())
     trials = draw_trials(ranges, model, seed, count=1, ticks=ticks, first=number)
     if ranges.skid_steer is None:

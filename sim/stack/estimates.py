@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, Field
-from scipy.stats import chi2
 
 from deploy.drive.control_loop import Drive
 from rover_ncp.core.geometry import Pose, distance
@@ -87,7 +86,7 @@ def summary(beliefs: Sequence[Belief], parked: Sequence[bool]) -> EstimateSummar
         error_m=_percentiles([belief.error_m for belief in beliefs]),
         predicted_error_m=_percentiles([belief.predicted_m for belief in beliefs]),
         inside={
-            f"{share:.0%}": float(np.mean(squared <= chi2.ppf(share, 2))) if len(squared) else None
+            f"{share:.0%}": float(np.mean(squared <= -2.0 * math.log(1.0 - share))) if len(squared) else None
             for share in ELLIPSES
         },
         nis=MeanNis(

@@ -28,4 +28,4 @@ def identified(
     monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
     monitor.wait()
     excite(link, measurements, monitor, FENCE_M, bridge)
-    return identify(motion_log(received), robot.name)
+    return identify(motion_log(received, robot), robot.name)

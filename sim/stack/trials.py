@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import NamedTuple
 
-from deploy.drive.config import DriveConfig, settings_for
+from deploy.drive.config import DriveConfig, config_for
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
 from rover_ncp.core.files import DEFAULT_ROBOT
@@ -117,7 +117,6 @@ class Stack:
     def drive(self, number: int) -> Driven:
         """Drive a trial from power-up to the motors' release."""
         known = self.identified(number) if self.identify else self.known
-        settings = settings_for(known, self.robot).model_copy(update=dict(self.estimator))
         course, (rover, trials) = self.course(number), self.drawn(number)
         base_seed = integer_seed(self.seed, Domain.BASE_SENSORS, number)
         base = simulated_base(self.description, rover, BaseTrial(trials), gyro=self.gyro, seed=base_seed)
@@ -134,20 +133,18 @@ class Stack:
                 watch(now)
 
         base.observe = observe
-        config = DriveConfig(
+        config = config_for(
+            course,
+            known,
+            self.robot,
             robot=link.robot,
-            namespace="",
             policy=self.driver.name,
-            course=course.name,
-            dry_run=False,
-            ticks=course.ticks,
             # Rates are measured from any start of the randomization.
             start_m=ANYWHERE_M,
             start_rad=math.pi,
-            estimator=settings,
-            rover=known,
-            described=self.robot,
         )
+        changed = config.estimator.model_copy(update=dict(self.estimator))
+        config = config.model_copy(update={"estimator": changed})
         publisher = SilentPublisher(link, lambda message: None, self.driver.neurons, bridge)
         drive = Drive(link, self._controller(number, config), publisher, config, lambda: False, clock=bridge)
         drive.wait()
@@ -173,7 +170,12 @@ class Stack:
         if self.identify or place not in self._controllers:
             runner = self.driver.runner()
             self._controllers[place] = Controller(
-                self.driver.signals, self.courses[place], config.estimator, config.rover, runner
+                self.driver.signals,
+                self.courses[place],
+                config.estimator,
+                config.rover,
+                config.described,
+                runner=runner,
             )
         return copy.deepcopy(self._controllers[place])
 

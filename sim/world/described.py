@@ -6,6 +6,7 @@ and odometry are those of the description.
 
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
@@ -27,10 +28,23 @@ def default_rover(**different: float) -> RoverModel:
     return described_rover(load_description(DEFAULT_ROBOT)).model_copy(update=different)
 
 
-def described_rover(description: RobotDescription) -> RoverModel:
-    """Return the simulated rover of a description. Its outline lies evenly around its centre of rotation."""
+def described_rover(description: RobotDescription, *, motors: bool = False) -> RoverModel:
+    """Return the simulated rover of a description. Its outline lies evenly around its centre of rotation.
+
+    Without ``motors`` it follows slow commands too: a driver, which plain simulation does without, sends none
+    that the described motors do not follow.
+    """
+    motion = description.motion
+    slow: dict[str, Any] = {
+        "dead_band_v": motion.dead_band.v,
+        "dead_band_omega": motion.dead_band.omega,
+        "wheel_min": motion.wheel_min,
+        "slow_wheels_turn": motion.slow_wheels == "turn",
+    }
     return RoverModel(
-        **description.motion.model_dump(),
+        **motion.model_dump(exclude={"dead_band", "wheel_min", "slow_wheels"}),
+        **(slow if motors else {}),
+        half_track_m=description.half_track_m,
         delay_v_s=description.delays.v_s,
         delay_omega_s=description.delays.omega_s,
         length=description.length_m,

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, Velocity
 from rover_ncp.course.course import Obstacle
 from sim.world.rover import (
     GRAVITY_M_S2,
@@ -49,7 +49,6 @@ _WALLS_ONLY = np.array([0, 1, 0, 0, 0, 0], np.uint8)
 _YAW = 2
 """Index of the gyro's vertical axis among the sensors' values."""
 USUAL = SkidRobot()
-_ORIGIN, _STILL = Pose(0.0, 0.0, 0.0), Velocity(0.0, 0.0)
 _CABLES, _WALLS = 1, 2
 """Bits of collisions: tyres roll over cables, walls stop tyres and shell."""
 _TYRES = _CABLES | _WALLS
@@ -160,7 +159,7 @@ class MujocoRover:
         model: RoverModel,
         robot: SkidRobot,
         obstacles: Sequence[Obstacle] = (),
-        pose: Pose = _ORIGIN,
+        pose: Pose = ORIGIN,
     ) -> None:
         self.model, self.robot = model, robot
         self.commands = CommandQueue(model)
@@ -179,10 +178,10 @@ class MujocoRover:
     def set_pose(self, pose: Pose) -> None:
         mujoco.mj_resetData(self._physics, self.data)
         self.commands.clear()
-        self._asked = _STILL
+        self._asked = STANDSTILL
         """The motion that the motor controllers follow now."""
         self._left, self._right = _Motor(self.robot), _Motor(self.robot)
-        self._recent = deque([_STILL], maxlen=round(MOVING_S / SUBSTEP_S))
+        self._recent = deque([STANDSTILL], maxlen=round(MOVING_S / SUBSTEP_S))
         """The encoders' motion in the last substeps."""
         self._turned = 0.0
         self._place(pose)

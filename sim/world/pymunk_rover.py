@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import pymunk
 
 from rover_ncp.core.errors import ConfigError
-from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
+from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, wrap_angle
 from rover_ncp.course.course import Course, Obstacle
 from sim.world.rover import (
     GRAVITY_M_S2,
@@ -24,7 +24,6 @@ COLLISION_SLOP_M = 0.001
 OBSTACLE_FRICTION = 0.5
 _ROVERS = pymunk.ShapeFilter(group=1)
 """Shapes of one group never collide with each other."""
-_ORIGIN = Pose(0.0, 0.0, 0.0)
 
 
 class Ground:
@@ -51,7 +50,7 @@ class Ground:
 
 
 def rover_body(
-    model: RoverModel, ground: Ground, pose: Pose = _ORIGIN, *, has_shape: bool = True
+    model: RoverModel, ground: Ground, pose: Pose = ORIGIN, *, has_shape: bool = True
 ) -> pymunk.Body:
     """Put a rover's body onto the ground, standing still; without a shape it touches nothing."""
     size = (model.length, model.width)
@@ -78,7 +77,7 @@ def require_free_start(model: RoverModel, course: Course) -> None:
 class PymunkRover:
     """A ``Rover`` alone on its ground. A command that is not finite is a ValueError."""
 
-    def __init__(self, model: RoverModel, ground: Ground, pose: Pose = _ORIGIN) -> None:
+    def __init__(self, model: RoverModel, ground: Ground, pose: Pose = ORIGIN) -> None:
         self.model = model
         self.ground = ground
         self.commands = CommandQueue(model)

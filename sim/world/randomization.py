@@ -5,7 +5,6 @@ So trial 7 of seed 1 is the same perturbed robot for every driver and every set 
 stretch the same draws. Parameters are uniform in their ranges; noise is Gaussian.
 """
 
-import math
 from pathlib import Path
 from typing import Literal, NamedTuple, Self
 
@@ -16,7 +15,6 @@ from pydantic import Field, model_validator
 from rover_ncp.core.config import StrictModel, load_yaml
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import resolve
-from rover_ncp.core.geometry import Pose
 from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import TICK_S
 from rover_ncp.robot.profile import RoverProfile
@@ -66,6 +64,19 @@ class Randomization(StrictModel):
         default=None, description="least and most; of the wheels' turn"
     )
     rotation_center_m: float = Field(default=0.0, ge=0, description="behind the middle, or ahead")
+    dead_band_m_s: tuple[float, float] | None = Field(
+        default=None, description="least and most; smaller speed commands are not followed"
+    )
+    dead_band_rad_s: tuple[float, float] | None = Field(
+        default=None, description="least and most; smaller turn commands are not followed"
+    )
+    wheel_min_m_s: tuple[float, float] | None = Field(
+        default=None, description="least and most; of the slowest speed of a turning wheel"
+    )
+    creep_m_s: float = Field(default=0.0, ge=0, description="speed of a base with motors on at command 0")
+    pull_rad_m: float = Field(
+        default=0.0, ge=0, description="turn per metre of wheels with different gains, which encoders measure"
+    )
     sensors: Sensors = Field(default="encoders", description="of the observed pose, but for the stack")
     rover: RoverProfile | None = Field(default=None, description="what is known, and so not drawn")
 
@@ -109,6 +120,9 @@ class Trials(NamedTuple):
     """(N, T) whether the command of a tick is lost."""
     step: FloatArray
     """(2,) of v and omega; 0 for none."""
+    motors: FloatArray
+    """(N, 7) dead band of v and of omega, least wheel speed, speed of a slower wheel, half the track, creep,
+    pull."""
 
     @property
     def size(self) -> int:
@@ -145,7 +159,7 @@ def draw_trials(
     chance = np.array([stream.random((ticks + 1, 2)) for stream in streams])
     # From other streams: more draws of the first ones would change the noise, or depend on the ticks.
     others = [random_stream(seed, Domain.TRIAL_SKID, first + i) for i in range(count)]
-    skid = np.array([other.uniform(-1.0, 1.0, 2) for other in others])
+    skid, motors = np.hsplit(np.array([other.uniform(-1.0, 1.0, 7) for other in others]), [2])
     nominal = (model.delay_v_s, model.delay_v_s), (model.delay_omega_s, model.delay_omega_s)
     least, most = np.array([ranges.delay_v_s or nominal[0], ranges.delay_omega_s or nominal[1]]).T
     delay_s = least + (most - least) * 0.5 * (1.0 + u[:, 3:5])
@@ -186,7 +200,22 @@ def draw_trials(
                 model.rotation_center_m + ranges.rotation_center_m * skid[:, 1],
             ]
         ),
+        motors=_motors(ranges, model, motors),
     )
+
+
+def _motors(ranges: Randomization, model: RoverModel, u: FloatArray) -> FloatArray:
+    """Return ``Trials.motors`` of draws (N, 5) in −1..1."""
+    named = (
+        (ranges.dead_band_m_s, model.dead_band_v),
+        (ranges.dead_band_rad_s, model.dead_band_omega),
+        (ranges.wheel_min_m_s, model.wheel_min),
+    )
+    least, most = np.array([given or (own, own) for given, own in named]).T
+    drawn = least + (most - least) * 0.5 * (1.0 + u[:, :3])
+    slow = drawn[:, 2] if model.slow_wheels_turn else np.zeros(len(u))
+    half_track = np.full(len(u), model.half_track_m)
+    return np.column_stack([drawn, slow, half_track, ranges.creep_m_s * u[:, 3], ranges.pull_rad_m * u[:, 4]])
 
 
 def _of_known(
@@ -238,6 +267,7 @@ def _of_known(
         slip=slip,
         drift=drift,
         turning=_columns(drawn.turning, None, known.rotation_center_m),
+        motors=_columns(drawn.motors, known.dead_band_v, known.dead_band_omega),
     )
 
 
@@ -290,85 +320,4 @@ def trial_body(model: RoverModel, trials: Trials, row: int) -> RoverModel:
             "turn_gain": turn_gain,
             "rotation_center_m": rotation_center_m,
         }
-    )
-
-
-class BaseErrors(NamedTuple):
-    """Errors between command and motion; gains, rad/m, s."""
-
-    gain_v: float
-    gain_omega: float
-    imbalance: float
-    slip: float
-
-
-class OdometryErrors(NamedTuple):
-    """Errors between motion and odometry; scales, rad/m, s, rad/s, gain, m."""
-
-    distance_scale: float
-    heading_scale: float
-    imbalance: float
-    slip: float
-    drift: float
-    turn_gain: float = 1.0
-    rotation_center: float = 0.0
-
-
-# The functions below are compiled into the engine's kernel as they are, and called by the plain rollout.
-
-
-def quantise(value: float, step: float) -> float:
-    """Return the nearest whole multiple of ``step``; the value itself if that is 0."""
-    return value if step == 0.0 else step * math.floor(value / step + 0.5)
-
-
-def base_errors(trials: Trials, row: int) -> BaseErrors:
-    """Return the errors of a trial's base."""
-    gain_v, gain_omega = float(trials.gain[row, 0]), float(trials.gain[row, 1])
-    return BaseErrors(gain_v, gain_omega, float(trials.imbalance[row]), float(trials.slip[row]))
-
-
-def odometry_errors(trials: Trials, row: int) -> OdometryErrors:
-    """Return the errors of the odometry that a trial's sensors make."""
-    scale, drift, center = trials.odometry[row, 0], trials.drift[row], trials.turning[row, 1]
-    heading_scale, imbalance, slip, turn_gain = 1.0, 0.0, 0.0, 1.0
-    if not trials.sensors[0]:
-        heading_scale, turn_gain = float(trials.odometry[row, 1]), float(trials.turning[row, 0])
-        imbalance, slip = float(trials.imbalance[row]), float(trials.slip[row])
-    return OdometryErrors(
-        float(scale), heading_scale, imbalance, slip, float(drift), turn_gain, float(center)
-    )
-
-
-def apply_base_errors(v: float, omega: float, base: BaseErrors) -> tuple[float, float]:
-    """Return what a base makes of a command (m/s, rad/s): the motion it then accelerates to."""
-    forward = base.gain_v * v
-    turn = base.gain_omega * omega
-    return forward, turn * (1.0 - base.slip * abs(turn)) + base.imbalance * forward
-
-
-def dead_reckon(believed: Pose, before: Pose, after: Pose, errors: OdometryErrors) -> Pose:
-    """Return where odometry believes to be after a tick, its heading not wrapped.
-
-    It measures the motion of the centre of rotation, which does not slide, in the rover's frame: distances
-    and turn with their scales, the turn by the wheels, with what slipped away and without what no encoder
-    sees. True headings are within (−π, π].
-    """
-    dx, dy = after.x - before.x, after.y - before.y
-    cos, sin = math.cos(before.theta), math.sin(before.theta)
-    turn = after.theta - before.theta
-    if turn > math.pi:
-        turn -= math.tau
-    elif turn <= -math.pi:
-        turn += math.tau
-    # To the second order of a tick's turn, less than 0.1 rad.
-    ahead = errors.distance_scale * (cos * dx + sin * dy + 0.5 * errors.rotation_center * turn * turn)
-    left = errors.distance_scale * (cos * dy - sin * dx - errors.rotation_center * turn) / errors.turn_gain
-    turn /= errors.turn_gain
-    turn = turn * (1.0 + errors.slip * abs(turn) / TICK_S) - errors.imbalance * ahead
-    cos, sin = math.cos(believed.theta), math.sin(believed.theta)
-    return Pose(
-        believed.x + cos * ahead - sin * left,
-        believed.y + sin * ahead + cos * left,
-        believed.theta + (errors.heading_scale * turn + errors.drift * TICK_S),
     )

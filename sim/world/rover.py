@@ -55,6 +55,15 @@ class RoverModel(StrictModel):
     rotation_center_m: float = Field(default=0.0, description="sideways speed over turn rate")
     friction: float = Field(default=0.6, ge=0, description="μ of the wheels across the rover")
     shell_friction: float = Field(default=0.3, ge=0, description="of its sides against an obstacle")
+    half_track_m: float = Field(
+        default=0.2, gt=0, description="half the difference of wheel speeds over turn rate"
+    )
+    dead_band_v: float = Field(default=0.0, ge=0, description="least speed command that is followed")
+    dead_band_omega: float = Field(default=0.0, ge=0, description="least turn command that is followed")
+    wheel_min: float = Field(default=0.0, ge=0, description="least speed of a turning wheel")
+    slow_wheels_turn: bool = Field(
+        default=False, description="whether a slower wheel turns at wheel_min, and does not stand"
+    )
 
     @property
     def delay_v_substeps(self) -> int:

@@ -10,11 +10,11 @@ under test. After the measurement the fault is removed, and the rover must not m
 import math
 import time
 from collections.abc import Callable
-from signal import SIGCONT, SIGKILL, SIGSTOP, SIGUSR1
+from signal import SIGCONT, SIGINT, SIGKILL, SIGSTOP, SIGUSR1
 from typing import Any
 
 from faults.going_on import CLOCK_ROWS, OWN_ROWS, ROS2_ROWS, SILENT_CLOSE_ROW, silence
-from faults.hang import HANG_S
+from faults.hang import CLOCK_STEPS_S, HANG_S
 from faults.outlet import GONE, PIPE, TERMINAL, OutletProcess
 from faults.rig import SPEED_M_S, Scene, Unsafe
 from faults.row import CIRCUIT, SCRIPTED, Act, Row
@@ -326,3 +326,21 @@ MATRIX: tuple[Row, ...] = (
     ),
 )
 ROWS = {row.key: row for row in (*MATRIX, *ROS2_ROWS)}
+
+_ROWS_OF_A_PIONEER_ALONE = {
+    "bumper": "this robot has none",
+    "stall": "this robot reports none",
+    "bumper-again": "this robot has none",
+    "line-reset": "Zenoh connects again within 0.2 s, and the drive goes on",
+    **{
+        f"bridge-clock-{step_s:g}": "it drops commands with old stamps: both clocks must agree"
+        for step_s in CLOCK_STEPS_S.values()
+    },
+}
+CHECKS = {"check-interrupted": SIGINT, "check-killed": SIGKILL}
+# Rows without an act have tests of their own.
+ROS2_KEYS = [
+    row.key
+    for row in (*MATRIX, *ROS2_ROWS)
+    if row.act and not row.outlet and row.key not in _ROWS_OF_A_PIONEER_ALONE
+]

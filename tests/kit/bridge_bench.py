@@ -85,10 +85,6 @@ class Rig(LiveRun):
         newest = self.truth.read()[-1]
         return self.truth.stood_after(wall_ns - newest.wall_ns + newest.clock_ns, 8.0, still_s)
 
-    def speed_at(self, wall_ns):
-        """Return the true speed at a moment."""
-        return wait_for(lambda: next((s.velocity for s in self.truth.read() if s.wall_ns >= wall_ns), None)).v
-
 
 def braking_s(v):
     """Time in s from the stop command to standstill at speed ``v``: the base's own delay, then braking."""

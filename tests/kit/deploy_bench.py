@@ -8,12 +8,12 @@ import time
 from deploy.commands import deploy
 from deploy.drive import config
 from deploy.drive.config import DriveConfig
-from kit.virtual_drive import COURSE, STILL
+from kit.virtual_drive import COURSE
 from kit.zenoh_session import open_session
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, save_policy
 from rover_ncp.core.config import dump_yaml
-from rover_ncp.core.geometry import Pose, compose
+from rover_ncp.core.geometry import STANDSTILL, Pose, compose
 from rover_ncp.wire.messages import odometry, read_twist, text
 from rover_ncp.wire.protocol import (
     CommandTag,
@@ -37,7 +37,7 @@ class Bridge:
     def __init__(self):
         self.robot = f"tcp/127.0.0.1:{free_port('127.0.0.1')}"
         self.session = open_session("router", {"listen/endpoints": [self.robot], "scouting/delay": 0})
-        self.pose, self.velocity = ODOM_AT_START, STILL
+        self.pose, self.velocity = ODOM_AT_START, STANDSTILL
         self.gate = GateStatus()
         self.refusal = ""
         self.secret = bytes(range(32))
@@ -86,7 +86,7 @@ class Bridge:
                 reply = reply.model_copy(update={"lease": LEASE, "key": secret})
                 time.sleep(self.delays.pop(0) if self.delays else 0.0)
             elif query.attachment is not None:
-                self.gate, self.velocity = GateStatus(), STILL
+                self.gate, self.velocity = GateStatus(), STANDSTILL
             query.reply("rover/motors", dump_json(reply))
             if not request.enable:
                 self.released.set()

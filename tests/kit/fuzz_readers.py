@@ -41,7 +41,7 @@ from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml, policy_
 from rover_ncp.core.config import dump_yaml, parse_yaml
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.files import read_bytes, resolve, shipped_names
-from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.geometry import STANDSTILL, Pose
 from rover_ncp.course.course import Course
 from rover_ncp.recording.recording import Recorded, RecordingWriter, header_stamp_ns, read_recording
 from rover_ncp.robot.description import RobotDescription, load_description
@@ -69,7 +69,6 @@ from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import Randomization
 
-STILL = Velocity(0.0, 0.0)
 HERE = Pose(0.1, 0.2, 0.3)
 JSON_MODELS = (
     lease.BaseReply,
@@ -175,9 +174,9 @@ def _json(data):
 
 def _messages():
     return [
-        odometry(HERE, STILL, 1),
-        twist_stamped(STILL, 1),
-        twist_stamped(STILL, 1)[:52],
+        odometry(HERE, STANDSTILL, 1),
+        twist_stamped(STANDSTILL, 1),
+        twist_stamped(STANDSTILL, 1)[:52],
         neurons([1.0, 2.0], ["AVA", "AVB"]),
         text("{}"),
     ]
@@ -217,7 +216,7 @@ def _robot(data):
             base.receive(TokenSeen(token, True), 0.0)
     for k in range(40):
         now = 0.1 * (k + 1)
-        good = odometry(HERE, STILL, round(1e9 * (1000 + now)), frames=("odom", "base_footprint"))
+        good = odometry(HERE, STANDSTILL, round(1e9 * (1000 + now)), frames=("odom", "base_footprint"))
         topics = {
             "odom": data if k % 10 == 9 else good,
             **dict.fromkeys(("imu", "battery_state", "scan", "stop", "hazards"), data),
@@ -227,13 +226,13 @@ def _robot(data):
             for event in base.receive(RobotMessage(topic, payload, now), now):
                 if isinstance(event, BaseReport):
                     assert all(map(math.isfinite, (event.x, event.y, event.theta, event.v, event.omega)))
-        base.drive(Setpoint(STILL, motors=True, emergency=False), now)
+        base.drive(Setpoint(STANDSTILL, motors=True, emergency=False), now)
     survives(Reader(parse_ros_address, list), f"ros2/tcp/{words}")
 
 
 def _robot_messages():
     ranges = np.array([1.0, math.inf, 0.5, math.nan])
-    sent = [odometry(HERE, STILL, 10**12, frames=("odom", "base_footprint")), imu(0.1, 0.1, 1)]
+    sent = [odometry(HERE, STANDSTILL, 10**12, frames=("odom", "base_footprint")), imu(0.1, 0.1, 1)]
     tokens = [
         topic_token("abc", "odom", "nav_msgs/msg/Odometry", published=True).encode(),
         b"x:7447#rmw=zenoh",
@@ -242,7 +241,7 @@ def _robot_messages():
         *sent,
         battery_state(11.0, 1),
         laser_scan(ranges, (0.1, 3.0), 1),
-        twist_stamped(STILL, 1),
+        twist_stamped(STANDSTILL, 1),
         *tokens,
     ]
 
@@ -329,8 +328,8 @@ def _topics():
         sequence=0,
     )
     own = {
-        "odom": odometry(HERE, STILL, 1),
-        "cmd_vel": twist_stamped(STILL, 1),
+        "odom": odometry(HERE, STANDSTILL, 1),
+        "cmd_vel": twist_stamped(STANDSTILL, 1),
         "rover/neurons": neurons([1.0], ["AVA"]),
         "rover/status": text(lease.dump_json(lease.DriverStatus(state="driving")).decode()),
         "rover/gate": text(lease.dump_json(lease.GateStatus()).decode()),

@@ -17,7 +17,6 @@ from bridge.base import BaseReport
 from bridge.gate.gate import step
 from bridge.gate.limits import Fence, Limits
 from bridge.gate.state import (
-    ZERO,
     BaseLost,
     Enable,
     GateState,
@@ -27,7 +26,7 @@ from bridge.gate.state import (
     Tick,
     VelocityCommand,
 )
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.wire.protocol import CommandTag
 
 SECRET = bytes(range(32))
@@ -230,7 +229,7 @@ def _found(gate, verdict, word):
         velocity = Velocity(*map(_number, name.lstrip("~").strip("()").split(",")))
         return verdict.velocity, pytest.approx(velocity, abs=1e-9) if name[0] == "~" else velocity
     if name in ("zero", "moves"):
-        return verdict.velocity == ZERO, name == "zero"
+        return verdict.velocity == STANDSTILL, name == "zero"
     found = {
         "held": verdict.held,
         "dropped": verdict.dropped,

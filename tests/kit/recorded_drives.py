@@ -20,8 +20,11 @@ ODOM_START = Pose(3.0, -2.0, 1.0)
 """Where odometry stands when the drive begins: anywhere."""
 
 
-def drive_messages(policy, course, truth=True):
-    """Return the messages of a drive in order, and the rollout they were made from."""
+def drive_messages(policy, course, truth=True, variance=1e-6):
+    """Return the messages of a drive in order, and the rollout they were made from.
+
+    The covariance of the estimate begins with ``variance`` and grows.
+    """
     run = rollout(policy, course)
     told = []
 
@@ -42,7 +45,7 @@ def drive_messages(policy, course, truth=True):
     gate(BEGAN_NS - 5 * TICK_NS, held="no-lease")
     status("armed", 0, BEGAN_NS - 4 * TICK_NS)
     status("driving", 0, BEGAN_NS - 3 * TICK_NS)
-    covariance = np.diag([1e-6, 2e-6, 1e-6])
+    covariance = variance * np.diag([1.0, 2.0, 1.0])
     for k, pose in enumerate(map(Pose._make, run.poses)):
         ns = BEGAN_NS + k * TICK_NS
         last = k == len(run.commands)
@@ -65,10 +68,10 @@ def drive_messages(policy, course, truth=True):
     return told, run
 
 
-def write_drive(path: Path, policy="parking", course="parking", truth=True, more=()):
+def write_drive(path: Path, policy="parking", course="parking", truth=True, more=(), variance=1e-6):
     """Write a recording of a policy on a course; return the rollout it was made from."""
     known, policy = load_course(course), load_policy(policy)
-    told, run = drive_messages(policy, known, truth)
+    told, run = drive_messages(policy, known, truth, variance)
     with RecordingWriter(path) as writer:
         writer.attach("policy.yaml", policy_to_yaml(policy).encode())
         writer.attach("course.yaml", dump_yaml(known.model_dump(mode="json")).encode())

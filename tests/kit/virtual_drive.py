@@ -1,5 +1,7 @@
 """A drive on the virtual clock before a real bridge and base; what the driver receives can be changed."""
 
+import contextlib
+import functools
 import zlib
 
 from deploy.drive.config import DriveConfig
@@ -11,8 +13,8 @@ from deploy.drive.records import TICKS_TOPIC, attachments
 from deploy.drive.result import result_of
 from kit.paths import DATA
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.course.course import Course
+from rover_ncp.core.geometry import Pose
+from rover_ncp.course.course import Course, load_course
 from rover_ncp.recording.recording import Recorded, RecordingWriter
 from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import odometry, read_odometry, read_text, text, twist_stamped
@@ -30,7 +32,6 @@ from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 
-STILL = Velocity(0.0, 0.0)
 AHEAD = load_policy(DATA / "golden/parking.bnn")
 """A circuit that drives straight ahead at full speed after the start signal."""
 COURSE = Course.model_validate(
@@ -42,6 +43,7 @@ COURSE = Course.model_validate(
     }
 )
 """Its goal is far from where any rover comes."""
+LONG = load_course("parking").model_copy(update={"start_signal_s": 0.3})
 
 
 class ChangedLink(VirtualLink):
@@ -142,7 +144,9 @@ class VirtualDrive:
         """Drive; return the result as JSON has it."""
         files = attachments(self.policy, self.course, self.config)
         publisher = Publisher(self.link, self.recorded.append, self.policy.circuit.neurons, self.bridge)
-        controller = Controller(self.policy, self.course, self.config.estimator, self.config.rover)
+        controller = Controller(
+            self.policy, self.course, self.config.estimator, self.config.rover, self.config.described
+        )
         drive = Drive(self.link, controller, publisher, self.config, self.interrupted, clock=self.bridge)
         try:
             drive.wait()
@@ -161,6 +165,19 @@ class VirtualDrive:
                 writer.write(message)
                 if message.topic == TICKS_TOPIC:
                     writer.flush()
+
+    def use_in(self, module, monkeypatch):
+        """Have each drive of a module be one of this rover, with a link of its own."""
+
+        @contextlib.contextmanager
+        def link(address, record):
+            self.link = ChangedLink(self.bridge, record)
+            yield self.link
+
+        monkeypatch.setattr(module, "ZenohLink", link)
+        monkeypatch.setattr(module, "Drive", functools.partial(Drive, clock=self.bridge))
+        monkeypatch.setattr(module, "Publisher", functools.partial(Publisher, clock=self.bridge))
+        monkeypatch.setattr(module, "prepare_for_real_time", lambda: None)
 
     def messages(self, topic):
         """Return the data of the recorded messages of a topic."""

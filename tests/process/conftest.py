@@ -38,6 +38,13 @@ def keys(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    """A mock and a bridge that drives it."""
+    with Rig(tmp_path_factory.mktemp("rig")) as rig:
+        yield rig
+
+
+@pytest.fixture(scope="module")
 def secured(keys, tmp_path_factory):
     """A mock and a bridge that listens with TLS and access control."""
     listen = ["--listen", "tls/127.0.0.1:0", "--zenoh-config", str(keys / "bridge.json5")]

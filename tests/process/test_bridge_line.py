@@ -10,7 +10,7 @@ import pytest
 from bridge.inbox import MAX_MESSAGES, CommandMessage, Inbox, Query, RobotMessage
 from bridge.pioneer import base_connection as line_module
 from bridge.pioneer import transport
-from bridge.pioneer.base_connection import BaseConnection, Broken, Opened, Received
+from bridge.pioneer.base_connection import BaseConnection, Broken, Opened, Received, first_connection
 from bridge.pioneer.transport import TcpTransport
 from rover_ncp.core.errors import NoRobot
 
@@ -188,3 +188,45 @@ def test_inbox_waits_no_longer_than_its_timeout():
     began = time.monotonic()
     assert Inbox().take(0.05) == []
     assert 0.04 < time.monotonic() - began < 1.0
+
+
+@pytest.fixture
+def endpoint(monkeypatch):
+    """An endpoint where nothing listens yet."""
+    monkeypatch.setattr(line_module, "RETRY_S", 0.05)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    return f"tcp/127.0.0.1:{port}"
+
+
+def test_the_first_connection_waits_for_a_base_that_is_still_starting(endpoint):
+    said, asked, servers = [], [], []
+
+    def interrupted():
+        asked.append(True)
+        if len(asked) == 4:
+            servers.append(socket.create_server(("127.0.0.1", int(endpoint.rpartition(":")[2]))))
+        return False
+
+    line = first_connection(endpoint, Inbox(), interrupted, said.append)
+    line.close()
+    servers[0].close()
+    assert len(asked) == 4
+    assert said == [f"{endpoint}: connection refused: nothing listens there; trying again for 2.5 s"]
+
+
+def test_the_first_connection_ends_at_ctrl_c_and_after_its_attempts(endpoint, monkeypatch):
+    with pytest.raises(KeyboardInterrupt):
+        first_connection(endpoint, Inbox(), lambda: True, str)
+    monkeypatch.setattr(line_module, "FIRST_TRIES", 3)
+    asked = []
+    with pytest.raises(NoRobot, match="connection refused"):
+        first_connection(endpoint, Inbox(), lambda: asked.append(True), str)
+    assert len(asked) == 2
+
+
+def test_only_a_refused_first_connection_is_tried_again():
+    said = []
+    with pytest.raises(NoRobot):
+        first_connection("serial//dev/none", Inbox(), lambda: False, said.append)
+    assert not said

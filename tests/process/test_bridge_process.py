@@ -11,6 +11,7 @@ import time
 import pytest
 from kit.bridge_bench import MACHINE_S, PERIOD_S, STOP_S, Driver, Rig, braking_s, wait_for
 
+from bridge.pioneer import base_connection
 from rover_ncp import cli
 from rover_ncp.core.geometry import Velocity
 from sim.live.processes import Process
@@ -21,8 +22,9 @@ FORGED = "ready zenoh=tcp/192.0.2.1:7447 base=tcp/192.0.2.1:8101"
 
 
 @pytest.fixture
-def fails(capsys):
+def fails(capsys, monkeypatch):
     """Run a bridge that cannot start, in this process; return its exit code and its one line."""
+    monkeypatch.setattr(base_connection, "FIRST_TRIES", 1)
 
     def run(base, *arguments):
         code = cli.run(["bridge", "--base", base, "--listen", "tcp/127.0.0.1:0", *arguments, "--json"])

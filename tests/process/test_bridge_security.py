@@ -10,6 +10,7 @@ import zenoh
 from kit.bridge_bench import Driver, wait_for
 from kit.zenoh_session import open_session
 
+from bridge.pioneer import base_connection
 from bridge.zenoh.credentials import access_control
 from deploy.drive import config
 from deploy.drive.config import DriveConfig
@@ -201,7 +202,8 @@ def test_listening_beyond_this_machine_needs_certificates(listen, capsys, tmp_pa
     assert cli.run([*arguments[:4], "tcp/127.0.0.1:0", "--zenoh-config", str(config)]) == 2
 
 
-def test_insecure_option_allows_listening_beyond_this_machine(capsys):
+def test_insecure_option_allows_listening_beyond_this_machine(capsys, monkeypatch):
+    monkeypatch.setattr(base_connection, "FIRST_TRIES", 1)
     # What fails then is the robot, which is not there: the bridge did listen.
     arguments = ["bridge", "--base", "tcp/127.0.0.1:1", "--listen", "tcp/0.0.0.0:0", "--insecure"]
     assert cli.run(arguments) == 3

@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 import pytest
-from kit.bridge_bench import Driver, Rig, wait_for
+from kit.bridge_bench import Driver, wait_for
 
 SCRIPT = """
 import sys, gymnasium, numpy
@@ -15,12 +15,6 @@ print("driving", flush=True)
 while True:
     env.step(numpy.array([0.1, 0.0]))
 """
-
-
-@pytest.fixture(scope="module")
-def rig(tmp_path_factory):
-    with Rig(tmp_path_factory.mktemp("rig")) as rig:
-        yield rig
 
 
 def assert_stopped_and_released(rig):

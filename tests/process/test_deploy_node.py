@@ -4,11 +4,11 @@ import os
 import signal
 
 import pytest
-from kit.deploy_bench import LEASE, ODOM_AT_START, STILL
+from kit.deploy_bench import LEASE, ODOM_AT_START
 
 from deploy.replay import replay
 from rover_ncp.core.errors import NoBridge
-from rover_ncp.core.geometry import Pose, compose, distance
+from rover_ncp.core.geometry import STANDSTILL, Pose, compose, distance
 from rover_ncp.recording.recording import read_recording
 from rover_ncp.wire.messages import read_pose
 
@@ -23,7 +23,7 @@ def test_a_drive_from_start_to_end(bridge, drive, tmp_path):
     assert [request.enable for request in bridge.requests] == [True, False]
     assert {tag.lease for tag in tags} == {LEASE}
     assert [tag.sequence for tag in tags] == list(range(len(tags)))
-    assert bridge.commands[-1][1] == STILL
+    assert bridge.commands[-1][1] == STANDSTILL
     assert max(velocity.v for _, velocity in bridge.commands) > 0.01
 
     # The estimate starts at the course's origin, wherever odometry stands.
@@ -52,7 +52,7 @@ def test_a_signal_stops_the_rover_first(bridge, drive, tmp_path, number):
     code, result = drive()
     assert (code, result["reason"]) == (130, "interrupted")
     assert 2 <= result["ticks"] < 15
-    assert bridge.commands[-1][1] == STILL
+    assert bridge.commands[-1][1] == STANDSTILL
     assert bridge.released.is_set()
     assert read_recording(tmp_path / "run.mcap").complete
     assert signal.getsignal(number) is before

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from kit.bridge_bench import Rig, client, wait_for
+from kit.bridge_bench import client, wait_for
 
 from deploy.drive.measurements import Measurements
 from deploy.drive.zenoh_link import ZenohLink
@@ -28,12 +28,6 @@ ANSWERS = {
     "rover/stop": dump_json(StopReply(stopped=False, reason="false")),
     "rover/base": dump_json(BaseReply(model="false", state=TimeoutState.UNKNOWN)),
 }
-
-
-@pytest.fixture(scope="module")
-def rig(tmp_path_factory):
-    with Rig(tmp_path_factory.mktemp("rig")) as rig:
-        yield rig
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import termios
 import time
 
 import pytest
-from kit.bridge_bench import MACHINE_S, Rig, braking_s, wait_for
+from kit.bridge_bench import MACHINE_S, braking_s, wait_for
 from kit.json_fields import undescribed
 
 from deploy.keyboard import V_M_S
@@ -77,12 +77,6 @@ class Person:
             self.process.wait()
         os.close(self.master)
         os.close(self.slave)
-
-
-@pytest.fixture(scope="module")
-def rig(tmp_path_factory):
-    with Rig(tmp_path_factory.mktemp("rig")) as rig:
-        yield rig
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import threading
 import time
 
 import pytest
-from kit.bridge_bench import Driver, Rig, client, wait_for
+from kit.bridge_bench import Driver, client, wait_for
 
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.zenoh_client import BridgeAddress
@@ -12,12 +12,6 @@ from rover_ncp.core.errors import NoBridge
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.wire.messages import text, twist_stamped
 from rover_ncp.wire.protocol import CommandTag, MotorsReply, Signed, dump_json
-
-
-@pytest.fixture(scope="module")
-def rig(tmp_path_factory):
-    with Rig(tmp_path_factory.mktemp("rig")) as rig:
-        yield rig
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""One live row of the safety matrix for each kind of base. `make test-timed` measures all rows."""
+"""One live row of the safety matrices for each layer. `make test-timed` measures all rows."""
 
 import pytest
 from faults.measure import measure, require_in_time
@@ -12,7 +12,9 @@ HUSKY = {"base_form": ROS2DDS, "model": "husky-a200", "bridge": ["--no-base-watc
 
 
 @pytest.mark.parametrize(
-    ("options", "key"), [({}, "link-cut"), (HUSKY, "bridge-killed")], ids=["pioneer", "ros2"]
+    ("options", "key"),
+    [({}, "link-cut"), ({}, "deploy-killed"), (HUSKY, "bridge-killed")],
+    ids=["link", "driver", "ros2"],
 )
 def test_the_rover_stands_in_time_and_stays(options, key, tmp_path):
     with Rig(tmp_path, DATA / "prompt_course.yaml", **options) as rig:

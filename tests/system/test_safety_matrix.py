@@ -20,7 +20,7 @@ from faults.measure import ROWS_FILE, measure, require_in_time, time_stop
 from faults.rig import CREEP_M_S, SPEED_M_S, Rig
 from faults.row import SCRIPTED
 from faults.table import MATRIX, ROWS
-from kit.paths import DATA, ROOT
+from kit.paths import DATA
 
 from rover_ncp.core.geometry import relative, wrap_angle
 from rover_ncp.wire.key_table import key
@@ -31,7 +31,6 @@ from sim.live.processes import wait_for
 
 pytestmark = [pytest.mark.timed, pytest.mark.xdist_group("matrix")]
 
-PAGE = ROOT / "docs" / "safety.md"
 COURSE, WALL = DATA / "prompt_course.yaml", DATA / "wall_course.yaml"
 
 
@@ -50,15 +49,11 @@ def rig_with(tmp_path_factory):
         )
 
 
-# `make test` measures one row here, and two in tests/process/test_safety_rows.py.
-SHORT = "deploy-killed"
 KEYS = [each.key for each in MATRIX if each.act and not each.outlet]
 
 
 # A scripted driver never stops by itself, so where one can drive, the gate stops the rover.
-@pytest.mark.parametrize(
-    "key", [pytest.param(key, marks=[pytest.mark.short] if key == SHORT else []) for key in KEYS]
-)
+@pytest.mark.parametrize("key", KEYS)
 def test_the_rover_stands_in_time_and_stays(rig, key):
     measured = measure(rig, ROWS[key], ROWS[key].drivers[0])
     require_in_time(measured)
@@ -215,11 +210,3 @@ def test_a_clock_of_a_localiser_that_steps_back_costs_no_drive_and_few_poses(rig
     assert poses["used"] > 20
     assert poses["refused"] == 0
     assert poses["doubtful"] + poses["too_late"] <= 1  # the step costs one pose
-
-
-@pytest.mark.short
-def test_the_page_shows_every_row():
-    _, _, measured = PAGE.read_text().partition("<!-- measured: make safety -->")
-    lines = [line for line in measured.partition("<!-- end -->")[0].splitlines() if line.startswith("| ")]
-    for each, line in zip(MATRIX, lines[1:], strict=True):
-        assert line.startswith(f"| {each.layer} | {each.fault}"), line

@@ -4,14 +4,11 @@ Where the bridge lives, the bounds are those of the Pioneer. Where it is dead, h
 the robot's own timeout stops it. Braking is that of its description.
 """
 
-from signal import SIGINT, SIGKILL
-
 import pytest
-from faults.hang import CLOCK_STEPS_S
 from faults.measure import measure, require_in_time, time_stop
 from faults.rig import Rig
-from faults.table import MATRIX, ROS2_ROWS, ROWS
-from kit.paths import DATA, ROOT
+from faults.table import CHECKS, ROS2_KEYS, ROWS
+from kit.paths import DATA
 
 from sim.live.live_run import RMW_ZENOH, ROS2DDS
 from sim.live.processes import Process, wait_for
@@ -19,21 +16,6 @@ from sim.live.processes import Process, wait_for
 pytestmark = pytest.mark.timed
 
 COURSE = DATA / "prompt_course.yaml"
-PAGE = ROOT / "docs" / "safety.md"
-
-WITHOUT = {
-    "bumper": "this robot has none",
-    "stall": "this robot reports none",
-    "bumper-again": "this robot has none",
-    "line-reset": "Zenoh connects again within 0.2 s, and the drive goes on",
-    **{
-        f"bridge-clock-{step_s:g}": "it drops commands with old stamps: both clocks must agree"
-        for step_s in CLOCK_STEPS_S.values()
-    },
-}
-CHECKS = {"check-interrupted": SIGINT, "check-killed": SIGKILL}
-# Rows without an act are measured with a Pioneer, or below.
-KEYS = [row.key for row in (*MATRIX, *ROS2_ROWS) if row.act and not row.outlet and row.key not in WITHOUT]
 
 
 @pytest.fixture(
@@ -49,7 +31,7 @@ def rig(request, tmp_path_factory):
         yield rig
 
 
-@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize("key", ROS2_KEYS)
 def test_the_robot_stands_in_time_and_stays(rig, key):
     require_in_time(measure(rig, ROWS[key], ROWS[key].drivers[0]), rig.form)
 
@@ -70,12 +52,3 @@ def test_end_of_a_check_stops_a_robot_whose_timeout_is_measured(tmp_path, key, n
         measured = time_stop(rig, ROWS[key], lambda: check.send_signal(number))
     assert abs(speed) > 0.05
     require_in_time(measured, "ros2dds")
-
-
-@pytest.mark.short
-def test_the_page_shows_every_row():
-    page = PAGE.read_text().partition("## With a ROS 2 robot")[2]
-    lines = [line for line in page.partition("\n## ")[0].splitlines() if line.startswith("| ")][1:]
-    assert [line.split(" | ")[0].removeprefix("| ") for line in lines] == [
-        ROWS[key].layer for key in (*KEYS, *CHECKS)
-    ]

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import ParameterKind
+from rover_ncp.circuit.compiled import LOG2_E
 from rover_ncp.circuit.solver import exp2
 from rover_ncp.kernels.jit import kernel
 
@@ -27,7 +28,6 @@ UNFOLDS = 6
 """Steps of an LTC's solver in a tick; the library's default."""
 _EPSILON = 1e-8
 """Keeps the library's solver from a division by zero."""
-_LOG2_E = 1.4426950408889634
 _SATURATED = 500.0
 
 
@@ -104,7 +104,7 @@ def cfc_parts(inputs: int, cells: int, outputs: int) -> tuple[Part, ...]:
 @kernel
 def sigmoid(z: float) -> float:
     """Return the logistic function: the same bits on every machine."""
-    result: float = 1.0 / (1.0 + exp2(-_LOG2_E * min(max(z, -_SATURATED), _SATURATED)))
+    result: float = 1.0 / (1.0 + exp2(-LOG2_E * min(max(z, -_SATURATED), _SATURATED)))
     return result
 
 

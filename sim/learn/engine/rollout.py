@@ -24,17 +24,9 @@ from rover_ncp.course.reference import Reference, plan_reference
 from sim.learn.engine.commander import CommanderRunner
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
-from sim.world.randomization import (
-    Trials,
-    apply_base_errors,
-    base_errors,
-    dead_reckon,
-    nominal_trials,
-    odometry_errors,
-    quantise,
-    trial_model,
-)
+from sim.world.randomization import Trials, nominal_trials, trial_model
 from sim.world.rover import SUBSTEPS, RoverModel
+from sim.world.trial_errors import apply_base_errors, base_errors, dead_reckon, odometry_errors, quantise
 
 FloatArray = NDArray[np.float64]
 

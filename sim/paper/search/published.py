@@ -21,11 +21,11 @@ import numpy as np
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout, Policy
-from rover_ncp.core.errors import FileError
-from rover_ncp.core.files import read_text, write_atomic
+from rover_ncp.core.files import write_atomic
 from sim.learn.engine.networks import Net
+from sim.learn.run_folder import dump_checked, load_checked
 from sim.learn.search.algorithm1 import ALPHA, ESTIMATE_AFTER, START_SCALE
-from sim.learn.search.base import Strategy, Vector, dump_state
+from sim.learn.search.base import Strategy, Vector
 from sim.learn.search.published import FAILURES_TO_WIDEN, RULES, Caps, KindRule, Published
 from sim.learn.search.random_search import RandomSearch
 from sim.paper.evaluator import Evaluator
@@ -215,22 +215,18 @@ class Checkpoint:
     """The saved state of an unfinished run, or none; it holds all that a continued run depends on."""
 
     def __init__(self, path: Path | None, settings: dict[str, Any], every_s: float = 300.0) -> None:
-        self._path, self._settings, self._every_s = path, json.loads(json.dumps(settings)), every_s
+        self._path, self._every_s = path, every_s
+        self._owner = f"{path and path.name}\n{json.dumps(settings)}"
         self._began, self._worked, self._saved = time.monotonic(), time.process_time(), time.monotonic()
         self._before = (0.0, 0.0)
 
     def load(self) -> dict[str, Any] | None:
-        """Return the state that was saved last. Raises FileError for a damaged file, or other settings."""
+        """Return the state that was saved last. Raises FileError for a damaged file, or of another run."""
         if self._path is None or not self._path.is_file():
             return None
-        try:
-            data = json.loads(read_text(self._path))
-            settings, state = data["settings"], dict(data["state"])
-            self._before = float(data["wall_s"]), float(data["cpu_s"])
-        except (ValueError, TypeError, KeyError) as error:
-            raise FileError(f"{self._path}: damaged; delete it to start the run again") from error
-        if settings != self._settings:
-            raise FileError(f"{self._path}: a run with other settings; delete it to start the run again")
+        data = load_checked(self._path, self._owner)
+        self._before = data["wall_s"], data["cpu_s"]
+        state: dict[str, Any] = data["search"]
         return state
 
     def times(self) -> tuple[float, float]:
@@ -243,8 +239,8 @@ class Checkpoint:
         if self._path is None or time.monotonic() - self._saved < self._every_s:
             return
         wall_s, cpu_s = self.times()
-        data = {"settings": self._settings, "wall_s": wall_s, "cpu_s": cpu_s, "state": state()}
-        write_atomic(self._path, dump_state(data) + "\n")
+        data = {"wall_s": wall_s, "cpu_s": cpu_s, "search": state()}
+        write_atomic(self._path, dump_checked(data, self._owner))
         self._saved = time.monotonic()
 
 

@@ -222,6 +222,20 @@ def test_a_tag_of_zeros_neither_drives_nor_releases_under_accept_ros(requester, 
     assert requester.out == Velocity(0.0, 0.0)
 
 
+def test_silence_of_plain_ros_commands_stops_the_rover(requester):
+    rig = requester.rig
+
+    def drives():
+        rig.command(twist_stamped(Velocity(0.15, 0.0), rig.time_ns()))
+        rig.sleep(PERIOD_S)
+        return requester.odom.velocity.v > 0.14
+
+    rig.wait_for(drives)
+    assert requester.gate.driver_name == "ros"
+    assert rig.stands_after(STOP_S + braking_s(0.15) - PERIOD_S)
+    assert requester.gate.stops == {"silence": 1}
+
+
 # The key of a lease
 
 

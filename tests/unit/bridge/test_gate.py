@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from kit.gate_bench import SECRET, Gate, follow, timelines
+from kit.gate_bench import LIMITS, SECRET, Gate, follow, timelines
 
 from bridge.base import BaseReport
 from bridge.gate.state import BaseLost, Enable, GateState, Reason, VelocityCommand, describe, read_tag
@@ -95,6 +95,19 @@ def test_frozen_distance_uses_the_slower_of_two_reports():
         fast = 0.3 * (k % 2)
         gate.at(0.1 * k, BaseReport(v=fast, omega=fast))
         assert gate.drive(0.1 * k).held is None
+
+
+@pytest.mark.parametrize("name", ["v", "omega"])
+def test_mean_speeds_are_frozen_odometry_only_after_the_time_of_the_mean(name):
+    gate, held = Gate(LIMITS.model_copy(update={"speed_mean_s": 1.0})).driving(), {}
+    for k in range(1, 60):
+        pose = {"x": 0.04 * min(k, 16)} if name == "v" else {"theta": 0.04 * min(k, 16)}
+        speed = 0.0 if 24 < k < 40 else 0.3  # it stands from k = 16 on; the mean lags
+        gate.at(0.125 * k, BaseReport(**pose, **{name: speed}))
+        held[k] = gate.drive(0.125 * k).held
+    assert not any(held[k] for k in range(1, 41))
+    assert held[41] is Reason.FROZEN
+    assert gate.state.lease_over is Reason.FROZEN
 
 
 @pytest.mark.parametrize("name", ["v", "omega"])

@@ -11,7 +11,6 @@ from bridge.base import BaseReport
 from bridge.gate.gate import step
 from bridge.gate.limits import Fence, Limits
 from bridge.gate.state import (
-    ZERO,
     BaseLost,
     Enable,
     GateState,
@@ -21,7 +20,7 @@ from bridge.gate.state import (
     Tick,
     VelocityCommand,
 )
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.wire.protocol import CommandTag
 
 ROUNDING_S = 1e-9
@@ -164,11 +163,11 @@ def asked_again(history, counted, hazardous):
     counted_s, command, _ = history[first]
     return (
         requested
-        or command.velocity == ZERO
+        or command.velocity == STANDSTILL
         or not any(
             isinstance(event, VelocityCommand)
             and event.tag is None
-            and event.velocity != ZERO
+            and event.velocity != STANDSTILL
             and counted_s < t + 1.0
             for t, event, _ in history[begin:first]
         )
@@ -236,7 +235,7 @@ def test_output_is_always_finite_within_limits_and_allowed(happenings, limits, a
             st.sampled_from([0.1] * 20 + [0.3, 1.1]),
             st.one_of(
                 *[st.just(("publisher", None))] * 20,
-                st.tuples(st.just("plain"), st.tuples(st.just(ZERO), st.none())),
+                st.tuples(st.just("plain"), st.tuples(st.just(STANDSTILL), st.none())),
                 st.tuples(
                     st.just("event"),
                     st.sampled_from([Stop("x"), ReleaseStop(), BaseLost(), BaseReport(bumpers=(0, 4))]),
@@ -253,7 +252,7 @@ def test_a_plain_publisher_moves_the_rover_only_when_allowed(happenings):
 
 def check(happenings, limits, accept_ros):
     """Run the gate on the happenings and check each verdict against the history."""
-    state, now, before = GateState(), 100.0, (100.0, ZERO)
+    state, now, before = GateState(), 100.0, (100.0, STANDSTILL)
     history = []
     prelude = [(0.0, ("report", CLEAR)), (0.0, ("enable", (None, 0)))]
     for sequence, (wait, (kind, what)) in enumerate(prelude + happenings):
@@ -273,7 +272,7 @@ def check(happenings, limits, accept_ros):
             elapsed = min(max(now - before[0], 0.0), 0.1)
             for new, old, rate in ((v, before[1].v, limits.accel), (omega, before[1].omega, limits.alpha)):
                 assert abs(new) <= (abs(old) if new * old > 0 else 0.0) + rate * elapsed + 1e-12
-            if verdict.velocity != ZERO:
+            if verdict.velocity != STANDSTILL:
                 assert verdict.motors
                 assert allowed_to_move(history, limits)
             before = (max(now, before[0]), verdict.velocity)

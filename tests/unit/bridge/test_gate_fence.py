@@ -10,8 +10,8 @@ from kit.gate_bench import BOX, LIMITS, Gate
 from bridge.base import BaseReport
 from bridge.gate.limits import Fence, Limits
 from bridge.gate.motion import leaves
-from bridge.gate.state import ZERO, Reason
-from rover_ncp.core.geometry import Velocity
+from bridge.gate.state import Reason
+from rover_ncp.core.geometry import STANDSTILL, Velocity
 
 LANE = Fence(x_min=-9.0, x_max=9.0, y_min=-1.0, y_max=1.0)
 BRAKE = 0.25
@@ -127,7 +127,7 @@ def drive_along(y, theta, command, seconds=6.0, delay_s=0.2, turn_braking=1.25):
             gate.at(now, report) if now > begin else gate.place(now, report)
         gate.drive(now, command(now - begin))
         pending.append((now + delay_s, gate.state.out))
-        wanted = ZERO
+        wanted = STANDSTILL
         while pending and pending[0][0] <= now:
             wanted = pending[0][1]
             if len(pending) > 1 and pending[1][0] <= now:

@@ -43,11 +43,6 @@ def test_wiring_is_the_papers(circuit, figure, synapses):
     assert not {circuit.neurons[i] for i in circuit.destination} & {"PVD", "PLM", "AVM", "ALM"}
 
 
-def test_sparsity_is_that_of_the_paper():
-    circuit = load_circuit("tap_withdrawal")
-    assert round(100 * (1 - circuit.synapse_count / circuit.size**2)) == 77
-
-
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [

@@ -133,6 +133,25 @@ def test_interruption_in_a_module_of_a_similar_name_comes_at_once():
     assert python(IN_A_NAMESAKE).stdout == "interrupted\n"
 
 
+FILES = """
+import os, resource, sys
+from rover_ncp.core.process import require_open_files
+
+resource.setrlimit(resource.RLIMIT_NOFILE, (60, {hard} or resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
+require_open_files(100)
+print(len([os.open("/dev/null", os.O_RDONLY) for _ in range(100)]))
+"""
+
+
+def test_limit_of_open_files_is_raised_or_named():
+    assert (
+        python(FILES.format(soft=60, hard="resource.getrlimit(resource.RLIMIT_NOFILE)[1]")).stdout == "100\n"
+    )
+    with pytest.raises(subprocess.CalledProcessError) as caught:
+        python(FILES.format(hard=60))
+    assert "this process may open 60 files, expected 1" in caught.value.stderr
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts suspends")
 def test_delay_between_the_readings_of_two_clocks_is_no_suspend(monkeypatch):
     late_s, slept_s = count(), {time.CLOCK_BOOTTIME: 5.0, time.CLOCK_MONOTONIC: 0.0}

@@ -12,7 +12,7 @@ from rover_ncp.circuit.policy import course_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.errors import ConfigError
-from rover_ncp.core.geometry import Pose, Velocity, compose, distance, relative, wrap_angle
+from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, compose, distance, relative, wrap_angle
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.signals import SIGNALS, signals
@@ -23,7 +23,6 @@ from sim.world.randomization import nominal_trials
 
 GOLDEN = "tests/data/golden/parking.bnn"
 COURSE = load_course("parking")
-ORIGIN = Pose(0.0, 0.0, 0.0)
 DT = 0.1
 
 

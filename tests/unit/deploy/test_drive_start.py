@@ -5,13 +5,13 @@ import math
 
 import numpy as np
 import pytest
-from kit.virtual_drive import COURSE, STILL, VirtualDrive
+from kit.virtual_drive import COURSE, VirtualDrive
 
 from deploy.drive.records import TICKS_TOPIC, TickRecord
 from deploy.replay import replay
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import NoBridge, NoPose, NoRobot
-from rover_ncp.core.geometry import Pose, compose, distance, wrap_angle
+from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, compose, distance, wrap_angle
 from rover_ncp.course.certainty import SURE
 from rover_ncp.course.course import Course, Parked, load_course
 from rover_ncp.recording.recording import read_recording, rewrite
@@ -19,17 +19,21 @@ from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import imu, pose_with_covariance, read_odometry, read_pose, read_text
 from rover_ncp.wire.protocol import StopRequest, dump_json, parse_json
 
-ORIGIN = Pose(0.0, 0.0, 0.0)
 COVARIANCE = np.diag([1e-4, 1e-4, 3e-4])
 
 
-def localised(link, start=ORIGIN, frame="course"):
-    """Have each odometry bring the external pose of the one before; the rover began at ``start``."""
+def localised(link, start=ORIGIN, frame="course", rng=None):
+    """Have each odometry bring the external pose of the one before; the rover began at ``start``.
+
+    With an ``rng``, poses have errors of their covariance.
+    """
     waiting = []
 
     def change(data):
         sample = read_odometry(data)
         seen = compose(start, sample.pose)
+        if rng is not None:
+            seen = Pose(*rng.multivariate_normal(seen, COVARIANCE))
         waiting.append(pose_with_covariance(seen, COVARIANCE, sample.stamp_ns, frame))
         if len(waiting) > 1:
             link.put("pose", waiting.pop(0))
@@ -131,10 +135,37 @@ def test_rover_that_was_carried_away_is_stopped(tmp_path):
     assert (result.exit_code, result.stopped_by) == (4, "external-pose")
     assert "5 external poses rejected in a row" in result.reason
     assert result.ticks < 16
-    assert virtual.link.sent[-1] == STILL
+    assert virtual.link.sent[-1] == STANDSTILL
     assert max(abs(pose.y) for pose in estimates(virtual)) < 0.05  # the estimate did not follow
     assert replay(virtual.path).difference is None
     assert virtual.stands()
+
+
+@pytest.mark.parametrize(
+    ("pose", "silent_s", "stopped_by"),
+    [("required", 9.0, "pose-age"), ("required", 0.4, None), ("auto", 9.0, None)],
+)
+def test_required_poses_that_stop_end_the_drive_unless_they_resume_in_time(
+    tmp_path, pose, silent_s, stopped_by
+):
+    virtual = VirtualDrive(pose=pose, pose_age_s=0.6, path=tmp_path / "run.mcap")
+    link, bridge, silent = virtual.link, virtual.bridge, []
+    localised(link)
+    posed = link.change["odom"]
+
+    def lose_poses():
+        silent.append(bridge.now_ns)
+        until_ns = bridge.now_ns + silent_s * 1e9
+        link.change["odom"] = lambda data: data if bridge.now_ns < until_ns else posed(data)
+
+    link.harm = lose_poses
+    result = virtual.run()
+    assert (result.stopped_by, result.exit_code) == (stopped_by, 4 if stopped_by else 1)
+    if stopped_by:
+        assert "the rover has moved for 0.6 s without an external pose that fits" in result.reason
+        assert 0.4 < (link.released_ns - silent[0]) * 1e-9 < 0.9
+    assert virtual.stands()
+    assert replay(virtual.path).difference is None
 
 
 NEAR = Course.model_validate(
@@ -154,15 +185,28 @@ def test_an_uncertain_verdict_says_what_would_help_and_fails_only_where_certaint
     required, exit_code
 ):
     def drive(**settings):
-        result = VirtualDrive(course=NEAR, require_certainty=required, **settings).run()
+        virtual = VirtualDrive(course=NEAR, require_certainty=required, **settings)
+        result = virtual.run()
         assert (result.exit_code, result.verdict, result.stopped_by) == (exit_code, Parked.UNCERTAIN, None)
         assert 0.0 < result.probability < SURE
+        assert result.words.startswith("parked, uncertain; ")
+        last = virtual.link.statuses[-1]
+        assert (last.state, last.probability) == ("parked, uncertain", result.probability)
         return result.reason
 
     reason = drive()
     assert reason.endswith("external poses or a gyro or a profile of 'identify' would reduce it")
     reason = drive(rover=RoverProfile(name="mine", gain_v=1.0))
     assert reason.endswith("external poses or a gyro would reduce it")
+
+
+def test_a_rover_that_stands_needs_no_further_poses():
+    waits = NEAR.model_copy(update={"start_signal_s": 2.0})
+    virtual = VirtualDrive(load_policy("course"), waits, pose="required", pose_age_s=0.9)
+    localised(virtual.link)
+    virtual.link.after, virtual.link.harm = 1, virtual.link.change.clear
+    result = virtual.run()
+    assert (result.stopped_by, result.ticks) == (None, waits.ticks)
 
 
 def test_refusal_moves_nothing_and_has_its_reason():
@@ -224,7 +268,7 @@ def test_rover_with_an_external_start_pose_parks_on_the_true_pose(tmp_path):
     start, course = Pose(0.07, -0.09, 0.15), load_course("parking")
     policy = load_policy("course")
     virtual = VirtualDrive(policy, course, tmp_path / "run.mcap", pose="required")
-    localised(virtual.link, start)
+    localised(virtual.link, start, rng=np.random.default_rng(1))
     result = virtual.run()
     assert (result.exit_code, result.verdict) == (0, Parked.YES)
     assert result.pose.used > 50

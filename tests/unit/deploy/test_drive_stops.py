@@ -4,16 +4,14 @@ import collections
 import math
 
 import pytest
-from kit.virtual_drive import AHEAD, LOST, STILL, VirtualDrive
+from kit.virtual_drive import AHEAD, LONG, LOST, VirtualDrive
 
 from deploy.drive.link import STEPS_BACK
 from deploy.view.recorded_drive import read_drive
-from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.course.course import Course, Parked, load_course
-from rover_ncp.wire.messages import bumpers
+from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity
+from rover_ncp.course.course import Course, Parked
+from rover_ncp.wire.messages import bumpers, twist_stamped
 from rover_ncp.wire.protocol import CommandTag, Signed
-
-LONG = load_course("parking").model_copy(update={"start_signal_s": 0.3})
 
 
 @pytest.fixture
@@ -60,7 +58,7 @@ def test_bad_odometry_stops_the_rover_within_half_a_second(virtual, name):
     result = virtual.run()
     assert (result.exit_code, result.state, result.stopped_by) == (4, "fault", rule)
     assert rule in result.reason
-    assert link.sent[-1] == STILL
+    assert link.sent[-1] == STANDSTILL
     assert (link.released_ns - began_ns[0]) * 1e-9 < 0.5
     assert virtual.stands()
 
@@ -118,7 +116,7 @@ def test_driver_whose_commands_are_not_accepted_stops_within_half_a_second(virtu
 
 def test_rover_that_does_not_follow_its_commands_is_stopped():
     virtual = VirtualDrive(course=LONG)
-    virtual.link.change_odometry(lambda sample: (Pose(0.0, 0.0, 0.0), STILL))
+    virtual.link.change_odometry(lambda sample: (Pose(0.0, 0.0, 0.0), STANDSTILL))
     result = virtual.run()
     assert (result.exit_code, result.stopped_by) == (4, "no-response")
     assert result.ticks < 60
@@ -133,7 +131,7 @@ def test_interruption_stops_the_rover_first(virtual):
         "interrupted; the rover was stopped",
     )
     assert result.ticks == 6
-    assert virtual.link.sent[-1] == STILL
+    assert virtual.link.sent[-1] == STANDSTILL
     assert virtual.stands()
 
 
@@ -200,6 +198,31 @@ def test_second_publisher_is_in_the_log_the_status_and_the_result(virtual, caplo
     assert [message for message in caplog.messages if "warning" in message] == [f"warning: {result.warning}"]
     warnings = [status.warning for status in link.statuses]
     assert (warnings[0], warnings[-1]) == ("", result.warning)
+
+
+def test_commands_of_an_attacker_change_nothing(virtual):
+    """Beside each command: one without a tag, old ones again, and forged ones."""
+    undisturbed = VirtualDrive()
+    undisturbed.run()
+    bridge, sent = virtual.bridge, []
+    receive = bridge.command
+
+    def command(data, attachment):
+        receive(data, attachment)
+        sent.append((data, attachment))
+        newest, backward = CommandTag.unpack(attachment), twist_stamped(Velocity(-0.2, 0.3), bridge.time_ns())
+        receive(backward, None)
+        for old in (sent[0], sent[-1]):
+            receive(*old)
+        for tag in (newest, newest._replace(sequence=newest.sequence + 1)):
+            receive(backward, tag.pack())
+
+    bridge.command = command
+    result = virtual.run()
+    assert result.stopped_by is None
+    assert virtual.link.sent == undisturbed.link.sent
+    assert virtual.rover.pose == undisturbed.rover.pose
+    assert sum(virtual.link.gate.dropped.values()) >= 5 * (len(sent) - 1)
 
 
 def test_drive_without_a_fault_ends_with_a_standing_rover(virtual):

@@ -1,19 +1,15 @@
 """The Gymnasium environment of a robot: its thread, exceptions and end, without a robot."""
 
 import atexit
-import contextlib
-import functools
 import threading
 from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
 import pytest
-from kit.virtual_drive import ChangedLink, VirtualDrive
+from kit.virtual_drive import VirtualDrive
 
 import deploy.env
-from deploy.drive import control_loop
-from deploy.drive.publisher import Publisher
 from deploy.drive.rate_keeper import RateKeeper
 from deploy.env import RoverEnv
 from rover_ncp.core.config import parse_yaml
@@ -142,16 +138,7 @@ AHEAD = np.array([0.1, 0.0])
 def virtual(monkeypatch):
     """Have every environment drive the rover of one virtual bridge."""
     virtual = VirtualDrive()
-
-    @contextlib.contextmanager
-    def link(address, record):
-        virtual.link = ChangedLink(virtual.bridge, record)
-        yield virtual.link
-
-    monkeypatch.setattr(deploy.env, "ZenohLink", link)
-    monkeypatch.setattr(deploy.env, "Drive", functools.partial(control_loop.Drive, clock=virtual.bridge))
-    monkeypatch.setattr(deploy.env, "Publisher", functools.partial(Publisher, clock=virtual.bridge))
-    monkeypatch.setattr(deploy.env, "prepare_for_real_time", lambda: None)
+    virtual.use_in(deploy.env, monkeypatch)
     return virtual
 
 

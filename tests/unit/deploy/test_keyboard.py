@@ -19,10 +19,8 @@ from deploy.keyboard import (
     KeyReader,
     Press,
 )
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX
-
-STILL = Velocity(0.0, 0.0)
 
 
 def presses(text):
@@ -47,9 +45,9 @@ def test_a_held_key_drives_and_keys_up_means_stop(delay_s, rate_hz):
     assert asked[0][1] == Velocity(NUDGE * V_M_S, 0.0)
     on_the_way = [velocity for now, velocity in asked if delay_s + 2 / rate_hz < now < 2.9]
     assert set(on_the_way) == {Velocity(V_M_S, 0.0)}
-    assert all(velocity == STILL for now, velocity in asked if now > 3.0 + HOLD_S)
+    assert all(velocity == STANDSTILL for now, velocity in asked if now > 3.0 + HOLD_S)
     assert HOLD_S < 0.5 - 0.05  # what the loop takes beside
-    paused = [now for now, velocity in asked if now < delay_s and velocity == STILL]
+    paused = [now for now, velocity in asked if now < delay_s and velocity == STANDSTILL]
     assert bool(paused) == (delay_s > HOLD_S + 0.01)
 
 
@@ -57,7 +55,7 @@ def test_a_single_press_is_a_small_step():
     keyboard = Keyboard()
     keyboard.press("l", 1.0)
     assert keyboard.velocity(1.0) == keyboard.velocity(1.0 + HOLD_S) == Velocity(0.0, -NUDGE * OMEGA_RAD_S)
-    assert keyboard.velocity(1.0 + HOLD_S + 1e-6) == keyboard.velocity(0.9) == STILL
+    assert keyboard.velocity(1.0 + HOLD_S + 1e-6) == keyboard.velocity(0.9) == STANDSTILL
 
 
 @pytest.mark.parametrize("other", ["u", "k", " ", "x", "\x1b[z", "\x00", "é"])
@@ -67,7 +65,7 @@ def test_another_driving_key_continues_and_any_other_key_stops_at_once(other):
         keyboard.press("i", now)
     for key in presses(other):
         keyboard.press(key, 0.15)
-    assert keyboard.velocity(0.15) == (Velocity(V_M_S, OMEGA_RAD_S) if other == "u" else STILL)
+    assert keyboard.velocity(0.15) == (Velocity(V_M_S, OMEGA_RAD_S) if other == "u" else STANDSTILL)
 
 
 def test_keys_by_name():
@@ -88,7 +86,7 @@ def test_any_keys_keep_the_rover_within_the_speeds_of_a_circuit(text, later):
     assert abs(v) <= V_M_S < V_MAX
     assert abs(omega) <= OMEGA_RAD_S < OMEGA_MAX
     if later > HOLD_S:
-        assert (v, omega) == STILL
+        assert (v, omega) == STANDSTILL
 
 
 def read(*chunks):

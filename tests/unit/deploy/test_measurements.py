@@ -9,14 +9,13 @@ import pytest
 
 from deploy.drive.link import Arrival, Inbox
 from deploy.drive.measurements import NS, Measurements
-from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.geometry import ORIGIN, Pose, Velocity
 from rover_ncp.wire.messages import imu, odometry, pose_with_covariance
 
 WALL_NS = 1_700_000_000 * NS
 MS = NS // 1000
 PERIOD = 100 * MS
 TRANSIT = 20 * MS
-ORIGIN = Pose(0.0, 0.0, 0.0)
 MESSAGES = {
     "odom": lambda stamp: odometry(ORIGIN, Velocity(0.0, 0.0), stamp),
     "imu": lambda stamp: imu(0.0, 1e-6, stamp),

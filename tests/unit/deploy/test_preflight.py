@@ -14,7 +14,7 @@ from deploy.drive.lease import NOT_ACCEPTED
 from deploy.drive.measurements import NS, Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from rover_ncp.core.errors import SafetyStop
-from rover_ncp.robot.description import load_description
+from rover_ncp.robot.description import DeadBand, load_description
 from rover_ncp.wire.protocol import BaseReply, GateStatus
 from sim.pioneer.faults import Faults, parse_fault
 from sim.pioneer.firmware import Firmware
@@ -114,10 +114,10 @@ def test_a_robot_may_brake_as_slowly_as_its_description_says(monkeypatch, decel,
 
 def check(*faults, limits=None, while_turning="", model=None, robot="p3at-sh"):
     """Check a robot on the virtual clock; return the findings, the link and the rover."""
-    described = load_description(robot)
-    rover = PymunkRover(described_rover(described), Ground(()))
+    described = load_description(robot) if isinstance(robot, str) else robot
+    rover = PymunkRover(described_rover(described, motors=True), Ground(()))
     if described.arcos:
-        base = Firmware(robot, rover, faults=Faults([parse_fault(fault) for fault in faults]))
+        base = Firmware(described, rover, faults=Faults([parse_fault(fault) for fault in faults]))
     else:
         base = Ros2Robot(described, rover)
     bridge, battery = VirtualBridge(base, limits), Battery()
@@ -133,15 +133,15 @@ def check(*faults, limits=None, while_turning="", model=None, robot="p3at-sh"):
     link.change["odom"] = press_bumper
     monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
     monitor.wait()
-    expected = load_description(model) if model else None
+    expected = load_description(model) if isinstance(model, str) else model
     preflight = Preflight(link, measurements, monitor, battery, robot=expected, clock=bridge)
     return preflight.run(), link, rover
 
 
-NAMES = ["odometry", "battery", "stop", "motors", "forward", "left", "silence", "bridge"]
+NAMES = ["odometry", "battery", "stop", "motors", "forward", "left", "slow", "silence", "bridge"]
 
 
-@pytest.mark.parametrize("robot", ["p3at-sh", "turtlebot4"])
+@pytest.mark.parametrize("robot", ["p3at-sh", "turtlebot4", "husky-a200"])
 def test_robot_that_is_well_passes_all_checks_and_stands(robot):
     findings, link, rover = check(robot=robot, model=robot)
     assert [finding for finding in findings if not finding.ok] == []
@@ -175,6 +175,28 @@ def test_robot_that_is_not_well_fails_the_check_that_finds_it(options, name, wor
     link.bridge.sleep(1.0)
     assert max(map(abs, rover.velocity)) < 1e-3
     assert link.gate.lease == 0
+
+
+def with_band(v, omega):
+    described = load_description("p3at-sh")
+    band = {"dead_band": DeadBand(v=v, omega=omega)}
+    return described.model_copy(update={"motion": described.motion.model_copy(update=band)})
+
+
+@pytest.mark.parametrize(
+    ("band", "known", "ok", "words"),
+    [
+        ((0.0, 0.0), None, True, "follows commands from 0.005 m/s and 0.02 rad/s on"),
+        ((0.05, 0.14), (0.05, 0.14), True, "from 0.05 m/s and 0.16 rad/s on"),
+        ((0.05, 0.14), None, False, "for the robot's description: motion.dead_band: {v: 0.05, omega: 0.16}"),
+        ((0.08, 0.1), (0.08, 0.1), False, "expected from 0.05 m/s and 0.26 rad/s on at most"),
+    ],
+)
+def test_dead_band_is_measured_and_a_driver_must_know_it(band, known, ok, words):
+    findings, _, _ = check(robot=with_band(*band), model=known and with_band(*known))
+    (found,) = [finding for finding in findings if finding.name == "slow"]
+    assert found.ok is ok
+    assert words in found.detail
 
 
 @pytest.mark.parametrize(("reports", "ok"), [([10, 20], True), ([10, 15], False)])

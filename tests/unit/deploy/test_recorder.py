@@ -1,10 +1,16 @@
+import errno
+import json
 import os
 import threading
 import time
 
 import pytest
+from kit.virtual_drive import VirtualDrive
 
+from deploy import app
 from deploy.recorder import Recorder
+from deploy.zenoh_client import BridgeAddress
+from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FileError
 from rover_ncp.recording.recording import Recorded, RecordingWriter, read_recording
 from rover_ncp.wire.messages import read_text, text
@@ -52,6 +58,33 @@ def test_any_failure_of_the_thread_is_reported(tmp_path):
     recorder.close()
     assert "a holds std_msgs/msg/String" in recorder.failure
     assert recorder.dropped == 0
+
+
+def test_full_disk_ends_the_recording_and_not_the_drive(tmp_path, monkeypatch, capsys):
+    virtual, recorder = VirtualDrive(), Recorder(tmp_path / "run.mcap")
+    virtual.use_in(app, monkeypatch)
+    write, receive = RecordingWriter.write, virtual.bridge.command
+
+    def fill(writer, message):
+        if len(virtual.link.sent) > 5:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(writer, message)
+
+    def command(*message):
+        receive(*message)
+        deadline = time.monotonic() + 20.0
+        while len(virtual.link.sent) > 6 and not recorder.failure and time.monotonic() < deadline:
+            time.sleep(0.001)
+
+    monkeypatch.setattr(RecordingWriter, "write", fill)
+    virtual.bridge.command = command
+    drive = {"policy": virtual.policy, "course": virtual.course, "config": virtual.config}
+    assert app.run(BridgeAddress("virtual"), Output(as_json=True), recorder=recorder, **drive) == 1
+    result = json.loads(capsys.readouterr().out)
+    assert (result["stopped_by"], result["ticks"]) == (None, virtual.course.ticks)
+    assert "No space left on device" in result["recording_failure"]
+    assert result["recording_dropped"] > 50
+    assert not read_recording(recorder.path).complete
 
 
 def test_a_path_that_cannot_be_written_is_reported_at_once(tmp_path):

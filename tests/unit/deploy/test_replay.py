@@ -19,7 +19,8 @@ from rover_ncp.cli import run as shell
 from rover_ncp.core.errors import FileError
 from rover_ncp.course.course import load_course
 from rover_ncp.recording.recording import read_recording, rewrite
-from rover_ncp.wire.messages import neurons, read_neurons, read_text, text
+from rover_ncp.robot.profile import RoverProfile
+from rover_ncp.wire.messages import neurons, read_neurons, read_text, read_twist, text
 
 MS = 1_000_000
 TICKS = 60
@@ -55,6 +56,16 @@ def recorded(policy, tmp_path_factory):
     assert result.predicted >= 2  # a lost sample is bridged by prediction, and counted
     assert result.overruns == result.predicted + result.missed
     return path
+
+
+def test_pulses_for_a_dead_band_recompute_to_the_same_bits(policy, tmp_path):
+    band = RoverProfile(name="band", dead_band_v=0.15, dead_band_omega=0.2)
+    virtual = VirtualDrive(policy, COURSE, tmp_path / "run.mcap", ticks=TICKS, rover=band)
+    virtual.run()
+    sent = {read_twist(data).velocity.v for data in virtual.messages("cmd_vel")}
+    assert 0.0 in sent
+    assert min(sent - {0.0}) > 0.15
+    assert replay(tmp_path / "run.mcap").same
 
 
 def test_a_recording_recomputes_to_the_same_bits(recorded):

@@ -11,15 +11,13 @@ from deploy.drive.safety_monitor import ResponseCheck, SafetyMonitor
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import SafetyStop
-from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity
 from rover_ncp.course.course import load_course
 from rover_ncp.wire.protocol import StopRequest, dump_json
 from sim.pioneer.firmware import Firmware
 from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
-
-STILL = Velocity(0.0, 0.0)
 
 
 def stop_after(pauses_s, fresh=False):
@@ -130,14 +128,14 @@ def first_complaint(asked, driven, ticks=100):
     "asked", [Velocity(0.06, 0), Velocity(-0.16, 0), Velocity(0, 0.12), Velocity(0, -0.18)]
 )
 def test_commands_that_the_rover_does_not_follow_are_noticed_within_two_seconds(asked):
-    assert first_complaint(lambda k: asked, lambda k: STILL) == 17
+    assert first_complaint(lambda k: asked, lambda k: STANDSTILL) == 17
     # Frozen in the middle of a drive.
-    assert 25 <= first_complaint(lambda k: asked, lambda k: asked if k < 20 else STILL) <= 40
+    assert 25 <= first_complaint(lambda k: asked, lambda k: asked if k < 20 else STANDSTILL) <= 40
 
 
-@pytest.mark.parametrize("asked", [Velocity(0.04, 0), Velocity(0, 0.09), STILL])
+@pytest.mark.parametrize("asked", [Velocity(0.04, 0), Velocity(0, 0.09), STANDSTILL])
 def test_commands_below_the_resolution_are_not_judged(asked):
-    assert first_complaint(lambda k: asked, lambda k: STILL) is None
+    assert first_complaint(lambda k: asked, lambda k: STANDSTILL) is None
 
 
 @pytest.mark.parametrize("seconds", [1, 3])
@@ -145,7 +143,7 @@ def test_a_turn_to_and_fro_that_cancels_out_is_not_judged(seconds):
     def asked(k):
         return Velocity(0.0, 0.18 if (k // (10 * seconds)) % 2 else -0.18)
 
-    assert first_complaint(asked, lambda k: asked(k - 5) if k > 5 else STILL) is None
+    assert first_complaint(asked, lambda k: asked(k - 5) if k > 5 else STANDSTILL) is None
 
 
 @pytest.mark.parametrize("lag", [1, 2, 4, 7])
@@ -153,7 +151,7 @@ def test_a_turn_to_and_fro_that_cancels_out_is_not_judged(seconds):
 def test_a_burst_of_commands_is_not_judged_when_it_is_long_over(lag, ticks):
     # As a circuit does that turns the last few degrees on the spot and then stands.
     def asked(k):
-        return Velocity(0.0, -0.36) if 20 <= k < 20 + ticks else STILL
+        return Velocity(0.0, -0.36) if 20 <= k < 20 + ticks else STANDSTILL
 
     assert first_complaint(asked, lambda k: asked(k - lag)) is None
 

@@ -9,11 +9,12 @@ import threading
 
 import numpy as np
 import pytest
-from kit.virtual_drive import STILL, ChangedLink, VirtualDrive
+from kit.virtual_drive import ChangedLink, VirtualDrive
 
 from deploy.keyboard import HOLD_S, V_M_S
 from deploy.teleop import BRACKETED_PASTE, NO_BRACKETED_PASTE, Teleop, Terminal
 from rover_ncp.core.errors import SafetyStop, UsageError
+from rover_ncp.core.geometry import STANDSTILL
 
 REPEAT_S, DELAY_S = 0.033, 0.3
 
@@ -92,7 +93,7 @@ def test_on_every_way_out_the_rover_stands_and_the_lease_is_released(virtual, wa
     with pytest.raises(error) if error else contextlib.nullcontext():
         driven.run()
     assert virtual.rover.velocity.v > 0.05
-    assert virtual.link.sent[-1] == STILL
+    assert virtual.link.sent[-1] == STANDSTILL
     assert virtual.stands()
     assert virtual.link.gate.lease == 0
 
@@ -104,7 +105,7 @@ def test_keys_that_piled_up_while_it_did_not_run_move_nothing(virtual, stalled_s
     with pytest.raises(SafetyStop) if stopped else contextlib.nullcontext():
         driven.run()
     assert driven.keyboard.count == 0
-    assert set(virtual.link.sent) == {STILL}
+    assert set(virtual.link.sent) == {STANDSTILL}
     assert abs(virtual.rover.pose.x) < 1e-6
 
 
@@ -119,13 +120,20 @@ def terminal(monkeypatch):
             os.close(fd)
 
 
+def read_until(fd, end):
+    """Wait for ``end``; one read may return a part of what was written."""
+    shown = b""
+    while not shown.endswith(end):
+        shown += os.read(fd, 100)
+
+
 def test_terminal_gives_keys_at_once_and_is_as_before_at_the_end(terminal):
     master, slave = terminal
     before = termios.tcgetattr(slave)
     os.write(master, b"i" * 50)  # typed before the drive
     with Terminal() as keys:
         assert keys.read(0.0) == ""
-        assert os.read(master, 100).endswith(BRACKETED_PASTE)
+        read_until(master, BRACKETED_PASTE)
         for text in ("i", "\x1b[A", "\x1a", "\x13", "é"):
             os.write(master, text.encode())
             assert keys.read(1.0) == text
@@ -133,7 +141,7 @@ def test_terminal_gives_keys_at_once_and_is_as_before_at_the_end(terminal):
         keys.discard()
         assert keys.read(0.0) == ""
         assert termios.tcgetattr(slave) != before
-    assert os.read(master, 100).endswith(NO_BRACKETED_PASTE)
+    read_until(master, NO_BRACKETED_PASTE)
     assert termios.tcgetattr(slave) == before
 
 

@@ -10,11 +10,10 @@ from kit.base_odometry import reported
 from deploy.drive.config import settings_for
 from deploy.estimator.estimator import Estimator
 from deploy.estimator.measurements import Outcome
-from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
+from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, wrap_angle
 from rover_ncp.robot.description import load_description
 
 DT = 0.1
-STILL = Velocity(0.0, 0.0)
 
 
 def started():
@@ -121,7 +120,7 @@ def test_a_single_outlier_is_rejected_and_forgotten(jump):
         outlier = tick == 10
         measured = Pose(*jump) if outlier else Pose(0.0, 0.0, 0.0)
         expected = Outcome.OUTLIER if outlier else Outcome.ACCEPTED
-        assert estimator.odometry(measured, STILL, tick * DT) is expected
+        assert estimator.odometry(measured, STANDSTILL, tick * DT) is expected
         assert distance(estimator.at(tick * DT).pose, Pose(0, 0, 0)) < 0.001
     assert estimator.rejected == 1
     assert not estimator.fault
@@ -130,7 +129,7 @@ def test_a_single_outlier_is_rejected_and_forgotten(jump):
 def test_a_moved_rover_is_a_fault_that_stays_and_never_a_new_seed():
     estimator = started()
     for tick in range(1, 60):
-        estimator.odometry(Pose(0.3 if tick >= 10 else 0.0, 0.0, 0.0), STILL, tick * DT)
+        estimator.odometry(Pose(0.3 if tick >= 10 else 0.0, 0.0, 0.0), STANDSTILL, tick * DT)
         assert bool(estimator.fault) == (tick >= 12)
         if tick == 12:
             assert distance(estimator.at(tick * DT).pose, Pose(0, 0, 0)) < 0.001
@@ -150,7 +149,7 @@ def test_values_that_are_not_finite_never_reach_the_filter(where, what, others):
     after = estimator.at(1.0)
     assert after.pose == before.pose
     assert np.array_equal(after.covariance, before.covariance)
-    assert estimator.odometry(Pose(0, 0, 0), STILL, math.nan) is Outcome.NOT_FINITE
+    assert estimator.odometry(Pose(0, 0, 0), STANDSTILL, math.nan) is Outcome.NOT_FINITE
     assert not estimator.fault
     estimator.odometry(Pose(*values[:3]), Velocity(*values[3:]), 0.5)
     assert "not finite" in estimator.fault
@@ -183,9 +182,9 @@ def test_declared_noise_does_not_move_a_standing_rover(speed_noise):
 
 def test_old_measurements_are_rejected():
     estimator = started()
-    estimator.odometry(Pose(0, 0, 0), STILL, 1.0)
-    assert estimator.odometry(Pose(0, 0, 0), STILL, 0.9) is Outcome.OUT_OF_ORDER
-    assert estimator.odometry(Pose(0, 0, 0), STILL, 1.0) is Outcome.ACCEPTED  # the same moment is fine
+    estimator.odometry(Pose(0, 0, 0), STANDSTILL, 1.0)
+    assert estimator.odometry(Pose(0, 0, 0), STANDSTILL, 0.9) is Outcome.OUT_OF_ORDER
+    assert estimator.odometry(Pose(0, 0, 0), STANDSTILL, 1.0) is Outcome.ACCEPTED  # the same moment is fine
 
 
 def test_past_estimate_is_that_of_its_moment():
@@ -210,7 +209,7 @@ def test_it_answers_for_any_time_whatever_the_order_of_stamps(measurements):
     estimator = started()
     for kind, t, asked in measurements:
         if kind == "odometry":
-            estimator.odometry(Pose(0.0, 0.0, 0.0), STILL, t)
+            estimator.odometry(Pose(0.0, 0.0, 0.0), STANDSTILL, t)
         elif kind == "gyro":
             estimator.gyro(0.01, t)
         else:

@@ -2,6 +2,7 @@ import csv
 import json
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.cli import run
-from rover_ncp.course.course import load_course
+from rover_ncp.course.course import Verdict, load_course
 from sim.explain.explain import explain, traced
 from sim.explain.files import page
 from sim.explain.what_if import parameter_names, sensitivities, without_neuron, without_synapse
@@ -151,6 +152,10 @@ def test_picture_of_the_circuit_is_an_image_with_the_same_bytes_each_time(parkin
 def test_page_of_a_simulated_drive_has_its_what_ifs(parking):
     found = explain("parking", SHORT)
     text = page(found)
+    unsure = replace(found, verdict=Verdict(True, 0.02, 0.01, probability=0.8))
+    assert '"doubt">Parked, uncertain<' in page(unsure)
+    assert unsure.ending.startswith("parked, uncertain; ")
+    assert unsure.result().verdict == "parked, uncertain"
     for row in found.knock_outs:
         assert f'<th scope="row">{row.title}</th>' in text
     data = json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', text, re.S)[1])

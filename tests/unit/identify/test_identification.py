@@ -9,6 +9,7 @@ from kit.identified import driven, errors, identified, robot, truth
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.identify.axis_fit import OdometryErrors, identify_axis
+from deploy.identify.dead_band import dead_bands
 from deploy.identify.excitation import FENCE_M, excite, steps
 from deploy.identify.fit import identify
 from deploy.identify.motion_log import MotionLog, Track, motion_log
@@ -44,6 +45,7 @@ def test_random_robots_are_identified_from_their_bytes(number):
     assert found.noise_m == pytest.approx(0.005, rel=0.25)
     assert found.noise_rad == pytest.approx(0.0087, rel=0.25)
     assert (found.odometry_distance, found.slip_s) == (None, None)
+    assert (found.dead_band_v, found.dead_band_omega) == (0.0, 0.0)
 
 
 def test_external_poses_show_the_errors_of_odometry():
@@ -68,6 +70,41 @@ def test_external_poses_show_how_a_robot_skids():
     assert all(abs(error) < 3.0 * std for error, std in off.values())
     assert found.odometry_heading < 0.95  # this robot turns more than its wheels say
     assert off["rotation_center_m"].std < 0.005
+
+
+def test_ramps_show_the_dead_band_and_the_gains_beyond_it():
+    full = load_randomization("full")
+    ranges = full.model_copy(update={"dead_band_m_s": (0.03, 0.03), "dead_band_rad_s": (0.1, 0.1)})
+    trials = robot(ranges, 4711, 0)
+    found = identified(trials)
+    assert (found.dead_band_v, found.dead_band_omega) == (0.03, pytest.approx(0.1, abs=0.02))
+    off = errors(found, truth(ranges, trials))
+    assert abs(off["gain_v"].error) < 0.003
+    assert abs(off["gain_omega"].error) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("follows", "band"),
+    [
+        ([], None),
+        ([0.1], None),
+        ([0.005], 0.0),
+        ([-0.005, -0.01, 0.015, 0.1], 0.015),
+        ([-0.005, -0.01, 0.1], None),  # the ramp ended early
+        ([0.005, -0.1], None),
+    ],
+)
+def test_dead_band_is_between_two_steps_of_a_ramp(follows, band):
+    """Commands that a robot follows, and with a minus those that it does not."""
+    sent = [(abs(speed), 0.0) for each in follows for speed in (each, 0.0)] or [(0.0, 0.0)]
+    sent_s, t = np.arange(len(sent)) * 0.65, np.arange(0.0, len(sent) * 0.65, 0.1)
+    at = np.minimum((t / 0.65).astype(int), len(sent) - 1)
+    motion = np.array(
+        [(max(each, 0.0), 0.0) for each in (each for f in follows for each in (f, 0.0))] or sent
+    )
+    nothing = Track(t, np.zeros((len(t), 3)))
+    log = MotionLog(sent_s, np.array(sent), nothing, motion[at], nothing)
+    assert dead_bands(log) == (band, None)
 
 
 STEPS = (0.001, math.radians(0.1))

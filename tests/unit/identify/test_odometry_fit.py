@@ -1,6 +1,7 @@
 """Errors of odometry from stands whose truth is known, with both signs of each."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from deploy.identify.motion_log import MotionLog, Track, motion_log
 from deploy.identify.odometry_fit import Stand, fit_center, fit_turns
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.recording.recording import Recorded
-from rover_ncp.wire.messages import COURSE_FRAME, odometry, pose_with_covariance, twist_stamped
+from rover_ncp.robot.description import load_description
+from rover_ncp.wire.messages import COURSE_FRAME, odometry, pose_with_covariance, read_odometry, twist_stamped
 
 RATES = [0.12, 0.12, 0.3, 0.3, 0.5, 0.5]
 NOISE_RAD = 0.0005
@@ -136,3 +138,18 @@ def test_distance_is_not_taken_from_curves(curve, turn_scale):
     assert identify(log, "curves").odometry_distance is None
     log = motion_log(messages_of([*ways, *([way] for way in STRAIGHT)], turn_scale=turn_scale))
     assert identify(log, "both").odometry_distance == pytest.approx(1.0, abs=0.004)
+
+
+def test_motion_of_a_robot_that_reports_mean_speeds_is_that_of_its_poses():
+    messages, last, reported = messages_of([[way] for way in STRAIGHT] + [HALF_CIRCLE]), [], []
+    for message in messages:
+        if message.topic == "odom":
+            sample = read_odometry(message.data)
+            last = [*last[-19:], sample.velocity]  # of a second
+            mean = Velocity(*np.mean(last, axis=0).tolist())
+            message = replace(message, data=odometry(sample.pose, mean, sample.stamp_ns))  # noqa: PLW2901
+        reported.append(message)
+    true = motion_log(messages).motion
+    found = motion_log(reported, load_description("husky-a200")).motion
+    assert (np.mean(np.abs(found - true), axis=0) < [0.008, 0.015]).all()
+    assert (np.mean(np.abs(motion_log(reported).motion - true), axis=0) > [0.02, 0.04]).all()

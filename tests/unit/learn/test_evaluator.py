@@ -130,14 +130,28 @@ def test_other_rovers_other_returns():
     assert not np.array_equal(returns, Evaluator(POLICY, COURSE).returns(vectors))
 
 
+MOTORS = {
+    "dead_band_m_s": (0.01, 0.06),
+    "dead_band_rad_s": (0.01, 0.14),
+    "wheel_min_m_s": (0.01, 0.03),
+    "creep_m_s": 0.004,
+    "pull_rad_m": 0.1,
+}
+
+
 @pytest.mark.parametrize("policy", [POLICY, TRACKER], ids=["absolute", "course"])
 @pytest.mark.parametrize(
-    ("level", "sensors"),
-    [("none", "encoders"), ("full", "encoders"), *(("skid", each) for each in get_args(Sensors))],
+    ("level", "changed"),
+    [
+        ("none", {}),
+        ("full", {}),
+        ("full", MOTORS),
+        *(("skid", {"sensors": each}) for each in get_args(Sensors)),
+    ],
 )
-def test_trials_end_as_a_rover_alone_does(policy, level, sensors):
-    model = default_rover()
-    ranges = load_randomization(level).model_copy(update={"sensors": sensors})
+def test_trials_end_as_a_rover_alone_does(policy, level, changed):
+    model = default_rover(slow_wheels_turn=True)
+    ranges = load_randomization(level).model_copy(update=changed)
     trials = draw_trials(ranges, model, 5, count=2, ticks=COURSE.ticks)
     vectors = candidates(2, seed=5, policy=policy)
     found = Evaluator(policy, COURSE, model, trials).outcomes(vectors)

@@ -376,6 +376,14 @@ def test_largest_coordinates_can_be_reported() -> None:
     assert true_pose(pioneer)[1] > 0
 
 
+def test_hostbaud_has_no_effect_on_tcp() -> None:
+    pioneer = Pioneer().open()
+    for code in (2, 99):
+        pioneer.tell(Command.HOSTBAUD, code)
+        assert pioneer.sip()
+    assert pioneer.firmware.client is ClientState.OPEN
+
+
 def test_a_client_that_comes_after_one_that_vanished_finds_the_session_open() -> None:
     pioneer = Pioneer().open()
     pioneer.tell(Command.VEL, 200)

@@ -206,3 +206,25 @@ def test_ended_drive_is_judged_once(monkeypatch):
         feed.updates(cursor)
     assert "By the estimated pose" in cursor.html["summary"]
     assert len(judged) == 1
+
+
+def test_an_uncertain_verdict_is_shown_as_such(tmp_path):
+    known = {"policy": "course", "course": "parking", "variance": 1e-5}
+    path = tmp_path / "run.mcap"
+    write_drive(path, **known, truth=False)
+    summary = summarise(read_drive(path))
+    assert (summary.parked, summary.headline) == (Parked.UNCERTAIN, "Parked, uncertain")
+    assert dict(summary.rows)["By the estimated pose"].startswith("parked, uncertain, ")
+    assert '"doubt">Parked, uncertain<' in drive_page(read_drive(path))
+
+    write_drive(tmp_path / "true.mcap", **known)  # where the true pose is known, it counts
+    summary = summarise(read_drive(tmp_path / "true.mcap"))
+    assert summary.headline == "Parked"
+    assert dict(summary.rows)["By the estimated pose"].startswith("parked, uncertain, ")
+
+
+def test_the_live_page_shows_an_uncertain_verdict():
+    feed = Feed(load_policy("parking"), load_course(SHORT))
+    status = DriverStatus(state=Parked.UNCERTAIN, reason="with a probability of 80 %")
+    feed.take(Recorded("rover/status", STRING, messages.text(dump_json(status).decode()), 1, 1))
+    assert '"doubt">parked, uncertain<' in feed.updates(Cursor())["html"]["title"]

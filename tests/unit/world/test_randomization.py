@@ -16,17 +16,13 @@ from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.random_course import random_course
 from sim.world.randomization import (
-    BaseErrors,
-    OdometryErrors,
     Randomization,
-    apply_base_errors,
-    dead_reckon,
     draw_trials,
     load_randomization,
     nominal_trials,
-    quantise,
     trial_model,
 )
+from sim.world.trial_errors import BaseErrors, OdometryErrors, apply_base_errors, dead_reckon, quantise
 
 MODEL = default_rover()
 TRACKER = course_policy(load_circuit("tap_withdrawal"))
@@ -202,6 +198,58 @@ def test_what_a_base_makes_of_a_command():
     assert quantise(0.1234567, 0.001) == pytest.approx(0.123)
     assert quantise(-0.03, 0.0174533) == pytest.approx(-2 * 0.0174533)
     assert quantise(0.1234567, 0.0) == 0.1234567
+
+
+@pytest.mark.parametrize(
+    ("command", "moves"),
+    [
+        ((0.049, 0.2), (0.0, 0.2)),
+        ((0.05, -0.099), (0.05, 0.0)),
+        ((-0.3, -0.1), (-0.3, -0.1)),
+        ((0.0, 0.0), (0.0, 0.0)),
+    ],
+)
+def test_base_takes_a_command_within_its_dead_band_as_zero(command, moves):
+    base = BaseErrors(1.0, 1.0, 0.0, 0.0, dead_band_v=0.05, dead_band_omega=0.1)
+    assert apply_base_errors(*command, base) == moves
+
+
+@pytest.mark.parametrize(
+    ("command", "stand", "turn"),
+    [
+        ((0.1, 0.2), (0.1, 0.2), (0.1, 0.2)),
+        ((0.02, 0.0), (0.0, 0.0), (0.03, 0.0)),
+        ((0.0, 0.1), (0.0, 0.0), (0.0, 0.3)),
+        ((0.05, 0.3), (0.04, 0.4), (0.055, 0.25)),  # wheels at 0.02 and 0.08 m/s
+    ],
+)
+def test_slow_wheel_stands_or_turns_at_its_least_speed(command, stand, turn):
+    for slow, moves in ((0.0, stand), (0.03, turn)):
+        base = BaseErrors(1.0, 1.0, 0.0, 0.0, wheel_min=0.03, slow_wheel=slow, half_track=0.1)
+        assert apply_base_errors(*command, base) == pytest.approx(moves)
+
+
+def test_base_creeps_at_zero_and_pulls_to_a_side():
+    base = BaseErrors(1.0, 1.0, 0.0, 0.0, creep=0.004, pull=0.5)
+    assert apply_base_errors(0.0, 0.0, base) == pytest.approx((0.004, 0.002))
+    assert apply_base_errors(0.1, 0.0, base) == pytest.approx((0.1, 0.05))
+
+
+def test_motors_are_drawn_beside_the_rest():
+    full = load_randomization("full")
+    motors = {"dead_band_m_s": (0.0, 0.06), "dead_band_rad_s": (0.0, 0.14), "wheel_min_m_s": (0.0, 0.03)}
+    ranges = full.model_copy(update=motors | {"creep_m_s": 0.004, "pull_rad_m": 0.1})
+    plain, drawn = (draw_trials(each, MODEL, 1, count=N, ticks=10) for each in (full, ranges))
+    for name, before, after in zip(plain._fields, plain, drawn, strict=True):
+        assert name == "motors" or np.array_equal(before, after), name
+    assert not plain.motors[:, [0, 1, 2, 3, 5, 6]].any()
+    least, most = drawn.motors.min(axis=0), drawn.motors.max(axis=0)
+    assert least == pytest.approx([0, 0, 0, 0, MODEL.half_track_m, -0.004, -0.1], abs=0.003)
+    assert most == pytest.approx([0.06, 0.14, 0.03, 0, MODEL.half_track_m, 0.004, 0.1], abs=0.003)
+    known = RoverProfile(name="mine", dead_band_v=0.01)
+    trials = draw_trials(ranges.model_copy(update={"rover": known}), MODEL, 1, count=N, ticks=10)
+    assert set(trials.motors[:, 0]) == {0.01}
+    assert np.array_equal(trials.motors[:, 1:], drawn.motors[:, 1:])
 
 
 def test_ranges_that_cannot_be_are_refused(tmp_path):

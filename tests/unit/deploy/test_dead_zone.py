@@ -1,0 +1,72 @@
+"""Pulses for commands that the motors do not follow."""
+
+import random
+
+import pytest
+
+from deploy.drive.dead_zone import PULSE_TICKS, DeadZone, Pulse, pulsed
+from rover_ncp.core.geometry import Velocity
+from rover_ncp.robot.description import DeadBand, load_description
+from rover_ncp.robot.profile import RoverProfile
+
+BAND = RoverProfile(name="band", dead_band_v=0.05, dead_band_omega=0.1)
+
+
+def robot(name="turtlebot3-burger", **motion):
+    description = load_description(name)
+    return description.model_copy(update={"motion": description.motion.model_copy(update=motion)})
+
+
+@pytest.mark.parametrize("wanted", [0.001, -0.012, 0.03, -0.049])
+def test_pulses_are_right_on_average_and_as_long_as_the_base_needs(wanted):
+    pulse, sent = Pulse(), []
+    for _ in range(1000):
+        pulse = pulsed(wanted, 0.05, pulse)
+        sent.append(pulse.sent)
+    assert set(sent) <= {0.0, 0.05 if wanted > 0 else -0.05}
+    assert sum(sent) == pytest.approx(1000 * wanted, abs=0.05 * PULSE_TICKS)
+    lengths = [len(run) for run in "".join("x" if each else " " for each in sent).split()]
+    assert min(lengths[:-1]) >= PULSE_TICKS
+
+
+def test_speed_that_the_base_follows_and_zero_owe_nothing():
+    owing = pulsed(0.01, 0.05, Pulse())
+    assert owing.owed
+    assert pulsed(0.05, 0.05, owing) == Pulse(0.05)
+    assert pulsed(-0.2, 0.05, owing) == Pulse(-0.2)
+    assert pulsed(0.0, 0.05, owing) == Pulse()
+
+
+@pytest.mark.parametrize(
+    "zone", [DeadZone(), DeadZone(RoverProfile(name="x"), load_description("turtlebot3-burger"))]
+)
+def test_commands_pass_unchanged_without_a_band(zone):
+    commands = [Velocity(random.gauss(0, 0.1), random.gauss(0, 0.1)) for _ in range(100)]
+    assert [zone.pass_on(command) for command in commands] == commands
+    assert zone.band == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("zone", "v", "omega"),
+    [
+        (DeadZone(BAND), 0.05, 0.1),
+        (DeadZone(None, robot(dead_band=DeadBand(v=0.02, omega=0.3))), 0.02, 0.3),
+        (DeadZone(BAND, robot(dead_band=DeadBand(v=0.02, omega=0.3))), 0.05, 0.1),  # the measured one counts
+        (DeadZone(RoverProfile(name="v", dead_band_v=0.0), robot(dead_band=DeadBand(v=0.02))), 0.0, 0.0),
+    ],
+)
+def test_no_command_is_within_the_band(zone, v, omega):
+    draw = random.Random(1)
+    for _ in range(500):
+        sent = zone.pass_on(Velocity(draw.gauss(0, 0.05), draw.gauss(0, 0.1)))
+        assert sent.v == 0.0 or abs(sent.v) >= v
+        assert sent.omega == 0.0 or abs(sent.omega) >= omega
+
+
+def test_no_wheel_is_slower_than_its_least_speed():
+    described = robot(wheel_min=0.03)
+    zone, half, draw = DeadZone(None, described), described.half_track_m, random.Random(1)
+    for _ in range(500):
+        sent = zone.pass_on(Velocity(draw.gauss(0, 0.03), draw.gauss(0, 0.2)))
+        for wheel in (sent.v - sent.omega * half, sent.v + sent.omega * half):
+            assert abs(wheel) < 1e-12 or abs(wheel) > 0.03

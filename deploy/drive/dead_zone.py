@@ -16,8 +16,8 @@ MARGIN = 0.1
 """Share by which a pulse exceeds the dead band: a base may count it after its gain."""
 STEP = Velocity(0.001, math.radians(1.0))
 """A Pioneer takes whole mm/s and deg/s, and may get the next smaller one."""
-PULSE_TICKS = 2
-"""Shortest pulse: the gate and the base take most of a tick to accelerate to a large dead band."""
+PULSE_TICKS = 3
+"""Shortest pulse: gate and base take one to two ticks to accelerate to a large dead band."""
 
 
 class Pulse(NamedTuple):

@@ -25,9 +25,15 @@ park: $(STAMP) ## Park a simulated robot with a circuit trained on the spot.
 
 .PHONY: test
 test: $(STAMP) ## The quick tests, which plain pytest runs too.
-# Process tests run in four workers, because they mostly wait.
-	$(BIN)/pytest tests/unit --durations=25 --numprocesses 2 --dist worksteal
-	$(BIN)/pytest tests/process --durations=25 --numprocesses 4 --dist worksteal
+# Unit tests compute and process tests wait: they run beside each other, those that wait with precedence.
+	$(MAKE) --jobs 2 --output-sync=line test-unit test-process
+
+.PHONY: test-unit test-process
+test-unit: $(STAMP)
+	nice -n 10 $(BIN)/pytest tests/unit --durations=25 --numprocesses 2 --dist worksteal
+
+test-process: $(STAMP)
+	$(BIN)/pytest tests/process --durations=25 --numprocesses 3 --dist worksteal
 
 .PHONY: check lint types contracts
 check: lint types contracts ## Lint, types and import contracts.
@@ -131,10 +137,6 @@ test-installs: ## The quick unit tests on each Python from 3.11 to 3.13 that is 
 			echo "python$$version is not here: not tested"; \
 		fi; \
 	done
-
-.PHONY: test-unit
-test-unit: $(STAMP)
-	$(BIN)/pytest tests/unit --numprocesses 2 --dist worksteal
 
 .PHONY: nightly nightly-waits nightly-cpu
 nightly: $(GRADIENTS_STAMP) $(FUZZ_STAMP) ## All that takes an hour or more: matrices, soak, all examples of Hypothesis, mutants, fuzzing, torch, installs.

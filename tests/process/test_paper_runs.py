@@ -45,7 +45,7 @@ def test_the_same_run_gives_the_same_bits_and_replays(car):
     ("task", "agent", "least"),
     [
         ("cart-pole", "random", 30.0),  # an untuned agent falls after some 20 steps
-        ("cart-pole", "lstm", 30.0),
+        pytest.param("cart-pole", "lstm", 30.0, marks=pytest.mark.long),
         ("roboschool", "circuit", 30.0),
         ("roboschool", "mlp", 1000.0),  # on MuJoCo's pole too
     ],

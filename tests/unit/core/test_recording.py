@@ -320,7 +320,7 @@ def test_messages_kept_in_memory_have_a_limit_that_is_named(written, monkeypatch
 
 def test_memory_of_recovery_does_not_grow_with_the_recording(tmp_path):
     peaks = []
-    for count in (4_000, 12_000):
+    for count in (2_000, 6_000):
         path = tmp_path / f"{count}.mcap"
         with RecordingWriter(path) as writer:
             for number in range(count):

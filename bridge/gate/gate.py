@@ -110,7 +110,8 @@ def step(
     velocity = STANDSTILL
     if held is None and state.target is not None:
         velocity = approach(state.target, state.out, limits, elapsed)
-    state = _switch_motors(replace(state, held=held, out=velocity))
+    halted_s = state.now if velocity == STANDSTILL else state.halted_s
+    state = _switch_motors(replace(state, held=held, out=velocity, halted_s=halted_s))
     return state, Verdict(velocity, state.motors, held, refusal, dropped, state.lease)
 
 
@@ -182,7 +183,8 @@ def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateStat
         restarted = restarted or jumps(before, base, elapsed, limits)
     if before is not None and (base.x, base.y, base.theta) == (before.x, before.y, before.theta):
         repeats, pose_s = state.repeats + 1, state.pose_s
-        if state.now - pose_s > limits.speed_mean_s:
+        # A mean speed goes on after a rover that was told to halt stands.
+        if state.now - min(pose_s, state.halted_s) > limits.speed_mean_s:
             frozen_m = state.frozen_m + _sustained_speed(before.v, base.v) * elapsed
             frozen_rad = state.frozen_rad + _sustained_speed(before.omega, base.omega) * elapsed
     if 0.0 < base.battery_v < limits.battery_min_v:

@@ -3,10 +3,11 @@
 from dataclasses import replace
 
 import pytest
-from kit.gate_bench import LIMITS, SECRET, Gate, follow, timelines
+from kit.gate_bench import LIMITS, SECRET, SLOW, Gate, follow, timelines
 
 from bridge.base import BaseReport
 from bridge.gate.state import BaseLost, Enable, GateState, Reason, VelocityCommand, describe, read_tag
+from rover_ncp.core.geometry import STANDSTILL
 from rover_ncp.wire.protocol import CommandTag, Signed
 
 
@@ -97,17 +98,34 @@ def test_frozen_distance_uses_the_slower_of_two_reports():
         assert gate.drive(0.1 * k).held is None
 
 
+MEANS = LIMITS.model_copy(update={"speed_mean_s": 1.0})
+
+
+def report_at(name, k, speed):
+    """A report 0.125 k s after the start of a robot that has stood since k = 16."""
+    pose = {"x": 0.04 * min(k, 16)} if name == "v" else {"theta": 0.04 * min(k, 16)}
+    return BaseReport(**pose, **{name: speed})
+
+
 @pytest.mark.parametrize("name", ["v", "omega"])
-def test_mean_speeds_are_frozen_odometry_only_after_the_time_of_the_mean(name):
-    gate, held = Gate(LIMITS.model_copy(update={"speed_mean_s": 1.0})).driving(), {}
+def test_mean_speeds_of_a_robot_that_halts_are_frozen_odometry_only_after_the_time_of_the_mean(name):
+    gate, held = Gate(MEANS).driving(), {}
     for k in range(1, 60):
-        pose = {"x": 0.04 * min(k, 16)} if name == "v" else {"theta": 0.04 * min(k, 16)}
-        speed = 0.0 if 24 < k < 40 else 0.3  # it stands from k = 16 on; the mean lags
-        gate.at(0.125 * k, BaseReport(**pose, **{name: speed}))
-        held[k] = gate.drive(0.125 * k).held
+        gate.at(0.125 * k, report_at(name, k, 0.0 if 24 < k < 40 else 0.3))  # the mean lags
+        held[k] = gate.drive(0.125 * k, STANDSTILL if k > 10 else SLOW).held
     assert not any(held[k] for k in range(1, 41))
     assert held[41] is Reason.FROZEN
     assert gate.state.lease_over is Reason.FROZEN
+
+
+@pytest.mark.parametrize("name", ["v", "omega"])
+@pytest.mark.parametrize(("halts", "frozen"), [(0, 18), (9, 19), (12, 22), (16, 25)])
+def test_mean_speeds_are_frozen_odometry_at_once_where_the_command_to_halt_is_older(name, halts, frozen):
+    gate, held = Gate(MEANS).driving(), {}
+    for k in range(1, 30):
+        gate.at(0.125 * k, report_at(name, k, 0.3))
+        held[k] = gate.drive(0.125 * k, STANDSTILL if halts - 6 < k <= halts else SLOW).held
+    assert {k for k in held if held[k]} == {*range(frozen, 30)}
 
 
 @pytest.mark.parametrize("name", ["v", "omega"])

@@ -66,6 +66,8 @@ COAST_S = 2.0
 """Without a lease, motors are switched off when the rover stands, or after this."""
 FROZEN_M, FROZEN_RAD = 0.01, 0.02
 """Odometry is frozen if the base moved this far by its own speeds and reports the same pose."""
+FOLLOWS_S = 0.25
+"""A base that moves so long after a halt was commanded last does not halt."""
 FROZEN_REPORTS = 2
 """At least this many repeated reports: noisy odometry repeats the same millimetre once by chance."""
 STEP_MAX_S = 0.1
@@ -184,7 +186,8 @@ def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateStat
     if before is not None and (base.x, base.y, base.theta) == (before.x, before.y, before.theta):
         repeats, pose_s = state.repeats + 1, state.pose_s
         # A mean speed goes on after a rover that was told to halt stands.
-        if state.now - min(pose_s, state.halted_s) > limits.speed_mean_s:
+        driven = pose_s - state.halted_s > FOLLOWS_S
+        if driven or state.now - min(pose_s, state.halted_s) > limits.speed_mean_s:
             frozen_m = state.frozen_m + _sustained_speed(before.v, base.v) * elapsed
             frozen_rad = state.frozen_rad + _sustained_speed(before.omega, base.omega) * elapsed
     if 0.0 < base.battery_v < limits.battery_min_v:

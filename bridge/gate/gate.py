@@ -112,7 +112,7 @@ def step(
     velocity = STANDSTILL
     if held is None and state.target is not None:
         velocity = approach(state.target, state.out, limits, elapsed)
-    halted_s = state.now if velocity == STANDSTILL else state.halted_s
+    halted_s = state.now if velocity == STANDSTILL and not _stands(state.base) else state.halted_s
     state = _switch_motors(replace(state, held=held, out=velocity, halted_s=halted_s))
     return state, Verdict(velocity, state.motors, held, refusal, dropped, state.lease)
 
@@ -276,9 +276,12 @@ def _switch_motors(state: GateState) -> GateState:
     """Without a lease, switch the motors off at standstill, or `COAST_S` after the lease's end."""
     if state.lease is not None or not state.motors:
         return state
-    base = state.base
-    stands = base is None or (abs(base.v) < STANDING and abs(base.omega) < STANDING)
-    return replace(state, motors=not stands and state.now < state.motors_until_s)
+    return replace(state, motors=not _stands(state.base) and state.now < state.motors_until_s)
+
+
+def _stands(base: BaseReport | None) -> bool:
+    """Whether a base reports no motion, or nothing."""
+    return base is None or (abs(base.v) < STANDING and abs(base.omega) < STANDING)
 
 
 class _Admitted(NamedTuple):

@@ -182,8 +182,8 @@ class GateState:
     low_since_s: float | None = None
     pose_s: float = -math.inf
     """When the base first reported its present pose."""
-    halted_s: float = 0.0
-    """When the output was last zero."""
+    halted_s: float = -math.inf
+    """When the output was last zero while the base reported motion."""
     repeats: int = 0
     """Number of repeated reports of the same pose."""
     frozen_m: float = 0.0

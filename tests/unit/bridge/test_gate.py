@@ -129,6 +129,15 @@ def test_mean_speeds_are_frozen_odometry_at_once_where_the_rover_was_driven_on(n
 
 
 @pytest.mark.parametrize("name", ["v", "omega"])
+def test_mean_speeds_are_frozen_odometry_at_once_soon_after_a_start_from_rest(name):
+    gate, held = Gate(MEANS).driving(), {}
+    for k in range(1, 30):
+        gate.at(0.125 * k, report_at(name, k, 0.3) if k > 14 else BaseReport())
+        held[k] = gate.drive(0.125 * k, SLOW if k > 13 else STANDSTILL).held
+    assert {k for k in held if held[k]} == {*range(18, 30)}
+
+
+@pytest.mark.parametrize("name", ["v", "omega"])
 def test_speed_that_changes_its_sign_is_no_frozen_odometry(name):
     # Motors that hold a robot on a slope flicker by a tick of its encoders.
     gate = Gate()

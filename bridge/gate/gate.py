@@ -185,11 +185,12 @@ def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateStat
         restarted = restarted or jumps(before, base, elapsed, limits)
     if before is not None and (base.x, base.y, base.theta) == (before.x, before.y, before.theta):
         repeats, pose_s = state.repeats + 1, state.pose_s
+        frozen_m, frozen_rad = state.frozen_m, state.frozen_rad
         # A mean speed goes on after a rover that was told to halt stands.
         driven = pose_s - state.halted_s > FOLLOWS_S
         if driven or state.now - min(pose_s, state.halted_s) > limits.speed_mean_s:
-            frozen_m = state.frozen_m + _sustained_speed(before.v, base.v) * elapsed
-            frozen_rad = state.frozen_rad + _sustained_speed(before.omega, base.omega) * elapsed
+            frozen_m += _sustained_speed(before.v, base.v) * elapsed
+            frozen_rad += _sustained_speed(before.omega, base.omega) * elapsed
     if 0.0 < base.battery_v < limits.battery_min_v:
         low_since_s = state.now if state.low_since_s is None else state.low_since_s
     return replace(

@@ -135,6 +135,7 @@ def test_mean_speeds_are_frozen_odometry_at_once_soon_after_a_start_from_rest(na
         gate.at(0.125 * k, report_at(name, k, 0.3) if k > 14 else BaseReport())
         held[k] = gate.drive(0.125 * k, SLOW if k > 13 else STANDSTILL).held
     assert {k for k in held if held[k]} == {*range(18, 30)}
+    assert gate.enable(0.125 * 30).refusal is Reason.FROZEN  # although a halt is commanded now
 
 
 @pytest.mark.parametrize("name", ["v", "omega"])

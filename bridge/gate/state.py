@@ -190,7 +190,7 @@ class GateState:
     frozen_rad: float = 0.0
     """Distance by the base's reported speeds since its reported pose last changed.
 
-    If these are means, they count when they no longer include motion before that.
+    If these are means, those of a rover that halts count when they no longer include motion before that.
     """
     stalled_v: float = 0.0
     """Direction of travel when a motor began to stall: 1 forward, −1 backward, 0 unknown."""

@@ -6,7 +6,7 @@ from typing import Protocol
 from bridge.base import BaseEvent, BaseTimeout, Failed, LinkHealth, Ready, Setpoint
 from bridge.pioneer.base_connection import Broken, Opened, Received
 from bridge.pioneer.session import BaudChanged, Session, SessionEvent
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import STANDSTILL
 from rover_ncp.wire.protocol import TimeoutState
 
 WATCHDOG_S = 2.0
@@ -42,7 +42,7 @@ class ArcosBase:
 
     def __init__(self, connection: Connection, session: Session) -> None:
         self._connection, self._session = connection, session
-        self._last = Setpoint(Velocity(0.0, 0.0), motors=False, emergency=False)
+        self._last = Setpoint(STANDSTILL, motors=False, emergency=False)
         self._was_ready = self._reopening = False
 
     def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:

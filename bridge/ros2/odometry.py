@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.geometry import Pose, Velocity, distance, relative, wrap_angle
+from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, relative, wrap_angle
 from rover_ncp.robot.description import Motion, Topics
 from rover_ncp.wire.messages import OdometrySample, read_odometry
 
@@ -60,7 +60,7 @@ class RosOdometer:
         self._clock = StampClock()
         self._stamp_ns = 0
         self._seen: deque[tuple[float, Pose]] = deque(maxlen=2)
-        self._velocity = Velocity(0.0, 0.0)
+        self._velocity = STANDSTILL
         self._alternations: deque[float] = deque(maxlen=ALTERNATIONS)
         self._clock_jumps: deque[float] = deque(maxlen=ALTERNATIONS)
         self._origin: Pose | None = None

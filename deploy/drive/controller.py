@@ -25,7 +25,7 @@ from deploy.estimator.settings import TURN_GAINS, EstimatorSettings
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.circuit.runner import Runner
-from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, compose, distance, wrap_angle
+from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, Velocity, compose, distance, wrap_angle
 from rover_ncp.course.course import TICK_S, Course, Verdict
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.robot.description import RobotDescription
@@ -146,7 +146,7 @@ class Controller:
         tiny = abs(command.v) < HOLD.v and abs(command.omega) < HOLD.omega
         if index * TICK_S > self._hold_s:
             self._holds = (tiny or self._holds) and self._is_parked(estimate.pose)
-            command = Velocity(0.0, 0.0) if self._holds else command
+            command = STANDSTILL if self._holds else command
         sent = self._dead_zone.pass_on(command)
         return Tick(index, index * TICK_S, estimate, sent, self._runner.potentials)
 

@@ -21,7 +21,7 @@ from rover_ncp.core.errors import (
     OtherVersion,
     SafetyStop,
 )
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.recording.recording import Recorded, header_stamp_ns
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, Role, spec
@@ -187,7 +187,7 @@ class ZenohLink(Link, ZenohClient):
         if not self.lease.number:
             return
         with contextlib.suppress(zenoh.ZError):
-            self.command(Velocity(0.0, 0.0))
+            self.command(STANDSTILL)
         with contextlib.suppress(zenoh.ZError, NoBridge, OtherVersion):
             self._motors(MotorsRequest(enable=False), RELEASE_TIMEOUT_S)
         self.lease.end()

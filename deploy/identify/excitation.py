@@ -19,7 +19,7 @@ from deploy.drive.link import Link
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from rover_ncp.core.errors import SafetyStop
-from rover_ncp.core.geometry import Pose, Velocity, compose, distance
+from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, compose, distance
 from rover_ncp.core.process import Clock
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.messages import OdometrySample
@@ -57,7 +57,7 @@ def steps(robot: RobotDescription | None = None) -> list[Step]:
     """Return the steps, 51 s, at speeds that the robot reaches."""
     v_share = min(1.0, robot.motion.v_max / max(_SPEEDS_M_S)) if robot else 1.0
     turn_share = min(1.0, robot.motion.omega_max / math.radians(max(_TURNS_DEG_S))) if robot else 1.0
-    rest = Velocity(0.0, 0.0)
+    rest = STANDSTILL
     found = [Step(rest, _BEFORE_S)]
     for v in _SPEEDS_M_S:
         found += [Step(Velocity(v_share * v, 0.0), _DRIVE_S), Step(rest, _REST_S)]
@@ -114,7 +114,7 @@ def ramps(measurements: Measurements) -> Iterator[Step]:
             newest = measurements.newest
             if newest is not None and follows(newest.sample.velocity[axis], velocity[axis]):
                 break
-        yield Step(Velocity(0.0, 0.0), _AFTER_S)
+        yield Step(STANDSTILL, _AFTER_S)
 
 
 def _check_fence(odometry: OdometrySample, start: Pose, fence_m: float) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from deploy.view.trace import Trace, motor_outputs
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
+from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, compose, inverse
 from rover_ncp.course.course import TICK_S, Course, Verdict
 from rover_ncp.recording.recorded import TICKS_TOPIC
 from rover_ncp.recording.recording import Recorded
@@ -59,7 +59,7 @@ class Moved(NamedTuple):
 
     wall_ns: int
     pose: Pose
-    velocity: Velocity = Velocity(0.0, 0.0)
+    velocity: Velocity = STANDSTILL
 
 
 class Command(NamedTuple):

@@ -18,7 +18,7 @@ from deploy.drive.publisher import Publisher
 from deploy.drive.records import TickRecord
 from deploy.estimator.estimator import Estimate
 from rover_ncp.core.errors import SafetyStop
-from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import twist_stamped
@@ -187,7 +187,7 @@ class VirtualLink(Link):
     def release(self) -> None:
         """Stop and release the lease, if we hold it."""
         if self.lease.number:
-            self.command(Velocity(0.0, 0.0))
+            self.command(STANDSTILL)
             self._motors(MotorsRequest(enable=False))
             self.lease.end()
 

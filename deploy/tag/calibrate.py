@@ -97,7 +97,7 @@ def find_mount(
         )
     first = Locator(camera, tag_map)
     starts = [
-        (odom, where) for odom, found in seen if isinstance(where := first.locate(found), Located)
+        (odom, where) for odom, found in seen if isinstance(where := first.fit(found), Located)
     ] or None
     if starts is None:
         raise UsageError("the tags fit no pose: is the mount far off, or a tag's size or place wrong?")

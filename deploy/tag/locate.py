@@ -21,7 +21,7 @@ OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Turns OpenCV's axes of a camera (right, down, ahead) into those of a mount (forward, left, up)."""
 PIXEL = 0.3
 """Least standard deviation of a corner, pixels: what AprilTag 3 reaches on good pictures."""
-MAX_PIXELS = 3.0
+MAX_PIXELS = 1.5
 """Largest root mean square of a tag's corner errors, pixels: beyond, its size, place or id is wrong."""
 FLOOR_M, FLOOR_RAD = 0.002, 0.003
 """Standard deviations that more corners do not lower: errors of the map and of the mount."""
@@ -69,7 +69,7 @@ class Locator:
         known = [each for each in detections if each.id in self._tags]
         if not known:
             return Rejection.NO_TAG
-        found = self._fit(known)
+        found = self.fit(known)
         if isinstance(found, Rejection) or found.rms <= MAX_PIXELS:
             return found
         if len(known) == 1:
@@ -77,7 +77,7 @@ class Locator:
         if len(known) == 2:  # nothing tells which of the two is wrong
             return Rejection.DISAGREE
         # The tag without which the others agree best is left out.
-        fits = [self._fit(known[:index] + known[index + 1 :]) for index in range(len(known))]
+        fits = [self.fit(known[:index] + known[index + 1 :]) for index in range(len(known))]
         agreeing = [each for each in fits if isinstance(each, Located) and each.rms <= MAX_PIXELS]
         return min(agreeing, key=lambda each: each.rms, default=Rejection.DISAGREE)
 
@@ -92,7 +92,8 @@ class Locator:
         flat: Floats = np.where(ahead > 0.01, seen[:, :2] / np.maximum(ahead, 0.01), BEHIND)
         return flat
 
-    def _fit(self, detections: Sequence[Detection]) -> Located | Rejection:
+    def fit(self, detections: Sequence[Detection]) -> Located | Rejection:
+        """Return the best pose for tags of the map, however badly they fit."""
         corners = np.concatenate([self._tags[each.id].corners for each in detections])
         pixels = np.concatenate([each.corners for each in detections])
         flat = cv2.undistortPoints(pixels[:, None, :], self._matrix, self._distortion)[:, 0, :]

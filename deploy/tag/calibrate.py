@@ -96,9 +96,7 @@ def find_mount(
             f"{math.degrees(MIN_TURN):.0f}° or more with a tag in view"
         )
     first = Locator(camera, tag_map)
-    starts = [
-        (odom, where) for odom, found in seen if isinstance(where := first.fit(found), Located)
-    ] or None
+    starts = [(odom, where) for odom, found in seen if isinstance(where := first.fit(found), Located)] or None
     if starts is None:
         raise UsageError("the tags fit no pose: is the mount far off, or a tag's size or place wrong?")
     odom, where = min(starts, key=lambda each: each[1].rms)

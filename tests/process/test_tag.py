@@ -55,10 +55,6 @@ def test_drive_starts_from_the_pose_of_tags_and_camera_that_dies_ends_the_locali
 def test_localiser_of_a_folder_needs_no_robot_and_reports(tmp_path, files):
     pictures = tmp_path / "pictures"
     pictures.mkdir()
-    import cv2
-    from kit.tags import picture_of  # OpenCV loads here only
-
-    from rover_ncp.core.geometry import Pose
 
     for index in range(3):
         pose = Pose(0.1 * index, 0.02, 0.05)

@@ -42,7 +42,11 @@ class StartDetector:
         if config.pose == "required" and not monitor.until(
             lambda: self._stands() and bool(self._poses), config.pose_wait_s
         ):
-            raise NoPose(f"no external pose of the rover arrived on 'pose' within {config.pose_wait_s:g} s")
+            unreadable = self._measurements.complaints.get("pose", "")
+            raise NoPose(
+                f"no external pose of the rover arrived on 'pose' within {config.pose_wait_s:g} s"
+                + (f" that can be used: {unreadable}" if unreadable else "")
+            )
         assert self._measurements.newest is not None  # it stands, so there was a sample
         return self._measurements.newest
 

@@ -98,10 +98,12 @@ class CourseResult(ResultModel):
     """the file that was written"""
 
 
-def check_course(course: Course, robot: RobotDescription | None = None) -> Drivability:
-    """Plan a course's reference and check it, for the outline of ``robot``; None is a Pioneer 3-AT."""
+def check_course(
+    course: Course, robot: RobotDescription | None = None, reference: Reference | None = None
+) -> Drivability:
+    """Check a course's ``reference``, or plan it, for the outline of ``robot``; None is a Pioneer 3-AT."""
     robot = load_description(DEFAULT_ROBOT) if robot is None else robot
-    reference = plan_reference(course)
+    reference = plan_reference(course) if reference is None else reference
     found = tuple(deviations(course, reference))
     problems = [*_start(course), *_missed(course, found), *_rest(course, reference)]
     clearance, touching = _clearance(course, reference, robot)

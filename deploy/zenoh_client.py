@@ -18,6 +18,7 @@ from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.recording.recording import header_stamp_ns
 from rover_ncp.wire.address import parse_address
 from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, key
+from rover_ncp.wire.messages import with_covariance
 from rover_ncp.wire.zenoh import PORT, client_config
 
 PROBE_S = 1.0
@@ -127,7 +128,7 @@ class ZenohClient(ClosedAtExit):
             if len(data) <= row.max_bytes:
                 if row.name in INPUTS:
                     self.sources.note(row.name, _source(sample), header_stamp_ns(row.type, data) or 0)
-                self._receive(row, data)
+                self._receive(row, with_covariance(data) if row.name == "pose" else data)
 
         return receive
 

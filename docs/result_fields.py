@@ -33,6 +33,7 @@ RESULTS = {
     "teleop": "deploy.teleop:TeleopResult",
     "identify": "deploy.identify.run:IdentifyResult",
     "course": "rover_ncp.course.feasibility:CourseResult",
+    "place": "deploy.place.survey:PlaceResult",
     "replay": "deploy.replay:Comparison",
     "check": "deploy.check:CheckResult",
     "keys": "bridge.zenoh.credentials:KeysResult",

@@ -38,6 +38,8 @@ STAGED_M, STAGED_RAD = 0.10, math.radians(10.0)
 """How far from the staging pose an approach may begin: the policy's training."""
 CONTACT_M = 0.05
 """How far from the place, along its heading, contact counts as that with the dock."""
+CONTACT_S = 0.5
+"""External poses of so long before contact count for its place; the rover has moved 2 cm meanwhile."""
 CHARGE_S = 10.0
 """How long a docked rover waits for the charge."""
 MIN_POSES = 3
@@ -186,7 +188,7 @@ class Docking:
         leg.record_estimate(index - self._began, t)
         pose, proof = self.estimator.at(t).pose, self.place.proof
         verdict = leg.verdict()
-        self._judged = _Judged(verdict, self._errors(pose), self._by_poses(t))
+        self._judged = _Judged(verdict, self._errors(pose), self._by_poses(t, contact))
         ahead, left, turned = self.place.errors(pose)
         in_line = abs(left) <= self.place.position_m and abs(turned) <= self.place.heading_rad
         where = f"{self._judged.estimate} of the place by the estimate"
@@ -260,9 +262,9 @@ class Docking:
         ahead, left, turned = self.place.errors(pose)
         return PoseErrors(longitudinal_m=ahead, lateral_m=left, yaw_rad=turned)
 
-    def _by_poses(self, t: float) -> PoseErrors | None:
-        """Return the median errors by the external poses of the last seconds; None without enough of them."""
-        since = t - self._approach.way.course.parked.still_s
+    def _by_poses(self, t: float, contact: bool) -> PoseErrors | None:
+        """Return the median errors by the newest external poses; None without enough of them."""
+        since = t - (CONTACT_S if contact else self._approach.way.course.parked.still_s)
         errors = [self.place.errors(pose) for seen, pose in self._poses if seen >= since]
         if len(errors) < MIN_POSES:
             return None
@@ -282,7 +284,7 @@ class Docking:
         pose = None if self._estimate is None else self._estimate.pose
         at = "place" if self._docked and not self._undock else "elsewhere"
         if pose is not None and at == "elsewhere" and self._stands_at_staging(pose):
-            at = "staging"
+            at = "staging pose"
         judged = self._judged
         return DockResult(
             place=self.place.name,

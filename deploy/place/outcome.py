@@ -5,6 +5,9 @@ from enum import IntEnum, StrEnum
 
 from pydantic import BaseModel, Field
 
+DOCK_TOPIC = "deploy/dock"
+"""Topic of a recording, with the `DockResult` as JSON."""
+
 
 class Stage(StrEnum):
     """Stage of a docking, by the names of DockRobot's feedback."""
@@ -53,7 +56,7 @@ class DockResult(BaseModel):
     error_msg: str = Field(description="why not, in words")
     num_retries: int = Field(description="tries after the first")
     stage: Stage = Field(description="the last stage")
-    at: str = Field(description="where the rover stands: place, staging, or elsewhere")
+    at: str = Field(description="where the rover stands: place, staging pose, or elsewhere")
     proof: str = Field(description="that the place asks for: pose, contact or charging")
     probability: float | None = Field(
         description="that the rover is within the tolerances, by the estimate at the end of the last approach"
@@ -63,22 +66,18 @@ class DockResult(BaseModel):
         description="by the external poses alone at that time: their median while the rover stood"
     )
 
+    @property
+    def headline(self) -> str:
+        """Whether it succeeded, and why not."""
+        what = "undocked from" if self.undock else "docked at"
+        words = f"{what} {self.place}" if self.success else f"not {what} {self.place}: {self.error_msg}"
+        return words[0].upper() + words[1:]
+
     def __str__(self) -> str:
-        ending = (
-            ("undocked" if self.success else "not undocked")
-            if self.undock
-            else (
-                f"docked at {self.place}, proof: {self.proof}"
-                if self.success
-                else f"not docked at {self.place}"
-            )
-        )
-        words = [ending + (f": {self.error_msg}" if self.error_msg else "")]
+        words = [self.headline[0].lower() + self.headline[1:]]
         if self.num_retries:
             words.append(f"{self.num_retries + 1} tries")
         for by, errors in (("the estimate", self.by_estimate), ("the external poses alone", self.by_proof)):
             if errors is not None:
                 words.append(f"by {by} {errors}")
-        return "; ".join(
-            [*words, f"the rover stands at {self.at}" if self.at != "elsewhere" else "it stands elsewhere"]
-        )
+        return "; ".join([*words, f"proof: {self.proof}", f"the rover stands at {self.at}"])

@@ -130,7 +130,8 @@ def deploy(
         if to is not None and undock is not None:
             raise UsageError("--to and --undock do not go together")
         odd = None if pose == "auto" else pose
-        reject("does not go with --to and --undock", course=course, duration=duration, pose=odd)
+        given = {"course": course, "duration": duration, "pose": odd, "dry_run": dry_run}
+        reject("does not go with --to and --undock", **given, require_certainty=require_certainty)
         return run_to_place(
             to or undock or "",
             (address, output, recorder),
@@ -139,7 +140,6 @@ def deploy(
             rover=rover,
             described=described,
             undock=undock is not None,
-            dry_run=dry_run,
         )
     reject("needs --to or --undock", dock_policy=dock_policy)
     goal = load_course(course or "parking")

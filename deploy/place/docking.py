@@ -229,7 +229,10 @@ class Docking:
         away = distance(pose, self.place.staging)
         if away > FAR_M:
             return f"{away:.2f} m from the staging pose (at most {FAR_M:g} m)"
-        way, problems = to_staging(self.place, pose, self._described, self._slower)
+        # A moving rover cannot wait for a search among detours.
+        way, problems = to_staging(
+            self.place, pose, self._described, self._slower, detours=self.stage is Stage.NONE
+        )
         if way is None:
             return "; ".join(map(str, problems))
         self._stagings += 1

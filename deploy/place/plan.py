@@ -8,6 +8,7 @@ its tail. Poses of a backward way are those of the tail: turned by 180°.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 from deploy.place.place import Place, Proof
@@ -38,6 +39,8 @@ FAR_M = 3.0
 SMALL_M, SMALL_RAD = 0.02, 0.03
 """Shorter pieces are left out: the approach corrects them."""
 CHECKPOINT_TICKS = 10
+DETOURS_M = (0.5, 0.0), (1.0, 0.0), (0.0, 0.8), (0.0, -0.8), (0.8, 0.8), (0.8, -0.8)
+"""Points of detours: how much farther out than the staging pose, and how far to its left."""
 
 
 class Piece(NamedTuple):
@@ -93,37 +96,52 @@ def retreat(place: Place, slower: float = 1.0) -> Way:
 
 
 def to_staging(
-    place: Place, start: Pose, robot: RobotDescription | None = None, slower: float = 1.0
+    place: Place,
+    start: Pose,
+    robot: RobotDescription | None = None,
+    slower: float = 1.0,
+    *,
+    detours: bool = True,
 ) -> tuple[Way | None, tuple[Problem, ...]]:
-    """Return the shortest way from ``start`` to the staging pose, or None and why there is none.
+    """Return the shortest clear way from ``start`` to the staging pose, or None and why there is none.
 
-    The rover turns on the spot, drives straight, and turns on the spot.
+    The rover turns on the spot, drives straight, and turns on the spot; or it does so by one more point.
     """
-    found: list[tuple[float, Way, Drivability]] = []
-    for backward in (False, True):
-        pieces = list(_turn_drive_turn(start, place.staging, backward))
-        way = _way(place, "staging", start, pieces, backward=backward, slower=slower)
-        checked = _check(way, robot)
-        found.append((way.course.horizon_s, way, checked))
-    found.sort(key=lambda each: each[0])
-    for _, way, checked in found:
-        if checked.drivable:
+    ways, problems = [], tuple[Problem, ...]()
+    for detour in (None, *(DETOURS_M if detours else ())):
+        via = [] if detour is None else [_beside(place, *detour)]
+        for backward in (False, True):
+            pieces = list(_pieces([start, *via, place.staging], backward))
+            ways.append(_way(place, "staging", start, pieces, backward=backward, slower=slower))
+    for way in sorted(ways, key=lambda each: each.course.horizon_s):
+        found = check_way(way, robot)
+        if found.drivable:
             return way, ()
-    return None, found[0][2].problems
+        problems = problems or found.problems
+    return None, problems
 
 
-def _turn_drive_turn(start: Pose, goal: Pose, backward: bool) -> Iterator[Piece]:
-    away = distance(start, goal)
-    heading = start.theta
-    if away > SMALL_M:
-        bearing = math.atan2(goal.y - start.y, goal.x - start.x) + (math.pi if backward else 0.0)
-        turn = wrap_angle(bearing - heading)
-        if abs(turn) > SMALL_RAD:
-            yield Piece(0.0, turn)
-        yield Piece(away, 0.0)
-        heading = bearing
-    turn = wrap_angle(goal.theta - heading)
-    yield Piece(0.0, turn if abs(turn) > SMALL_RAD else 0.0, SETTLE_S)
+def _beside(place: Place, farther_m: float, left_m: float) -> Pose:
+    """Return the pose that lies so much farther out than the staging pose, and to its left."""
+    return compose(place.staging, Pose(farther_m if place.backward else -farther_m, left_m, 0.0))
+
+
+def _pieces(poses: Sequence[Pose], backward: bool) -> Iterator[Piece]:
+    """Yield the pieces through the positions of poses, from the first one's heading to the last one's."""
+    heading = poses[0].theta
+    for a, b in pairwise(poses):
+        if distance(a, b) > SMALL_M:
+            bearing = math.atan2(b.y - a.y, b.x - a.x) + (math.pi if backward else 0.0)
+            yield from _turn(wrap_angle(bearing - heading))
+            yield Piece(distance(a, b), 0.0)
+            heading = bearing
+    yield from _turn(wrap_angle(poses[-1].theta - heading))
+    yield Piece(0.0, 0.0, SETTLE_S)
+
+
+def _turn(angle: float) -> Iterator[Piece]:
+    if abs(angle) > SMALL_RAD:
+        yield Piece(0.0, angle)
 
 
 def _way(
@@ -163,7 +181,7 @@ def _profile(way: float, speed: float) -> list[float]:
     return [top * min(k, ramp, ticks - k) / ramp for k in range(1, ticks + 1)]
 
 
-def _check(way: Way, robot: RobotDescription | None) -> Drivability:
+def check_way(way: Way, robot: RobotDescription | None) -> Drivability:
     """Check a way as `course check` does, for the outline of the robot."""
     # A course is checked for a rover that starts at its origin, front ahead.
     first = way.course.checkpoints[0].pose

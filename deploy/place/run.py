@@ -1,4 +1,4 @@
-"""A drive to a place as a process, and the survey of poses that makes or checks a place."""
+"""A drive to a place as a process."""
 
 from deploy.app import run
 from deploy.place.place import load_place
@@ -24,7 +24,6 @@ def run_to_place(
     rover: RoverProfile | None,
     described: RobotDescription | None,
     undock: bool,
-    dry_run: bool,
 ) -> int:
     """Drive to a place, or out of it, and return the exit code. Raises RoverNcpError as `deploy.app.run`."""
     address, output, recorder = process
@@ -37,7 +36,6 @@ def run_to_place(
         robot=address.robot,
         namespace=address.namespace,
         policy=dock.circuit.name,
-        dry_run=dry_run,
     )
     return run(
         address,

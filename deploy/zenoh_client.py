@@ -17,7 +17,7 @@ from rover_ncp.core.errors import NoBridge, NotAuthorised, UnreachableError
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.recording.recording import header_stamp_ns
 from rover_ncp.wire.address import parse_address
-from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, key
+from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, key, spec
 from rover_ncp.wire.messages import with_covariance
 from rover_ncp.wire.zenoh import PORT, client_config
 
@@ -67,9 +67,13 @@ class ZenohClient(ClosedAtExit):
             self._declare()
             for row in KEYS:
                 if row.kind is Kind.MESSAGE and row.name not in own:
-                    self._subscribe(self._session.declare_subscriber, row.name, self._receiving(row))
+                    self._subscribe(
+                        self._session.declare_subscriber, self.key(row.name), self._receiving(row)
+                    )
+            poses, receive_pose = f"*/{self.key('pose')}/*/*", self._receiving(spec("pose"))
+            self._subscribe(self._session.declare_subscriber, poses, receive_pose)  # of rmw_zenoh's nodes
             declare = partial(self._session.liveliness().declare_subscriber, history=True)
-            self._subscribe(declare, "rover/alive/bridge", self._bridge_token_changed)
+            self._subscribe(declare, self.key("rover/alive/bridge"), self._bridge_token_changed)
         except BaseException:
             ZenohClient.close(self)
             raise
@@ -117,10 +121,10 @@ class ZenohClient(ClosedAtExit):
         """Declare what a subclass sends, before the first message arrives."""
 
     def _subscribe(
-        self, declare: Callable[..., Any], name: str, callback: Callable[[zenoh.Sample], None]
+        self, declare: Callable[..., Any], key_expr: str, callback: Callable[[zenoh.Sample], None]
     ) -> None:
         handler = zenoh.handlers.Callback(callback, lambda: self._ending.put(threading.current_thread()))
-        self._held.append(declare(self.key(name), handler))
+        self._held.append(declare(key_expr, handler))
 
     def _receiving(self, row: KeySpec) -> Callable[[zenoh.Sample], None]:
         def receive(sample: zenoh.Sample) -> None:

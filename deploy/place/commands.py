@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rover_ncp.core.console import Json, Output, Overwrite, reject
+from rover_ncp.core.console import Json, Output, reject
 
 if TYPE_CHECKING:
     from deploy.place.survey import Survey
@@ -44,7 +44,9 @@ def place(
     direction: Annotated[
         Way | None, typer.Option(help="set: how the rover drives in.", show_default="forward")
     ] = None,
-    overwrite: Overwrite = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="set: replace the pose of a place that exists.")
+    ] = False,
     namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
     zenoh_config: Annotated[
         Path | None, typer.Option(help="Zenoh configuration (JSON5) with certificates.")

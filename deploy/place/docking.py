@@ -97,7 +97,7 @@ class Docking:
         if staging.circuit.neurons != dock.circuit.neurons:
             raise ConfigError("the two policies of the drive", ["they have different neurons"])
         self.place, self._undock, self._slower = place, undock, slowdown(described)
-        self._staging, self._settings = staging, settings
+        self._staging, self._dock, self._settings = staging, dock, settings
         self._rover, self._described = rover, described
         self.estimator = Estimator(settings)
         self._approach, self._retreat = (
@@ -122,9 +122,24 @@ class Docking:
     ) -> None:
         """Begin as `Controller.start`. Raises SafetyStop if there is no way from that pose."""
         self.estimator.start(pose, t, odometry, covariance)
-        if self._undock:
+        ahead, left, turned = self.place.errors(pose)
+        out_m = ahead if self.place.backward else -ahead
+        in_line = abs(left) <= STAGED_M and abs(turned) <= STAGED_RAD
+        problem = ""
+        if in_line and CONTACT_M < out_m < self.place.staging_m - STAGED_M:
+            # It may stand in the dock: it does not turn on the spot there.
+            out = self._leg(self._dock, retreat(self.place, self._slower, out_m))
+            self._begin(Stage.CONTROLLING if self._undock else Stage.RETRY, out, 0, pose)
+        elif in_line and abs(out_m) <= CONTACT_M and self._undock:
             self._begin(Stage.CONTROLLING, self._retreat, 0, pose)
-        elif problem := self._to_staging(0, pose):
+        elif in_line and abs(out_m) <= CONTACT_M:
+            self._tries = 1
+            self._begin(Stage.CONTROLLING, self._approach, -self._approach.way.course.ticks, pose)
+        elif self._undock:
+            problem = f"the rover does not stand in {self.place.name}, but {self._errors(pose)} of it"
+        else:
+            problem = self._to_staging(0, pose)
+        if problem:
             raise SafetyStop("start-pose", problem)
 
     def take(self, sample: OdometrySample | TurnSample | PoseSample, t: float) -> Outcome | None:

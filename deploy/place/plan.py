@@ -89,10 +89,11 @@ def place_course(place: Place, slower: float = 1.0) -> Course:
     return way.course.model_copy(update={"name": place.name, "checkpoints": points})
 
 
-def retreat(place: Place, slower: float = 1.0) -> Way:
-    """Return the way from the place back to the staging pose."""
-    pieces = [Piece(place.staging_m, 0.0, SETTLE_S)]
-    return _way(place, "retreat", place.goal, pieces, backward=not place.backward, slower=slower)
+def retreat(place: Place, slower: float = 1.0, out_m: float = 0.0) -> Way:
+    """Return the way back to the staging pose, from the place or from so far out of it."""
+    start = compose(place.goal, Pose(out_m if place.backward else -out_m, 0.0, 0.0))
+    pieces = [Piece(place.staging_m - out_m, 0.0, SETTLE_S)]
+    return _way(place, "retreat", start, pieces, backward=not place.backward, slower=slower)
 
 
 def to_staging(

@@ -35,6 +35,7 @@ class VirtualDocking(VirtualDrive):
 
     def __init__(self, where, start, *, path=None, obstacles=(), see=lambda pose, now: pose, **settings):
         self.place, self.path, self.course = where, path, place_course(where)
+        self.start = start
         self.policy, self.staging = load_policy("dock"), load_policy("course")
         self.config = place_config(where, None, None, robot="virtual", policy="dock", **settings)
         self.rover = PymunkRover(default_rover(), Ground(obstacles), start)

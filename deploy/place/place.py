@@ -44,10 +44,10 @@ class PlacePose(StrictModel):
 class Scatter(StrictModel):
     """Standard deviations of the poses of which 'place set' took the median, and their number."""
 
-    x_m: float = Field(ge=0)
-    y_m: float = Field(ge=0)
-    theta_rad: float = Field(ge=0)
-    poses: int = Field(ge=1)
+    x_m: float = Field(ge=0, description="standard deviation")
+    y_m: float = Field(ge=0, description="standard deviation")
+    theta_rad: float = Field(ge=0, description="standard deviation")
+    poses: int = Field(ge=1, description="how many there were")
 
 
 class Place(StrictModel):

@@ -34,8 +34,6 @@ LASER_SCAN = "sensor_msgs/msg/LaserScan"
 
 TWIST_BYTES = 52
 """A Twist is six float64 behind the CDR header; a TwistStamped is always longer."""
-_WITH_COVARIANCE_BYTES = 4 + 12 + 56 + 288
-"""Length of a PoseWithCovarianceStamped with an empty frame, at least; a PoseStamped is shorter."""
 _UNIT_TOLERANCE = 0.1
 """How far the squared length of a rotation's quaternion may be from 1: some publishers round to float32."""
 _SECOND_NS = 1_000_000_000
@@ -206,21 +204,6 @@ def read_pose(data: bytes) -> PoseSample:
         _read_pose(message.pose.pose),
         full[np.ix_(_PLANAR, _PLANAR)],
     )
-
-
-def with_covariance(data: bytes) -> bytes:
-    """Return an external pose as a PoseWithCovarianceStamped; a PoseStamped gets variances of 0: not known.
-
-    The two types differ in their length. Anything else is returned as it is.
-    """
-    if len(data) >= _WITH_COVARIANCE_BYTES:
-        return data
-    try:
-        message = decode(POSE_STAMPED, data)
-        pose, header = _read_pose(message.pose), message.header
-    except FormatError:
-        return data
-    return pose_with_covariance(pose, np.zeros((3, 3)), _stamp_ns(header), header.frame_id)
 
 
 def laser_scan(

@@ -11,12 +11,13 @@ from deploy.place.docking import Docking
 from deploy.place.place import load_place, place_yaml
 from deploy.place.plan import approach, check_way, place_course, retreat, tail, to_staging
 from deploy.place.survey import blurred, complaint, survey
+from deploy.zenoh_client import with_covariance
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import FormatError, NoPose, SafetyStop
 from rover_ncp.core.geometry import ORIGIN, Pose, distance, wrap_angle
 from rover_ncp.course.feasibility import Cause
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX
-from rover_ncp.wire.messages import PoseSample, pose_stamped, pose_with_covariance, read_pose, with_covariance
+from rover_ncp.wire.messages import PoseSample, pose_stamped, pose_with_covariance, read_pose
 
 DIRECTIONS = "forward", "backward"
 STARTS = Pose(0.0, 0.0, 0.0), Pose(1.8, 2.5, 2.0), Pose(1.5, 1.0, -3.1), Pose(3.0, 1.4, 1.0)

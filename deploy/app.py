@@ -13,6 +13,8 @@ from deploy.drive.publisher import Publisher
 from deploy.drive.records import attachments
 from deploy.drive.result import result_of
 from deploy.drive.zenoh_link import ZenohLink
+from deploy.place.docking import Docking
+from deploy.place.settings import docking_of
 from deploy.recorder import Recorder
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.circuit.policy import Policy
@@ -43,13 +45,19 @@ def run(
     config: DriveConfig,
     recorder: Recorder,
     period_s: float = TICK_S,
+    staging: Policy | None = None,
 ) -> int:
     """Drive once, and return the exit code; ``period_s`` is how long a tick lasts by the clock.
 
-    Raises RoverNcpError if the drive could not begin.
+    ``staging`` drives to the staging pose, if the settings name a place. Raises
+    RoverNcpError if the drive could not begin.
     """
-    controller = Controller(policy, course, config.estimator, config.rover, config.described)
-    files = attachments(policy, course, config)
+    controller: Controller | Docking
+    if staging is None:
+        controller = Controller(policy, course, config.estimator, config.rover, config.described)
+    else:
+        controller = docking_of(config, staging, policy)
+    files = attachments(policy, course, config, staging)
     prepare_for_real_time()
     with Interrupts() as interrupts, recorder, ZenohLink(address, recorder.put) as link:
         publisher = Publisher(link, recorder.put, policy.circuit.neurons)

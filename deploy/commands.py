@@ -28,8 +28,27 @@ def deploy(
         str, typer.Option(help="Policy by name, or by file (YAML, or a published .bnn circuit).")
     ] = "course",
     course: Annotated[
-        str, typer.Option(help="Course by name or file: goal, start signal, time.")
-    ] = "parking",
+        str | None,
+        typer.Option(help="Course by name or file: goal, start signal, time.", show_default="parking"),
+    ] = None,
+    to: Annotated[
+        str | None,
+        typer.Option(
+            help="Dock at a place: its name or file, as 'rover-ncp place set' writes it.", show_default=False
+        ),
+    ] = None,
+    undock: Annotated[
+        str | None,
+        typer.Option(help="Back out of a place, to its staging pose.", show_default=False),
+    ] = None,
+    dock_policy: Annotated[
+        str | None,
+        typer.Option(
+            help="With --to or --undock: the policy between the staging pose and the place. --policy drives "
+            "to the staging pose.",
+            show_default="dock",
+        ),
+    ] = None,
     model: Annotated[
         str | None,
         typer.Option(
@@ -78,6 +97,9 @@ def deploy(
     them, and later poses correct odometry. Ctrl-C stops the rover first. The motors are off after every end
     of the drive.
 
+    With --to it waits for an external pose, drives to the staging pose of a place and from there into it,
+    tries again after a miss, and ends docked or back at the staging pose (docs/place.md).
+
     The estimate is judged: parked; not parked, also after a bumper or a stall; or "parked, uncertain" if the
     rover may be outside the tolerances with a probability of more than 5 %. Ends with 0 parked, 1 not parked,
     3 no bridge, no robot, not authorised or another driver, 4 stopped by a safety rule, which is named, 130
@@ -98,9 +120,29 @@ def deploy(
     from rover_ncp.robot.profile import load_profile
 
     output = Output(json, controls=True)
-    circuit, goal = load_policy(policy), load_course(course)
+    circuit, recorder = load_policy(policy), Recorder(record, overwrite=overwrite)
+    address = BridgeAddress(robot, namespace, zenoh_config)
     rover = load_profile(profile) if profile else None
     described = load_description(model) if model else None
+    if to is not None or undock is not None:
+        from deploy.place.run import run_to_place
+
+        if to is not None and undock is not None:
+            raise UsageError("--to and --undock do not go together")
+        odd = None if pose == "auto" else pose
+        given = {"course": course, "duration": duration, "pose": odd, "dry_run": dry_run}
+        reject("does not go with --to and --undock", **given, require_certainty=require_certainty)
+        return run_to_place(
+            to or undock or "",
+            (address, output, recorder),
+            staging=circuit,
+            dock_policy=dock_policy,
+            rover=rover,
+            described=described,
+            undock=undock is not None,
+        )
+    reject("needs --to or --undock", dock_policy=dock_policy)
+    goal = load_course(course or "parking")
     if described is not None:
         goal, pace = slowed(goal, described)
         output.say(pace)
@@ -116,7 +158,6 @@ def deploy(
         pose=pose,
         require_certainty=require_certainty,
     )
-    address, recorder = BridgeAddress(robot, namespace, zenoh_config), Recorder(record, overwrite=overwrite)
     return run(address, output, policy=circuit, course=goal, config=config, recorder=recorder)
 
 

@@ -13,10 +13,21 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from deploy.drive.controller import Controller, Tick
-from deploy.drive.measurements import READERS, Sample, SampleRef
+from deploy.drive.measurements import Sample, SampleRef, readers
 from deploy.drive.publisher import estimate_message
-from deploy.drive.records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord, attached, numbers
+from deploy.drive.records import (
+    STAGING_FILE,
+    START_TOPIC,
+    TICKS_TOPIC,
+    StartRecord,
+    TickRecord,
+    attached,
+    attached_policy,
+    numbers,
+)
 from deploy.estimator.estimator import Estimate
+from deploy.place.docking import Docking
+from deploy.place.settings import docking_of
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.geometry import Pose
 from rover_ncp.recording.recording import Recording, read_recording
@@ -67,9 +78,17 @@ def replay(path: Path) -> Comparison:
     recording = read_recording(path, topics=TOPICS)
     policy, course, config = attached(recording)
     start, ticks = _records(recording)
-    controller = Controller(policy, course, config.estimator, config.rover, config.described)
+    if config.place is None:
+        controller: Controller | Docking = Controller(
+            policy, course, config.estimator, config.rover, config.described
+        )
+    else:
+        controller = docking_of(config, attached_policy(recording, STAGING_FILE), policy)
     ticks_done, difference = 0, None
-    for record, difference in _compared(recording, controller, start, ticks, policy.circuit.neurons):
+    samples = _samples(recording, config.pose_frame)
+    for record, difference in _compared(
+        recording, samples, controller, start, ticks, names=policy.circuit.neurons
+    ):
         if difference is not None:
             break
         ticks_done += record.command is not None
@@ -94,13 +113,15 @@ def _records(recording: Recording) -> tuple[StartRecord, list[TickRecord]]:
 
 def _compared(
     recording: Recording,
-    controller: Controller,
+    samples: dict[tuple[str, int, int], Sample],
+    controller: Controller | Docking,
     start: StartRecord,
     records: list[TickRecord],
+    *,
     names: tuple[str, ...],
 ) -> Iterator[tuple[TickRecord, Difference | None]]:
     """Run tick by tick; yield each record with its first difference. Ends where a cut-off file does."""
-    samples, messages = _samples(recording), _Messages(recording)
+    messages = _Messages(recording)
     for record in records:
         wanted = [start.sample, *record.samples] if record is records[0] else list(record.samples)
         missing = [ref for ref in wanted if _key(ref) not in samples]
@@ -119,6 +140,8 @@ def _compared(
                 controller.start(began.pose, 0.0, Pose(*start.pose), start.covariance_matrix)
             for ref in wanted:
                 controller.take(samples[_key(ref)], start.sample.seconds_to(ref.measured_ns))
+            if isinstance(controller, Docking) and record.evidence is not None:
+                controller.note(record.evidence)
             tick = controller.tick(record.index, now) if record.command is not None else None
             estimate = tick.estimate if tick else controller.record_estimate(record.index, now)
         except ValueError as error:  # such as a start that is not finite
@@ -131,10 +154,10 @@ def _key(ref: SampleRef) -> tuple[str, int, int]:
     return ref.topic, ref.stamp_ns, ref.crc
 
 
-def _samples(recording: Recording) -> dict[tuple[str, int, int], Sample]:
+def _samples(recording: Recording, pose_frame: str) -> dict[tuple[str, int, int], Sample]:
     """Return the readable inputs of a recording."""
     found = {}
-    for topic, read in READERS.items():
+    for topic, read in readers(pose_frame).items():
         for message in recording.topic(topic):
             with contextlib.suppress(FormatError):
                 sample = read(message.data)

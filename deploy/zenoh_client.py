@@ -10,17 +10,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import zenoh
 
 from deploy.drive.link import INPUTS, Sources
-from rover_ncp.core.errors import NoBridge, NotAuthorised, UnreachableError
+from rover_ncp.core.errors import FormatError, NoBridge, NotAuthorised, UnreachableError
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.recording.recording import header_stamp_ns
 from rover_ncp.wire.address import parse_address
-from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, key
+from rover_ncp.wire.cdr import decode
+from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, key, spec
+from rover_ncp.wire.messages import POSE_STAMPED, pose_with_covariance, read_pose_stamped
 from rover_ncp.wire.zenoh import PORT, client_config
 
 PROBE_S = 1.0
+WITH_COVARIANCE_BYTES = 4 + 12 + 56 + 288
+"""Length of a PoseWithCovarianceStamped with an empty frame, at least; a PoseStamped is shorter."""
 CALLBACK_S = 1.0
 """Longest wait for the end of a callback."""
 
@@ -66,9 +71,13 @@ class ZenohClient(ClosedAtExit):
             self._declare()
             for row in KEYS:
                 if row.kind is Kind.MESSAGE and row.name not in own:
-                    self._subscribe(self._session.declare_subscriber, row.name, self._receiving(row))
+                    self._subscribe(
+                        self._session.declare_subscriber, self.key(row.name), self._receiving(row)
+                    )
+            poses, receive_pose = f"*/{self.key('pose')}/*/*", self._receiving(spec("pose"))
+            self._subscribe(self._session.declare_subscriber, poses, receive_pose)  # of rmw_zenoh's nodes
             declare = partial(self._session.liveliness().declare_subscriber, history=True)
-            self._subscribe(declare, "rover/alive/bridge", self._bridge_token_changed)
+            self._subscribe(declare, self.key("rover/alive/bridge"), self._bridge_token_changed)
         except BaseException:
             ZenohClient.close(self)
             raise
@@ -116,10 +125,10 @@ class ZenohClient(ClosedAtExit):
         """Declare what a subclass sends, before the first message arrives."""
 
     def _subscribe(
-        self, declare: Callable[..., Any], name: str, callback: Callable[[zenoh.Sample], None]
+        self, declare: Callable[..., Any], key_expr: str, callback: Callable[[zenoh.Sample], None]
     ) -> None:
         handler = zenoh.handlers.Callback(callback, lambda: self._ending.put(threading.current_thread()))
-        self._held.append(declare(self.key(name), handler))
+        self._held.append(declare(key_expr, handler))
 
     def _receiving(self, row: KeySpec) -> Callable[[zenoh.Sample], None]:
         def receive(sample: zenoh.Sample) -> None:
@@ -127,12 +136,27 @@ class ZenohClient(ClosedAtExit):
             if len(data) <= row.max_bytes:
                 if row.name in INPUTS:
                     self.sources.note(row.name, _source(sample), header_stamp_ns(row.type, data) or 0)
-                self._receive(row, data)
+                self._receive(row, with_covariance(data) if row.name == "pose" else data)
 
         return receive
 
     def _bridge_token_changed(self, sample: zenoh.Sample) -> None:
         self.bridge_alive = sample.kind == zenoh.SampleKind.PUT
+
+
+def with_covariance(data: bytes) -> bytes:
+    """Return an external pose as a PoseWithCovarianceStamped; a PoseStamped gets variances of 0: not known.
+
+    The two types differ in their length. Anything else is returned as it is.
+    """
+    if len(data) >= WITH_COVARIANCE_BYTES:
+        return data
+    try:
+        pose, header = read_pose_stamped(data), decode(POSE_STAMPED, data).header
+    except FormatError:
+        return data
+    stamp_ns = header_stamp_ns(POSE_STAMPED, data) or 0
+    return pose_with_covariance(pose, np.zeros((3, 3)), stamp_ns, header.frame_id)
 
 
 def _source(sample: zenoh.Sample) -> str:

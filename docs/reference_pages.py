@@ -15,6 +15,7 @@ from pydantic import BaseModel
 from result_fields import RESULTS, models_in, noted, result_fields
 
 from bridge.gate.limits import Limits
+from deploy.place.place import Place
 from deploy.tag.tag_map import CameraFile, TagMap
 from rover_ncp import cli
 from rover_ncp.circuit import policy_file
@@ -30,6 +31,7 @@ DOCS = Path(__file__).parent
 MODELS: dict[str, tuple[str, type[BaseModel]]] = {
     "course": ("Course", Course),
     "poses": ("Poses for a course", PoseList),
+    "place": ("Place", Place),
     "circuit": ("Circuit", policy_file._CircuitFile),
     "policy": ("Policy", policy_file._PolicyFile),
     "randomization": ("Randomization", Randomization),

@@ -8,9 +8,11 @@ from pydantic import Field
 
 from deploy.drive.safety_monitor import Timeouts
 from deploy.estimator.settings import GYRO_S, EstimatorSettings
+from deploy.place.place import Place
 from rover_ncp.course.course import Course
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile
+from rover_ncp.wire.messages import COURSE_FRAME
 
 STD = {
     "distance_gain": "distance_gain_std",
@@ -60,6 +62,9 @@ class DriveConfig(Timeouts):
     )
     start_rad: float = Field(default=0.35, gt=0, description="how far from the start's heading it may begin")
     require_certainty: bool = Field(default=False, description="whether 'parked, uncertain' is a failure")
+    place: Place | None = Field(default=None, description="where to dock, in place of a course")
+    undock: bool = Field(default=False, description="whether to leave the place")
+    pose_frame: str = Field(default=COURSE_FRAME, description="frame_id of the external poses")
     estimator: EstimatorSettings = EstimatorSettings()
     rover: RoverProfile | None = Field(default=None, description="what was measured of this robot")
     described: RobotDescription | None = Field(default=None, description="what is known of its model")

@@ -27,12 +27,13 @@ from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.start import StartDetector
 from deploy.estimator.estimator import Estimate
 from deploy.estimator.measurements import Outcome
+from deploy.place.docking import Docking, Evidence
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from rover_ncp.core.process import Clock
 from rover_ncp.course.course import TICK_S, Parked, Verdict
 from rover_ncp.wire.messages import OdometrySample
-from rover_ncp.wire.protocol import DriverStatus
+from rover_ncp.wire.protocol import CONTACTS, DriverStatus
 
 _LOGGER = logging.getLogger("rover_ncp")
 POLL_S = 0.02
@@ -70,7 +71,7 @@ class Drive:
     def __init__(
         self,
         link: Link,
-        controller: Controller,
+        controller: Controller | Docking,
         publisher: Publisher,
         config: DriveConfig,
         interrupted: Callable[[], bool],
@@ -81,9 +82,12 @@ class Drive:
         self._period_ns = round(period_s * NS)
         self._link, self.controller, self._publisher = link, controller, publisher
         self.config, self._clock = config, clock
+        self._docking = controller if isinstance(controller, Docking) else None
+        self._touched = False
+        """Whether contact revoked the lease since the last tick of a docking."""
         self._used: list[SampleRef] = []
         """Samples that the estimator got since the last tick."""
-        self.measurements = Measurements(link)
+        self.measurements = Measurements(link, config.pose_frame)
         self._monitor = SafetyMonitor(link, self.measurements, interrupted, config, clock)
         self.placed = False
         """Whether external poses gave the start pose."""
@@ -142,11 +146,15 @@ class Drive:
         except KeyboardInterrupt:
             self._enter(Phase.ENDED, "interrupted")
         else:
-            self.verdict = self.controller.verdict().with_contact(self._monitor.contact)
+            self.verdict = self.controller.verdict()
+            if self._docking is None:
+                self.verdict = self.verdict.with_contact(self._monitor.contact)
             ends = {Parked.YES: Phase.PARKED, Parked.UNCERTAIN: Phase.UNCERTAIN, Parked.NO: Phase.ENDED}
             words = self.verdict.words
             reason = self._why_uncertain() if words is Parked.UNCERTAIN else self.verdict.reason
             self._enter(ends[words], reason)
+        if self._docking is not None:
+            self._publisher.dock(self._docking.result())
         self._publisher.finish()
 
     def _arm(self, attachments: dict[str, int]) -> None:
@@ -155,7 +163,10 @@ class Drive:
         self._enter(Phase.ARMED)
         pose, covariance = detector.pose()
         self.placed = covariance is not None
-        self._check_start(pose)
+        if self._docking is None:
+            self._check_start(pose)
+        elif covariance is None:
+            pose = self._docking.place.goal
         self._start = start.ref
         """The controller's time is in seconds from this sample."""
         record = StartRecord(
@@ -187,7 +198,7 @@ class Drive:
 
     def _predict_accuracy(self) -> None:
         """Predict the error of the estimate at the goal."""
-        if not self.controller.plans:
+        if isinstance(self.controller, Docking) or not self.controller.plans:
             return
         readings = self.measurements.gyro()
         self._apply(readings)
@@ -228,7 +239,7 @@ class Drive:
                 keeper.skip_missed(now_ns, self.config.ticks)
             fresh = newest.ref.measured_ns >= keeper.opens_ns
             if fresh or now_ns >= keeper.deadline_ns:
-                last = keeper.index >= self.config.ticks
+                last = keeper.index >= self.config.ticks or self.controller.over
                 self._tick(newest, now_ns, predicted=not fresh, last=last)
                 if last:
                     return
@@ -237,14 +248,21 @@ class Drive:
 
     def _tick(self, newest: Measurement[OdometrySample], now_ns: int, predicted: bool, last: bool) -> None:
         controller, t = self.controller, self._start.seconds_to(now_ns)
-        index = self.config.ticks if last else self.keeper.index
+        index = (
+            self.keeper.index if self.controller.over else self.config.ticks if last else self.keeper.index
+        )
+        evidence = None if self._docking is None or last else self._evidence(self._docking)
         tick = None if last else controller.tick(index, t)
         estimate = self.estimate = tick.estimate if tick else controller.record_estimate(index, t)
         sequence = None
         if tick is not None and not self.config.dry_run:
             self._monitor.check_command(tick.command, estimate.velocity)
             self._check_poses(estimate.velocity, now_ns)
-            sequence = self._link.command(tick.command)
+            if self._touched and not controller.over:
+                self._link.request_motors(f"policy {self.config.policy}")
+                self._monitor.granted()
+            if not (self._touched and controller.over):
+                sequence = self._link.command(tick.command)
         if not predicted:
             self.latencies_ns.append(self._clock.monotonic_ns() - newest.arrival_ns)
         record = TickRecord(
@@ -256,9 +274,11 @@ class Drive:
             estimate=numbers(estimate),
             command=tick.command if tick else None,
             sequence=sequence,
+            evidence=evidence,
         )
         self._publisher.tick(record, estimate, tick)
         self._used.clear()
+        self._touched = False
         if not last:
             self.keeper.ticked(now_ns, predicted)
         self._publish_status()
@@ -282,10 +302,22 @@ class Drive:
 
     def _check(self) -> None:
         """Raise SafetyStop if a safety rule is broken, KeyboardInterrupt after a termination signal."""
-        self._monitor.check()
+        try:
+            self._monitor.check()
+        except SafetyStop as stop:
+            # The gate has stopped the rover. A docking decides in its next tick what that contact was.
+            if stop.rule not in CONTACTS or self._docking is None or not self._docking.expects_contact:
+                raise
+            self._touched = True
         estimator = self.controller.estimator
         if estimator.fault:
             raise SafetyStop(estimator.fault_rule, estimator.fault)
+
+    def _evidence(self, docking: Docking) -> Evidence:
+        """Give a docking what the base reports beside its motion, and return it for the record."""
+        evidence = Evidence(self._touched, self._link.charging)
+        docking.note(evidence)
+        return evidence
 
     def _check_poses(self, velocity: Velocity, now_ns: int) -> None:
         """Raise SafetyStop if external poses are required and none is used while the rover moves."""
@@ -303,12 +335,14 @@ class Drive:
 
     def _publish_status(self) -> None:
         keeper, warning = self.keeper, self.warning
+        driving = self.phase is Phase.DRIVING
+        stage = self._docking.words if self._docking is not None and driving else None
         if warning != self._warned:
             self._warned = warning
             _LOGGER.info(f"warning: {warning}")
         self._publisher.status(
             DriverStatus(
-                state=self.phase.value,
+                state=self.phase.value if stage is None else stage,
                 reason=self.reason,
                 policy=self.config.policy,
                 course=self.config.course,

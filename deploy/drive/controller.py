@@ -27,7 +27,7 @@ from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, Velocity, compose, distance, wrap_angle
 from rover_ncp.course.course import TICK_S, Course, Verdict
-from rover_ncp.course.reference import plan_reference
+from rover_ncp.course.reference import Reference, plan_reference
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
@@ -71,8 +71,11 @@ class Controller:
     Commands are divided by the known gains of a ``rover`` and by the turn gain that the estimator finds on
     the way, so that it moves as the circuit asks. Commands that the motors would not follow become pulses,
     if their dead band is known of the ``rover`` or ``described``. With a ``runner``, the names of its signals
-    take the place of the policy.
+    take the place of the policy. A ``reference`` takes the place of the one that is planned for the course.
     """
+
+    over = False
+    """Whether the drive ends before its last tick."""
 
     def __init__(
         self,
@@ -83,12 +86,15 @@ class Controller:
         described: RobotDescription | None = None,
         *,
         runner: RunnerLike | None = None,
+        reference: Reference | None = None,
     ) -> None:
         self._interface = RoverInterface(policy)
         self._course = course
         self._hold_s = course.horizon_s - course.parked.still_s - COMING_TO_REST_S
         self._holds = False
-        self._reference = plan_reference(course) if self._interface.needs_reference else None
+        if reference is None and self._interface.needs_reference:
+            reference = plan_reference(course)
+        self._reference = reference
         if runner is None:
             assert isinstance(policy, Policy)  # signals come with a runner
             runner = Runner(policy)
@@ -112,6 +118,11 @@ class Controller:
         ``covariance`` (3, 3) is that of the pose; without one the pose defines where the course lies.
         """
         self.estimator.start(pose, t, odometry, covariance)
+        self.begin(pose)
+
+    def begin(self, pose: Pose) -> None:
+        """Begin the course at ``pose``, anew after an earlier drive; the estimator goes on."""
+        self._times, self._estimates, self._holds = [], [], False
         self._runner.reset()
         self._runner.tick(self._observation(pose, 0, 0.0))
 
@@ -126,15 +137,8 @@ class Controller:
         return error_95_m(self.estimator.forecast(path, motion, FORECAST_TICKS * TICK_S, gyro=gyro))
 
     def take(self, sample: OdometrySample | TurnSample | PoseSample, t: float) -> Outcome | None:
-        """Give the estimator a sample that was measured at time ``t``; None for a gyro reading."""
-        match sample:
-            case OdometrySample(_, pose, velocity):
-                return self.estimator.odometry(pose, velocity, t)
-            case PoseSample(_, _, pose, covariance):
-                return self.estimator.external(pose, covariance, t)
-            case TurnSample(_, rate):
-                self.estimator.gyro(rate, t)
-                return None
+        """Give the estimator a sample, as `take`."""
+        return take(self.estimator, sample, t)
 
     def tick(self, index: int, t: float) -> Tick:
         """Run tick ``index`` of the course at time ``t``."""
@@ -175,6 +179,11 @@ class Controller:
         return self._estimates[-1]
 
     @property
+    def potentials(self) -> NDArray[np.float64]:
+        """The potentials of the newest tick, in mV."""
+        return self._runner.potentials
+
+    @property
     def plans(self) -> bool:
         """Whether the course's reference is planned, which takes up to a second."""
         return self._reference is not None
@@ -197,6 +206,18 @@ class Controller:
     def _observation(self, pose: Pose, index: int, start: float) -> list[float]:
         reference = self._reference.tick(index) if self._reference else None
         return self._interface.observe(pose, start, reference)
+
+
+def take(estimator: Estimator, sample: OdometrySample | TurnSample | PoseSample, t: float) -> Outcome | None:
+    """Give the estimator a sample that was measured at time ``t``; None for a gyro reading."""
+    match sample:
+        case OdometrySample(_, pose, velocity):
+            return estimator.odometry(pose, velocity, t)
+        case PoseSample(_, _, pose, covariance):
+            return estimator.external(pose, covariance, t)
+        case TurnSample(_, rate):
+            estimator.gyro(rate, t)
+            return None
 
 
 def _gains(rover: RoverProfile | None) -> Velocity:

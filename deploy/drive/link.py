@@ -12,7 +12,7 @@ from typing import NamedTuple
 from deploy.drive.lease import DriverLease
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.wire.messages import read_bumpers, read_text
+from rover_ncp.wire.messages import read_battery, read_bumpers, read_text
 from rover_ncp.wire.protocol import GateStatus, MotorsReply, parse_json
 
 INBOX_LENGTH = 1000
@@ -109,6 +109,8 @@ class Link(ABC):
         self.bumped = 0
         """Number of messages that reported a pressed bumper."""
         self.lease = DriverLease()
+        self.charging: bool | None = None
+        """Whether the battery charges; None = not known."""
 
     def receive(self, name: str, arrival: Arrival) -> None:
         """Store a message of the bridge; an unreadable gate status is ignored."""
@@ -122,6 +124,9 @@ class Link(ABC):
             case "rover/gate":
                 with contextlib.suppress(FormatError):
                     self.gate = parse_json(GateStatus, read_text(arrival.data))
+            case "battery_state":
+                with contextlib.suppress(FormatError):
+                    self.charging = read_battery(arrival.data).charging
             case "bumpers":
                 with contextlib.suppress(FormatError):
                     self.bumped += read_bumpers(arrival.data)

@@ -57,27 +57,31 @@ class Measurement(NamedTuple, Generic[SampleT]):
     arrival_ns: int
 
 
-def read_course_pose(data: bytes) -> PoseSample:
-    """Read an external pose. Raises FormatError, also for a pose in another frame than the course's."""
-    sample = read_pose(data)
-    if sample.frame not in {"", COURSE_FRAME}:
-        raise FormatError(f"pose in frame {sample.frame!r}, expected {COURSE_FRAME!r}")
-    return sample
+def pose_reader(frame: str) -> Callable[[bytes], PoseSample]:
+    """Return the decoder of external poses, which raises FormatError for a pose in another frame."""
+
+    def read(data: bytes) -> PoseSample:
+        sample = read_pose(data)
+        if sample.frame not in {"", frame}:
+            raise FormatError(f"pose in frame {sample.frame!r}, expected {frame!r}")
+        return sample
+
+    return read
 
 
-READERS: dict[str, Callable[[bytes], Sample]] = {
-    "odom": read_odometry,
-    "imu": read_imu,
-    "pose": read_course_pose,
-}
-"""Decoder of each topic that is an input of the controller."""
+read_course_pose = pose_reader(COURSE_FRAME)
+
+
+def readers(pose_frame: str) -> dict[str, Callable[[bytes], Sample]]:
+    """Return the decoder of each topic that is an input of the controller."""
+    return {"odom": read_odometry, "imu": read_imu, "pose": pose_reader(pose_frame)}
 
 
 class Measurements:
     """Takes the received samples of one link, decodes them and counts them by topic."""
 
-    def __init__(self, link: Link) -> None:
-        self._link = link
+    def __init__(self, link: Link, pose_frame: str = COURSE_FRAME) -> None:
+        self._link, self._read_pose = link, pose_reader(pose_frame)
         # External poses may come late, out of order, and stamped by any clock.
         self._clocks = {"odom": StampClock(), "imu": StampClock(), "pose": StampClock(in_order=False)}
         self._before: dict[str, tuple[Arrival, Any]] = {}
@@ -86,6 +90,8 @@ class Measurements:
         """The newest odometry."""
         self.taken: Counter[str] = Counter()
         self.unreadable: Counter[str] = Counter()
+        self.complaints: dict[str, str] = {}
+        """Why the first unreadable message of a topic is so."""
         self.doubtful: Counter[str] = Counter()
         """Samples that are not used because of their stamps."""
 
@@ -103,7 +109,7 @@ class Measurements:
 
     def poses(self) -> list[Measurement[PoseSample]]:
         """Return the external poses since the last call; never waits."""
-        return self._read("pose", read_course_pose, self._link.poses.take())
+        return self._read("pose", self._read_pose, self._link.poses.take())
 
     def _read(
         self, topic: str, read: Callable[[bytes], SampleT], arrivals: list[Arrival]
@@ -114,6 +120,7 @@ class Measurements:
                 sample = read(arrival.data)
             except FormatError as error:
                 if not self.unreadable[topic]:
+                    self.complaints[topic] = str(error)
                     _LOGGER.info(f"a message on '{topic}' cannot be read: {error}")
                 self.unreadable[topic] += 1
                 continue

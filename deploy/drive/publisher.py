@@ -16,6 +16,7 @@ from deploy.drive.controller import Tick
 from deploy.drive.link import Link
 from deploy.drive.records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
 from deploy.estimator.estimator import Estimate
+from deploy.place.outcome import DOCK_TOPIC, DockResult
 from rover_ncp.core.geometry import Pose, compose, inverse
 from rover_ncp.core.process import Clock
 from rover_ncp.recording.recording import Recorded
@@ -67,6 +68,10 @@ class Publisher:
         if tick is not None:
             self._link.publish("rover/neurons", neurons(tick.potentials, self._names), wall_ns)
         self._viewers.tick(wall_ns, estimate.pose, None if tick is None else tick.potentials)
+
+    def dock(self, result: DockResult) -> None:
+        """Record how a docking ended."""
+        self._record_json(DOCK_TOPIC, dump_json(result), self._clock.time_ns())
 
     def finish(self) -> None:
         """Record the messages that need the whole drive."""

@@ -11,6 +11,7 @@ from pydantic import Field
 from deploy.drive.config import DriveConfig
 from deploy.drive.measurements import SampleRef
 from deploy.estimator.estimator import Estimate
+from deploy.place.docking import Evidence
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
 from rover_ncp.core.config import StrictModel, dump_yaml, parse_yaml, read_yaml
@@ -20,6 +21,8 @@ from rover_ncp.recording import recorded
 from rover_ncp.recording.recording import Recording
 
 POLICY_FILE, COURSE_FILE, CONFIG_FILE = "policy.yaml", "course.yaml", "deploy.yaml"
+STAGING_FILE = "staging.yaml"
+"""The policy that drives to the staging pose of a place; ``policy.yaml`` then is the one that docks."""
 START_TOPIC = "deploy/start"
 TICKS_TOPIC = recorded.TICKS_TOPIC
 
@@ -48,7 +51,7 @@ class TickRecord(StrictModel):
     ``now_ns`` is the tick's moment on the driver's monotonic clock, ``wall_ns`` the same by the wall clock
     (it stamps the messages). ``estimate`` is x, y, theta, v, omega. ``command`` is v, omega, or None for the
     last look at the horizon, when the circuit does not run. ``sequence`` is that of the command on the wire,
-    None if none was sent.
+    None if none was sent. ``evidence`` is what a docking was told of the base, None for other drives.
     """
 
     index: int
@@ -59,6 +62,7 @@ class TickRecord(StrictModel):
     estimate: tuple[float, float, float, float, float]
     command: tuple[float, float] | None
     sequence: int | None
+    evidence: Evidence | None = None
 
 
 def numbers(estimate: Estimate) -> tuple[float, float, float, float, float]:
@@ -66,29 +70,38 @@ def numbers(estimate: Estimate) -> tuple[float, float, float, float, float]:
     return (*estimate.pose, *estimate.velocity)
 
 
-def attachments(policy: Policy, course: Course, config: DriveConfig) -> dict[str, bytes]:
+def attachments(
+    policy: Policy, course: Course, config: DriveConfig, staging: Policy | None = None
+) -> dict[str, bytes]:
     """Return the files that go into the recording, by name."""
-    return {
+    files = {
         POLICY_FILE: policy_to_yaml(policy).encode(),
         COURSE_FILE: dump_yaml(course.model_dump(mode="json")).encode(),
         CONFIG_FILE: dump_yaml(config.model_dump(mode="json")).encode(),
     }
+    return files if staging is None else files | {STAGING_FILE: policy_to_yaml(staging).encode()}
 
 
 def attached(recording: Recording) -> tuple[Policy, Course, DriveConfig]:
     """Read policy, course and settings from a recording. Raises FileError and ConfigError."""
-    texts = {}
-    for name in (POLICY_FILE, COURSE_FILE, CONFIG_FILE):
-        try:
-            texts[name] = recording.attachment(name).decode()
-        except UnicodeDecodeError as error:
-            raise FileError(f"{recording.path}: its {name} is not text") from error
-    where = {name: f"{recording.path}, {name}" for name in texts}
+    course, config = _text(recording, COURSE_FILE), _text(recording, CONFIG_FILE)
     return (
-        policy_from_yaml(texts[POLICY_FILE], where[POLICY_FILE]),
-        parse_yaml(texts[COURSE_FILE], Course, where[COURSE_FILE]),
-        _drive_config(texts[CONFIG_FILE], where[CONFIG_FILE]),
+        attached_policy(recording),
+        parse_yaml(course, Course, f"{recording.path}, {COURSE_FILE}"),
+        _drive_config(config, f"{recording.path}, {CONFIG_FILE}"),
     )
+
+
+def attached_policy(recording: Recording, name: str = POLICY_FILE) -> Policy:
+    """Read a policy from a recording. Raises FileError and ConfigError."""
+    return policy_from_yaml(_text(recording, name), f"{recording.path}, {name}")
+
+
+def _text(recording: Recording, name: str) -> str:
+    try:
+        return recording.attachment(name).decode()
+    except UnicodeDecodeError as error:
+        raise FileError(f"{recording.path}: its {name} is not text") from error
 
 
 def _drive_config(text: str, where: str) -> DriveConfig:

@@ -8,6 +8,8 @@ from pydantic import BaseModel, Field
 
 from deploy.drive.control_loop import Drive
 from deploy.estimator.measurements import Outcome
+from deploy.place.docking import Docking
+from deploy.place.outcome import DockResult
 from deploy.recorder import RecordingResult
 from rover_ncp.core.console import printable
 from rover_ncp.core.interruption import INTERRUPTED
@@ -77,6 +79,7 @@ class DriveResult(RecordingResult):
     )
     estimate_error_m: float | None = Field(description="of the estimate to the goal, at the end")
     estimate_error_rad: float | None = Field(description="of its heading")
+    dock: DockResult | None = Field(description="how a drive to or from a place ended; null for a course")
     ticks: int = Field(description="steps of control, 0.1 s each")
     overruns: int = Field(description="predicted and missed ticks")
     predicted: int = Field(description="ticks without fresh odometry")
@@ -97,7 +100,9 @@ class DriveResult(RecordingResult):
     def words(self) -> str:
         """The result for people."""
         if self.stopped_by:
-            first = printable(self.reason)
+            first = printable(self.reason) + (f"\n{self.dock}" if self.dock else "")
+        elif self.dock is not None and self.estimate_error_m is not None:
+            first = str(self.dock)
         elif self.estimate_error_m is None or self.estimate_error_rad is None:
             first = "interrupted; the rover was stopped"
         else:
@@ -171,6 +176,7 @@ def result_of(drive: Drive, recording: Mapping[str, Any]) -> DriveResult:
             dropped=outcomes[Outcome.DROPPED],
             nis=Nis(**estimator.nis),
         ),
+        dock=drive.controller.result() if isinstance(drive.controller, Docking) else None,
         policy=config.policy,
         course=config.course,
         dry_run=config.dry_run,

@@ -103,6 +103,7 @@ class SafetyMonitor:
         """Note that the lease is ours from now on; the gate has a limited time to confirm it."""
         self._granted_ns = self._checked_ns = self._clock.monotonic_ns()
         self._granted_gate, self._granted_bumped = self._link.gate, self._link.bumped
+        self._lease_confirmed = False
 
     def check(self) -> None:
         """Check bridge, age of odometry and lease. Raises SafetyStop or KeyboardInterrupt."""

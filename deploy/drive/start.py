@@ -42,7 +42,11 @@ class StartDetector:
         if config.pose == "required" and not monitor.until(
             lambda: self._stands() and bool(self._poses), config.pose_wait_s
         ):
-            raise NoPose(f"no external pose of the rover arrived on 'pose' within {config.pose_wait_s:g} s")
+            unreadable = self._measurements.complaints.get("pose", "")
+            raise NoPose(
+                f"no external pose of the rover arrived on 'pose' within {config.pose_wait_s:g} s"
+                + (f" that can be used: {unreadable}" if unreadable else "")
+            )
         assert self._measurements.newest is not None  # it stands, so there was a sample
         return self._measurements.newest
 
@@ -51,7 +55,7 @@ class StartDetector:
         if not self._poses:
             return ORIGIN, None
         # The covariance of the last one: errors of these poses are not independent.
-        return _median([seen.sample.pose for seen in self._poses]), self._poses[-1].sample.covariance
+        return median_pose([seen.sample.pose for seen in self._poses]), self._poses[-1].sample.covariance
 
     def _stands(self) -> bool:
         gate = self._link.gate
@@ -91,7 +95,7 @@ def _measured_ns(seen: Measurement[PoseSample]) -> float:
     return seen.ref.measured_ns
 
 
-def _median(poses: Sequence[Pose]) -> Pose:
+def median_pose(poses: Sequence[Pose]) -> Pose:
     """Return the median of poses that should be the same, heading by heading around the last."""
     x, y, theta = np.array(poses).T
     last = float(theta[-1])

@@ -6,16 +6,19 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from deploy.place.outcome import DockResult, PoseErrors
 from deploy.view.shapes import OUTLINE, FloatArray, outline_of
 from deploy.view.timeline import TOPICS, Moved, Tick, Timeline
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml
 from rover_ncp.core.config import parse_yaml, read_yaml, validated
 from rover_ncp.core.errors import FileError
+from rover_ncp.core.geometry import relative
 from rover_ncp.course.course import Course, Parked, Verdict
 from rover_ncp.recording.recorded import steady
 from rover_ncp.recording.recording import Recording, read_recording
 from rover_ncp.robot.description import RobotDescription
+from rover_ncp.wire.protocol import DriverStatus
 
 Rows = tuple[tuple[str, str], ...]
 """Names and values."""
@@ -82,24 +85,47 @@ def read_drive(path: Path) -> Drive:
 
 def summarise(drive: Drive) -> Summary:
     """Summarise a drive for its report."""
-    verdicts = drive.timeline.judge()
-    verdict, rows = next(iter(verdicts.values())), list(facts(drive.timeline, verdicts))
+    dock = drive.timeline.dock
+    verdicts = drive.timeline.judge() if dock is None else {}
+    rows = list(facts(drive.timeline, verdicts))
     if drive.settings.get("dry_run"):
         rows.append(("Dry run", "no command was sent"))
     if not drive.complete:
         rows.append(("Recording", f"{drive.damage}; the page shows what precedes it"))
-    reason, status = verdict.reason, drive.timeline.status
-    if verdict.words is Parked.UNCERTAIN and status is not None:
-        reason = status.reason  # that of the driver
+    if dock is None:
+        parked, headline = _headline(next(iter(verdicts.values())), drive.timeline.status)
+    else:
+        parked, headline = Parked.YES if dock.success else Parked.NO, dock.headline
+        rows[:0] = _dock_rows(dock, drive)
     began = datetime.fromtimestamp(drive.timeline.ticks[0].wall_ns * 1e-9, UTC)
     names = f"policy {drive.policy.circuit.name} on course {drive.course.name}"
     return Summary(
-        parked=verdict.words,
-        headline=verdict.words.capitalize() + (f": {reason}" if reason else ""),
+        parked=parked,
+        headline=headline,
         subline=f"{names}, {began:%Y-%m-%d %H:%M:%S} UTC",
         rows=tuple(rows),
         origin=tuple(_origin(drive)),
     )
+
+
+def _headline(verdict: Verdict, status: DriverStatus | None) -> tuple[Parked, str]:
+    reason = verdict.reason
+    if verdict.words is Parked.UNCERTAIN and status is not None:
+        reason = status.reason  # that of the driver
+    return verdict.words, verdict.words.capitalize() + (f": {reason}" if reason else "")
+
+
+def _dock_rows(dock: DockResult, drive: Drive) -> Iterator[tuple[str, str]]:
+    """Yield how a docking ended, with the errors of the pose at the end of its last approach."""
+    yield "Tries", f"{dock.num_retries + 1}; the rover stands at {dock.at}"
+    yield "Proof", dock.proof + ("" if dock.probability is None else f"; probability {dock.probability:.0%}")
+    for by, errors in (("By the estimate", dock.by_estimate), ("By external poses alone", dock.by_proof)):
+        if errors is not None:
+            yield by, str(errors)
+    if drive.timeline.truth and dock.at == "place":
+        goal, true = drive.course.goal, drive.timeline.truth[-1].pose
+        off = relative(goal, true)
+        yield "By the true pose", str(PoseErrors(longitudinal_m=off.x, lateral_m=off.y, yaw_rad=off.theta))
 
 
 def facts(timeline: Timeline, verdicts: Mapping[str, Verdict] | None) -> Iterator[tuple[str, str]]:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.place.outcome import DOCK_TOPIC, DockResult
 from deploy.view.trace import Trace, motor_outputs
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import FormatError
@@ -97,6 +98,8 @@ class Timeline:
         """Whether neurons arrived that are not those of the policy."""
         self.unreadable: Counter[str] = Counter()
         self.status: DriverStatus | None = None
+        self.dock: DockResult | None = None
+        """How a docking ended."""
         self.gate: GateStatus | None = None
         """The newest state; its counters are this drive's."""
         self._gate_before = GateStatus()
@@ -234,6 +237,9 @@ class Timeline:
     def _read_battery(self, message: Recorded) -> None:
         self.voltages.append(float(decode(message.type, message.data).voltage))
 
+    def _read_dock(self, message: Recorded) -> None:
+        self.dock = parse_json(DockResult, read_text(message.data))
+
     def _read_record(self, message: Recorded) -> None:
         try:
             record = json.loads(read_text(message.data))
@@ -258,6 +264,7 @@ _READERS: dict[str, Callable[[Timeline, Recorded], None]] = {
     "bumpers": Timeline._read_bumpers,
     TRUTH_TOPIC: Timeline._read_truth,
     TICKS_TOPIC: Timeline._read_record,
+    DOCK_TOPIC: Timeline._read_dock,
 }
 TOPICS = frozenset(_READERS)
 """Topics that a timeline reads."""

@@ -98,10 +98,12 @@ class CourseResult(ResultModel):
     """the file that was written"""
 
 
-def check_course(course: Course, robot: RobotDescription | None = None) -> Drivability:
-    """Plan a course's reference and check it, for the outline of ``robot``; None is a Pioneer 3-AT."""
+def check_course(
+    course: Course, robot: RobotDescription | None = None, reference: Reference | None = None
+) -> Drivability:
+    """Check a course's ``reference``, or plan it, for the outline of ``robot``; None is a Pioneer 3-AT."""
     robot = load_description(DEFAULT_ROBOT) if robot is None else robot
-    reference = plan_reference(course)
+    reference = plan_reference(course) if reference is None else reference
     found = tuple(deviations(course, reference))
     problems = [*_start(course), *_missed(course, found), *_rest(course, reference)]
     clearance, touching = _clearance(course, reference, robot)
@@ -191,10 +193,19 @@ def _clearance(
     # From its centre of rotation, which need not be its middle.
     rover = _UNIT * [robot.length_m, robot.width_m] + [(robot.front_m - robot.rear_m) / 2, 0.0]
     size = f"{robot.length_m:g} m by {robot.width_m:g} m"
+    reach, poses = float(np.hypot(*rover.T).max()), reference.poses.tolist()
     for which, obstacle in enumerate(course.obstacles, 1):
-        gaps = [_gap(_placed(rover, pose), _corners(obstacle)) for pose in reference.poses.tolist()]
-        least = min(least, *gaps)
-        if (touching := next((k for k, gap in enumerate(gaps) if gap <= 0.0), None)) is not None:
+        corners = _corners(obstacle)
+        away = np.hypot(*(reference.poses[:, :2] - [obstacle.x, obstacle.y]).T)
+        # No gap is smaller than this: most poses are too far away to matter.
+        bounds = away - reach - 0.5 * math.hypot(obstacle.length, obstacle.width)
+        for k in np.argsort(bounds).tolist():
+            if bounds[k] >= least:
+                break
+            least = min(least, _gap(_placed(rover, poses[k]), corners))
+        near = np.flatnonzero(bounds <= 0.0).tolist()
+        touching = next((k for k in near if _gap(_placed(rover, poses[k]), corners) <= 0.0), None)
+        if touching is not None:
             t = touching * TICK_S
             number = next(
                 (n for n, p in enumerate(course.checkpoints, 1) if p.t >= t - 1e-9), len(course.checkpoints)

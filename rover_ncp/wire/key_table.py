@@ -102,7 +102,7 @@ KEYS: tuple[KeySpec, ...] = (
         frozenset({Role.DRIVER, Role.LOCALISER}),
         ALL,
         4096,
-        "optional external localisation, in the course's frame",
+        "optional external localisation, in the frame of the course or of the place; also a PoseStamped",
     ),
     _from_driver(
         "rover/estimate", "geometry_msgs/msg/PoseWithCovarianceStamped", 4096, "the driver's own estimate"

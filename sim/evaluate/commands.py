@@ -76,6 +76,14 @@ class EvalOptions:
         bool,
         typer.Option("--stack", help="Drive through firmware, bridge and driver, on a virtual clock."),
     ] = False
+    to: Annotated[
+        str | None,
+        typer.Option(
+            help="With --stack: dock at a place (YAML) instead of driving a course, from 0.5 to 2.5 m and "
+            "60° to either side of it. 'course' drives to the staging pose and the policy from there.",
+            show_default=False,
+        ),
+    ] = None
     sensors: Annotated[
         Sensors | None,
         typer.Option(
@@ -180,6 +188,11 @@ def evaluate(options: EvalOptions) -> int:
         rover-ncp eval mine.bnn --task mountain-car --range position=1.0 --range velocity=0.02
         rover-ncp eval runs/reach/policy.yaml --task my_task:Reach-v0
 
+    --to docks at a place with a camera on the robot that sees tags there, by a noise model (docs/place.md).
+    Docked is judged by the true pose.
+
+        rover-ncp eval dock --stack --to docs/examples/place.yaml --trials 100 --body mujoco --randomize varied
+
     Ends with 1 if a single trial was driven and did not park, else with 0.
     """
     if options.task is not None:
@@ -188,11 +201,13 @@ def evaluate(options: EvalOptions) -> int:
     if not options.stack:
         if options.body is Body.MUJOCO:
             raise UsageError("--body mujoco needs --stack: plain simulation is pymunk's")
-        for name in ("sensors", "identify", "processes"):
+        for name in ("to", "sensors", "identify", "processes"):
             if getattr(options, name):
                 raise UsageError(f"--{name} needs --stack")
     if options.identify and options.profile is not None:
         raise UsageError("--identify and --profile do not go together: both tell the driver of the robot")
+    if options.to is not None:
+        return _dock(options, options.to)
     random = (options.trials, options.randomize, options.random_courses, options.profile)
     if random == (None,) * 4 and not options.stack and len(options.courses) == 1:
         return _drive_once(options)
@@ -266,6 +281,37 @@ def _drive_trials(options: EvalOptions) -> int:
     )
     fields = result.model_dump() | (in_stack.model_dump() if in_stack else {})
     output.result(fields, "\n".join([*scaled, *result_words(found, in_stack)]))
+    return 1 if found.trials == 1 and found.success_rate < 1 else 0
+
+
+def _dock(options: EvalOptions, name: str) -> int:
+    """Dock in random trials; return 1 if a single one was driven and did not dock."""
+    from deploy.place.place import load_place
+    from rover_ncp.circuit.policy_file import load_policy
+    from rover_ncp.robot.description import load_description
+    from sim.evaluate.docking_runs import docking_words, evaluate_docking
+    from sim.stack.docking import DockTrials
+    from sim.world.described import ranges_for
+
+    given = {"course": options.course, "identify": options.identify, "profile": options.profile}
+    reject("does not go with --to", **given, random_courses=options.random_courses)
+    robot = None if options.model is None else load_description(options.model)
+    ranges = ranges_for(options.randomization, None, options.body, robot)
+    gyro, _ = _sensors(options.sensors or (None if robot else Sensors.GYRO), robot)
+    place, output = load_place(name), Output(options.json)
+    trials = DockTrials(
+        load_policy("course"),
+        load_policy(options.policy),
+        place,
+        ranges,
+        options.seed,
+        gyro=gyro,
+        robot=robot,
+    )
+    about = {"randomize": options.randomization or ranges.name, "model": options.model}
+    about["body"] = options.body.value
+    found = evaluate_docking(trials, options.trials or 1, options.processes, output, **about)
+    output.result(found.model_dump(), "\n".join(docking_words(found)))
     return 1 if found.trials == 1 and found.success_rate < 1 else 0
 
 

@@ -18,7 +18,7 @@ def evaluate_stack(
 ) -> tuple[Evaluation, StackResult]:
     """Drive trials through a stack; return their outcomes and the stack's result. Raises WorkerDied."""
     began = time.monotonic()
-    with _progress(output, trials) as done:
+    with progress(output, trials) as done:
         driven = drive_all(stack, trials, processes, done)
     wall_s = time.monotonic() - began
     driven_s = sum(stack.course(number).horizon_s for number in range(trials))
@@ -33,7 +33,8 @@ def evaluate_stack(
 
 
 @contextmanager
-def _progress(output: Output, total: int) -> Iterator[Callable[[], None]]:
+def progress(output: Output, total: int) -> Iterator[Callable[[], None]]:
+    """Show the progress of trials, of which the block reports each."""
     with Progress(console=output.console, transient=True, disable=not output.console.is_terminal) as progress:
         task = progress.add_task("trials", total=total)
         yield lambda: progress.advance(task)

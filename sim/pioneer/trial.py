@@ -8,6 +8,8 @@ pose in that tick. Quantised commands are not among a trial's errors here: ARCOS
 
 from typing import NamedTuple
 
+import numpy as np
+
 from rover_ncp.core.geometry import ORIGIN, Pose, Velocity
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.robot.description import RobotDescription
@@ -89,12 +91,20 @@ class Drawn(NamedTuple):
 
 
 def draw_rover(
-    ranges: Randomization, description: RobotDescription, course: Course | None, *, seed: int, number: int
+    ranges: Randomization,
+    description: RobotDescription,
+    course: Course | None,
+    *,
+    seed: int,
+    number: int,
+    start: Pose | None = None,
 ) -> Drawn:
-    """Draw trial ``number`` of a seed, for as long as the course lasts."""
+    """Draw trial ``number`` of a seed, for as long as the course lasts; ``start`` replaces the drawn one."""
     model = described_rover(description, motors=True)
     ticks, obstacles = (course.ticks, course.obstacles) if course else (TRIAL_TICKS, ())
     trials = draw_trials(ranges, model, seed, count=1, ticks=ticks, first=number)
+    if start is not None:
+        trials = trials._replace(start=np.array([start]))
     if ranges.skid_steer is None:
         return Drawn(rover_of(trials, model, Ground(obstacles)), trials)
     from sim.world.mujoco_rover import MujocoRover  # needs an extra of its own

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import as_completed
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, TypeVar
 
 from deploy.drive.config import DriveConfig, config_for
 from deploy.drive.control_loop import Drive
@@ -35,6 +35,8 @@ from sim.world.described import described_rover
 from sim.world.randomization import Randomization
 from sim.world.rover import Rover, RoverModel
 
+FoundT = TypeVar("FoundT")
+FoundT_co = TypeVar("FoundT_co", covariant=True)
 ANYWHERE_M = 1000.0
 _WORTH_A_PROCESS = 6
 """Fewer trials take no longer than a process takes to start."""
@@ -203,15 +205,22 @@ class _Truth:
         return course.judge(times, self._poses[first:last], self._touched)
 
 
+class Drives(Protocol[FoundT_co]):
+    """Trials by their numbers."""
+
+    def drive(self, number: int) -> FoundT_co:
+        """Drive a trial."""
+
+
 def drive_all(
-    stack: Stack, count: int, processes: int | None, on_done: Callable[[], None] = lambda: None
-) -> list[Driven]:
+    stack: Drives[FoundT], count: int, processes: int | None, on_done: Callable[[], None] = lambda: None
+) -> list[FoundT]:
     """Drive trials 0 to ``count`` − 1 of a stack; ``on_done`` is called after each. Raises WorkerDied.
 
     ``processes`` is by default as many as there are cores and work for.
     """
     workers = processes or min(available_processes(), max(count // _WORTH_A_PROCESS, 1))
-    found: dict[int, Driven] = {}
+    found: dict[int, FoundT] = {}
     if workers == 1:
         for number in range(count):
             found[number] = stack.drive(number)
@@ -226,5 +235,5 @@ def drive_all(
     return [found[number] for number in range(count)]
 
 
-def _driver(stack: Stack) -> Callable[[int], Driven]:
+def _driver(stack: Drives[FoundT]) -> Callable[[int], FoundT]:
     return stack.drive

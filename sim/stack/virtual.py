@@ -153,7 +153,8 @@ class SilentPublisher(Publisher):
 class VirtualLink(Link):
     """A driver's link on the virtual clock.
 
-    Until the driver requests the lease, external localisation reports that the rover stands at ``start``.
+    Until the driver requests the lease, external localisation reports that the rover stands at ``start``, if
+    that is not None.
     Received messages go to ``record``.
     """
 
@@ -161,7 +162,10 @@ class VirtualLink(Link):
     bridge_alive = True
 
     def __init__(
-        self, bridge: VirtualBridge, start: Pose, record: Callable[[Recorded], None] = lambda message: None
+        self,
+        bridge: VirtualBridge,
+        start: Pose | None,
+        record: Callable[[Recorded], None] = lambda message: None,
     ) -> None:
         super().__init__()
         self._bridge, self._start, self._record = bridge, start, record
@@ -215,7 +219,7 @@ class VirtualLink(Link):
         wall_ns = self._bridge.time_ns()
         self._record(Recorded(name, spec(name).type, data, wall_ns, wall_ns))
         self.receive(name, Arrival(data, self._bridge.now_ns))
-        if name == "odom" and not self._requested:
+        if name == "odom" and self._start is not None and not self._requested:
             self.poses.put(Arrival(start_pose(self._start, wall_ns), self._bridge.now_ns))
 
     def localise(self, data: bytes, now_ns: int) -> None:

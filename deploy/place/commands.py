@@ -1,0 +1,138 @@
+"""The command ``place``; heavy libraries load only when it runs."""
+
+import math
+import time
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rover_ncp.core.console import Json, Output, reject
+
+if TYPE_CHECKING:
+    from deploy.place.survey import Survey
+    from deploy.zenoh_client import BridgeAddress
+
+TAKE_S = 0.1
+
+
+class What(StrEnum):
+    """Actions on a place."""
+
+    SET = "set"
+    CHECK = "check"
+
+
+class Way(StrEnum):
+    """Direction in which the rover drives in."""
+
+    FORWARD = "forward"
+    BACKWARD = "backward"
+
+
+def place(
+    what: Annotated[What, typer.Argument(help="set: store it. check: compare the present view with it.")],
+    name: Annotated[str, typer.Argument(help="The place: NAME or NAME.yaml.")],
+    *,
+    robot: Annotated[
+        str, typer.Option(help="Where the bridge listens: PROTOCOL/HOST[:PORT], such as tcp/192.168.1.20.")
+    ],
+    seconds: Annotated[
+        float, typer.Option(min=1.0, max=600.0, help="For how long poses are collected, s.")
+    ] = 5.0,
+    direction: Annotated[
+        Way | None, typer.Option(help="set: how the rover drives in.", show_default="forward")
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="set: replace the pose of a place that exists.")
+    ] = False,
+    namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
+    zenoh_config: Annotated[
+        Path | None, typer.Option(help="Zenoh configuration (JSON5) with certificates.")
+    ] = None,
+    json: Json = False,
+) -> int:
+    """Store the place where the rover stands, or check one.
+
+    set: drive the rover into the place with 'rover-ncp teleop' and let it stand. The median of the external
+    poses on 'pose' becomes the place, with their scatter and their frame. Tolerances, proof, retries and
+    obstacles are keys of the file. Set again, the place keeps these keys.
+
+    check: let the rover stand in the place. It says how far the present view is from the stored place: a dock
+    that was moved, a camera that was bent, a stale calibration.
+
+        rover-ncp place set charger --robot tcp/192.168.1.20
+        rover-ncp deploy --robot tcp/192.168.1.20 --to charger
+
+    Ends with 0, or 1 if check finds the rover outside the place's tolerances, 3 no bridge or no pose.
+    """
+    from deploy.place.place import Place, PlacePose, load_place, place_path, place_yaml
+    from deploy.place.survey import PlaceResult, blurred, complaint, errors_of
+    from deploy.zenoh_client import BridgeAddress
+    from rover_ncp.core.config import validated
+    from rover_ncp.core.files import require_creatable, write_atomic
+
+    output, path = Output(json), place_path(name)
+    if what is What.CHECK:
+        reject("is for set", direction=direction, overwrite=overwrite)
+    if what is What.SET:
+        require_creatable(path, overwrite=overwrite)
+    known = load_place(name) if what is What.CHECK or path.exists() else None
+    seen = _look(BridgeAddress(robot, namespace, zenoh_config), seconds)
+    pose, words, wrong = seen.pose, [], ""
+    if what is What.CHECK:
+        assert known is not None
+        wrong = complaint(known, seen)
+        words.append(f"{known.name}: {wrong or f'as stored, {errors_of(known, pose)}'}")
+        stored = known
+    else:
+        fields = known.model_dump() if known else {"name": path.stem}
+        fields |= {"pose": PlacePose(**pose._asdict()), "scatter": seen.scatter, "frame": seen.frame}
+        stored = validated(fields | ({"direction": direction.value} if direction else {}), Place, str(path))
+        write_atomic(path, place_yaml(stored))
+        words.append(f"wrote {path}: x {pose.x:.3f} m, y {pose.y:.3f} m, {math.degrees(pose.theta):.1f}°")
+    if warning := blurred(stored, seen.scatter):
+        words.append(warning)
+    result = PlaceResult(
+        place=stored.name,
+        file=str(path),
+        frame=seen.frame,
+        x=pose.x,
+        y=pose.y,
+        theta=pose.theta,
+        scatter=seen.scatter,
+        off=errors_of(known, pose) if what is What.CHECK and known else None,
+        fits=not wrong,
+    )
+    output.result(result.model_dump(), "\n".join(words))
+    return 1 if wrong else 0
+
+
+def _look(address: "BridgeAddress", seconds: float) -> "Survey":
+    """Collect the external poses of some seconds. Raises UnreachableError or KeyboardInterrupt."""
+    from deploy.drive.link import Arrival, Inbox
+    from deploy.place.survey import survey
+    from deploy.zenoh_client import ZenohClient
+    from rover_ncp.core.errors import FormatError
+    from rover_ncp.wire.key_table import KeySpec
+    from rover_ncp.wire.messages import read_pose
+
+    inbox, samples, unreadable = Inbox(), [], ""
+
+    def receive(row: KeySpec, data: bytes) -> None:
+        if row.name == "pose":
+            inbox.put(Arrival(data, time.monotonic_ns()))
+
+    client = ZenohClient(address, receive)
+    try:
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            for arrival in inbox.take(TAKE_S):
+                try:
+                    samples.append(read_pose(arrival.data))
+                except FormatError as error:
+                    unreadable = f"others cannot be read: {error}"
+    finally:
+        client.close()
+    return survey(samples, seconds, unreadable)

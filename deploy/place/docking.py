@@ -1,0 +1,342 @@
+"""The controller of a docking: its stages, tick by tick. No I/O, no clock.
+
+Rules of this file:
+
+1. One estimator, in the frame of the external poses, goes through all stages. Where poses are lost, odometry
+   carries on.
+2. The gate stops a rover that touches something, and revokes the lease, as always. This controller alone
+   declares the rover *docked*: by contact only during the approach, at the place.
+3. A rover that is not docked after its last try stands at the staging pose. After a safety rule's stop it
+   stands where it is.
+"""
+
+import math
+from collections import deque
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.drive.controller import Controller, Tick, take
+from deploy.estimator.estimator import Estimate, Estimator
+from deploy.estimator.measurements import Outcome
+from deploy.estimator.settings import EstimatorSettings
+from deploy.place.outcome import DockError, DockResult, PoseErrors, Stage
+from deploy.place.place import Place, Proof
+from deploy.place.plan import FAR_M, Way, approach, retreat, tail, to_staging
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.errors import ConfigError, SafetyStop
+from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, wrap_angle
+from rover_ncp.course.course import TICK_S, Failure, Parked, Verdict
+from rover_ncp.course.reference import COMMAND_MAX
+from rover_ncp.robot.description import RobotDescription
+from rover_ncp.robot.profile import RoverProfile
+from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
+
+STAGED_M, STAGED_RAD = 0.10, math.radians(10.0)
+"""How far from the staging pose an approach may begin: the policy's training."""
+CONTACT_M = 0.05
+"""How far from the place, along its heading, contact counts as that with the dock."""
+CONTACT_S = 0.5
+"""External poses of so long before contact count for its place; the rover has moved 2 cm meanwhile."""
+CHARGE_S = 10.0
+"""How long a docked rover waits for the charge."""
+MIN_POSES = 3
+"""External poses that a median needs."""
+KEPT_POSES = 300
+MAX_DRIVE_S = 1800.0
+"""Upper limit of a drive with all its tries."""
+MAX_STAGINGS = 5
+"""Ways to the staging pose in one drive."""
+
+
+class Evidence(NamedTuple):
+    """What the base reports beside its motion."""
+
+    contact: bool = False
+    """A bumper or a stall revoked the lease since the last tick."""
+    charging: bool | None = None
+
+
+class _TailEstimator(Estimator):
+    """The estimates of an estimator as the rover's tail has them: turned by 180°."""
+
+    def __init__(self, estimator: Estimator) -> None:
+        self._of_front = estimator
+
+    def at(self, t: float) -> Estimate:
+        found = self._of_front.at(t)
+        return replace(
+            found,
+            pose=tail(found.pose),
+            velocity=Velocity(-found.velocity.v, found.velocity.omega),
+            rotation_center_m=-found.rotation_center_m,
+        )
+
+
+class Docking:
+    """Drives into a place, or out of it with ``undock``: the counterpart of `Controller` for a course.
+
+    ``staging`` drives to the staging pose, ``dock`` from there; they must have the same neurons.
+    """
+
+    plans = False
+
+    def __init__(
+        self,
+        place: Place,
+        staging: Policy,
+        dock: Policy,
+        settings: EstimatorSettings,
+        *,
+        rover: RoverProfile | None = None,
+        described: RobotDescription | None = None,
+        undock: bool = False,
+    ) -> None:
+        if staging.circuit.neurons != dock.circuit.neurons:
+            raise ConfigError("the two policies of the drive", ["they have different neurons"])
+        self.place, self._undock, self._slower = place, undock, slowdown(described)
+        self._staging, self._dock, self._settings = staging, dock, settings
+        self._rover, self._described = rover, described
+        self.estimator = Estimator(settings)
+        self._approach, self._retreat = (
+            self._leg(dock, way(place, self._slower)) for way in (approach, retreat)
+        )
+        self._leg(staging, self._retreat.way)  # compiles now, before the rover waits for it
+        self._now: _Leg = self._retreat
+        self._began = 0
+        """Tick of the present leg's begin."""
+        self.stage, self.over = Stage.NONE, False
+        self._tries = self._stagings = 0
+        self._evidence, self._charge_until = Evidence(), math.inf
+        self._poses: deque[tuple[float, Pose]] = deque(maxlen=KEPT_POSES)
+        """Times and values of the newest external poses."""
+        self._potentials = self._approach.controller.potentials
+        self._docked, self._error, self._why = False, DockError.UNKNOWN, ""
+        self._estimate: Estimate | None = None
+        self._judged: _Judged | None = None
+
+    def start(
+        self, odometry: Pose, t: float, pose: Pose, covariance: NDArray[np.float64] | None = None
+    ) -> None:
+        """Begin as `Controller.start`. Raises SafetyStop if there is no way from that pose."""
+        self.estimator.start(pose, t, odometry, covariance)
+        ahead, left, turned = self.place.errors(pose)
+        out_m = ahead if self.place.backward else -ahead
+        in_line = abs(left) <= STAGED_M and abs(turned) <= STAGED_RAD
+        problem = ""
+        if in_line and CONTACT_M < out_m < self.place.staging_m - STAGED_M:
+            # It may stand in the dock: it does not turn on the spot there.
+            out = self._leg(self._dock, retreat(self.place, self._slower, out_m))
+            self._begin(Stage.CONTROLLING if self._undock else Stage.RETRY, out, 0, pose)
+        elif in_line and abs(out_m) <= CONTACT_M and self._undock:
+            self._begin(Stage.CONTROLLING, self._retreat, 0, pose)
+        elif in_line and abs(out_m) <= CONTACT_M:
+            self._tries = 1
+            self._begin(Stage.CONTROLLING, self._approach, -self._approach.way.course.ticks, pose)
+        elif self._undock:
+            problem = f"the rover does not stand in {self.place.name}, but {self._errors(pose)} of it"
+        else:
+            problem = self._to_staging(0, pose)
+        if problem:
+            raise SafetyStop("start-pose", problem)
+
+    def take(self, sample: OdometrySample | TurnSample | PoseSample, t: float) -> Outcome | None:
+        """Give the estimator a sample, as `Controller.take`."""
+        if isinstance(sample, PoseSample) and all(map(math.isfinite, sample.pose)):
+            self._poses.append((t, sample.pose))
+        return take(self.estimator, sample, t)
+
+    def note(self, evidence: Evidence) -> None:
+        """Note what the base reports, before the tick that it is for."""
+        self._evidence = evidence
+
+    @property
+    def expects_contact(self) -> bool:
+        """Whether contact ends a try, and not the drive."""
+        return self.stage is Stage.CONTROLLING and not self._undock
+
+    @property
+    def words(self) -> str:
+        """The stage for people."""
+        return f"{self.stage}, try {max(self._tries, 1)} of {self.place.retries + 1}"
+
+    def tick(self, index: int, t: float) -> Tick:
+        """Run tick ``index`` of the drive at time ``t``."""
+        estimate = self.record_estimate(index, t)
+        self._advance(index, t, estimate)
+        if self.over or self.stage is Stage.WAIT_FOR_CHARGE:
+            return Tick(index, index * TICK_S, estimate, STANDSTILL, self._potentials)
+        tick = self._now.controller.tick(index - self._began, t)
+        self._potentials, (v, omega) = tick.potentials, tick.command
+        command = Velocity(-v if self._now.way.backward else v, omega)
+        return Tick(index, index * TICK_S, estimate, command, tick.potentials)
+
+    def record_estimate(self, index: int, t: float) -> Estimate:
+        """Return the estimate at time ``t``."""
+        self._estimate = self.estimator.at(t)
+        return self._estimate
+
+    def _advance(self, index: int, t: float, estimate: Estimate) -> None:
+        """Go on to the next stage if the present one is over."""
+        contact, charging = self._evidence
+        ended = index - self._began >= self._now.way.course.ticks
+        match self.stage:
+            case Stage.NAV_TO_STAGING_POSE if ended:
+                self._staged(index, estimate.pose)
+            case Stage.CONTROLLING if self._undock and ended:
+                self._end(self._stands_at_staging(estimate.pose), DockError.FAILED_TO_CONTROL)
+            case Stage.CONTROLLING if not self._undock and (contact or ended):
+                self._judge(index, t, contact, charging)
+            case Stage.WAIT_FOR_CHARGE if charging or t >= self._charge_until:
+                words = "" if charging else f"no charge within {CHARGE_S:g} s"
+                self._try_ended(index, estimate.pose, DockError.FAILED_TO_CHARGE, words)
+            case Stage.RETRY if ended and self._tries > self.place.retries:
+                self.over = True
+            case Stage.RETRY if ended:
+                self._staged(index, estimate.pose)
+
+    def _judge(self, index: int, t: float, contact: bool, charging: bool | None) -> None:
+        """Judge the end of an approach."""
+        leg = self._approach.controller
+        leg.record_estimate(index - self._began, t)
+        pose, proof = self.estimator.at(t).pose, self.place.proof
+        verdict = leg.verdict()
+        self._judged = _Judged(verdict, self._errors(pose), self._by_poses(t, contact))
+        ahead, left, turned = self.place.errors(pose)
+        in_line = abs(left) <= self.place.position_m and abs(turned) <= self.place.heading_rad
+        where = f"{self._judged.estimate} of the place by the estimate"
+        error, why = DockError.FAILED_TO_CONTROL, ""
+        at_place = proof is Proof.CONTACT and in_line and abs(ahead) <= CONTACT_M
+        if proof is Proof.CONTACT and not contact:
+            why = f"no contact at the place, {where}"
+        elif contact and not (at_place or proof is Proof.CHARGING):
+            why = f"contact {where}"
+        elif proof is Proof.POSE and verdict.words is not Parked.YES:
+            why = verdict.reason or f"within the tolerances with a probability of {verdict.probability:.0%}"
+        elif proof is Proof.CHARGING and not charging:
+            self.stage, self._charge_until = Stage.WAIT_FOR_CHARGE, t + CHARGE_S
+            return
+        self._try_ended(index, pose, error, why)
+
+    def _try_ended(self, index: int, pose: Pose, error: DockError, why: str) -> None:
+        """End the drive docked, if there is no reason ``why`` not; else go back to the staging pose."""
+        self._docked = not why
+        self._error, self._why = (error, why) if why else (DockError.NONE, "")
+        if self._docked:
+            self.over = True
+        else:
+            self._begin(Stage.RETRY, self._retreat, index, pose)
+
+    def _staged(self, index: int, pose: Pose) -> None:
+        """Begin an approach, or drive to the staging pose anew if the rover is too far from it."""
+        if self._stands_at_staging(pose):
+            self._tries += 1
+            self._begin(Stage.CONTROLLING, self._approach, index, pose)
+            return
+        problem = self._to_staging(index, pose) if self._stagings < MAX_STAGINGS else "too many tries"
+        if problem:
+            self._end(False, DockError.FAILED_TO_STAGE, f"the rover is not at the staging pose: {problem}")
+
+    def _to_staging(self, index: int, pose: Pose) -> str:
+        """Begin the way to the staging pose, or return why there is none."""
+        away = distance(pose, self.place.staging)
+        if away > FAR_M:
+            return f"{away:.2f} m from the staging pose (at most {FAR_M:g} m)"
+        # A moving rover cannot wait for a search among detours.
+        way, problems = to_staging(
+            self.place, pose, self._described, self._slower, detours=self.stage is Stage.NONE
+        )
+        if way is None:
+            return "; ".join(map(str, problems))
+        self._stagings += 1
+        self._begin(Stage.NAV_TO_STAGING_POSE, self._leg(self._staging, way), index, pose)
+        return ""
+
+    def _end(
+        self, success: bool, error: DockError, why: str = "the rover is not at the staging pose"
+    ) -> None:
+        self.over, self._docked = True, success
+        self._error, self._why = (DockError.NONE, "") if success else (error, why)
+
+    def _begin(self, stage: Stage, leg: "_Leg", index: int, pose: Pose) -> None:
+        self.stage, self._now, self._began = stage, leg, index
+        leg.controller.begin(tail(pose) if leg.way.backward else pose)
+
+    def _leg(self, policy: Policy, way: Way) -> "_Leg":
+        controller = Controller(
+            policy, way.course, self._settings, self._rover, self._described, reference=way.reference
+        )
+        controller.estimator = _TailEstimator(self.estimator) if way.backward else self.estimator
+        return _Leg(way, controller)
+
+    def _stands_at_staging(self, pose: Pose) -> bool:
+        staging = self.place.staging
+        turned = abs(wrap_angle(pose.theta - staging.theta))
+        return distance(pose, staging) <= STAGED_M and turned <= STAGED_RAD
+
+    def _errors(self, pose: Pose) -> PoseErrors:
+        ahead, left, turned = self.place.errors(pose)
+        return PoseErrors(longitudinal_m=ahead, lateral_m=left, yaw_rad=turned)
+
+    def _by_poses(self, t: float, contact: bool) -> PoseErrors | None:
+        """Return the median errors by the newest external poses; None without enough of them."""
+        since = t - (CONTACT_S if contact else self._approach.way.course.parked.still_s)
+        errors = [self.place.errors(pose) for seen, pose in self._poses if seen >= since]
+        if len(errors) < MIN_POSES:
+            return None
+        ahead, left, turned = np.median(np.array(errors), axis=0).tolist()
+        return PoseErrors(longitudinal_m=ahead, lateral_m=left, yaw_rad=turned)
+
+    def verdict(self) -> Verdict:
+        """Return the verdict: parked means docked, or undocked and at the staging pose."""
+        assert self._estimate is not None  # the drive had a tick
+        goal, pose = self.place.staging if self._undock else self.place.goal, self._estimate.pose
+        error_m, error_rad = distance(pose, goal), abs(wrap_angle(pose.theta - goal.theta))
+        failure = Failure.NONE if self._docked else Failure.FAR
+        return Verdict(self._docked, error_m, error_rad, self._why, failure)
+
+    def result(self) -> DockResult:
+        """Return the result so far."""
+        pose = None if self._estimate is None else self._estimate.pose
+        at = "place" if self._docked and not self._undock else "elsewhere"
+        if pose is not None and at == "elsewhere" and self._stands_at_staging(pose):
+            at = "staging pose"
+        judged = self._judged
+        return DockResult(
+            place=self.place.name,
+            undock=self._undock,
+            success=self._docked,
+            error_code=DockError.NONE if self._docked else self._error,
+            error_msg=self._why,
+            num_retries=max(self._tries - 1, 0),
+            stage=self.stage,
+            at=at,
+            proof=self.place.proof.value,
+            probability=judged and judged.verdict.probability,
+            by_estimate=judged and judged.estimate,
+            by_proof=judged and judged.poses,
+        )
+
+
+class _Leg(NamedTuple):
+    """A way with the controller that drives it."""
+
+    way: Way
+    controller: Controller
+
+
+class _Judged(NamedTuple):
+    """The end of an approach."""
+
+    verdict: Verdict
+    estimate: PoseErrors
+    poses: PoseErrors | None
+
+
+def slowdown(robot: RobotDescription | None) -> float:
+    """Return how many times slower than usual a robot must drive, as `rover_ncp.course.fit.slowed`."""
+    if robot is None:
+        return 1.0
+    return max(1.0, COMMAND_MAX.v / robot.motion.v_max, COMMAND_MAX.omega / robot.motion.omega_max)

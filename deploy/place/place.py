@@ -1,0 +1,116 @@
+"""The file of a place, in the frame of the external poses."""
+
+import math
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml
+from rover_ncp.core.geometry import Pose, compose, wrap_angle
+from rover_ncp.course.course import Angle, Coordinate, Name, Obstacle
+
+SUFFIXES = {".yaml", ".yml"}
+MAX_OBSTACLES = 100
+
+
+class Direction(StrEnum):
+    """Direction in which the rover drives into the place."""
+
+    FORWARD = "forward"
+    BACKWARD = "backward"
+
+
+class Proof(StrEnum):
+    """What proves that the rover is docked."""
+
+    POSE = "pose"
+    """The estimate is within the tolerances with a probability of 95 %."""
+    CONTACT = "contact"
+    """The base reports a pressed bumper or a stall at the place."""
+    CHARGING = "charging"
+    """The base reports that its battery is charging."""
+
+
+class PlacePose(StrictModel):
+    """Pose of the docked base (base_link)."""
+
+    x: Coordinate
+    y: Coordinate
+    theta: Angle
+
+
+class Scatter(StrictModel):
+    """Standard deviations of the poses of which 'place set' took the median, and their number."""
+
+    x_m: float = Field(ge=0, description="standard deviation")
+    y_m: float = Field(ge=0, description="standard deviation")
+    theta_rad: float = Field(ge=0, description="standard deviation")
+    poses: int = Field(ge=1, description="how many there were")
+
+
+class Place(StrictModel):
+    """A place in which the rover parks, such as its charger."""
+
+    format: int = Field(default=1, ge=1, le=1)
+    name: Name
+    frame: Annotated[str, Field(max_length=100)] = Field(
+        default="map", description="frame_id of the external poses"
+    )
+    pose: PlacePose
+    direction: Direction = Field(
+        default=Direction.FORWARD, description="in which the rover drives in: forward or backward"
+    )
+    staging_m: float = Field(
+        default=0.7, ge=0.3, le=2.0, description="m from the place, where the straight approach begins"
+    )
+    position_m: float = Field(default=0.02, gt=0, le=0.2, description="tolerance of the position, m")
+    heading_rad: float = Field(default=0.035, gt=0, le=0.5, description="tolerance of the heading: 2°")
+    proof: Proof = Field(default=Proof.POSE, description="what proves the docking: pose, contact or charging")
+    retries: int = Field(default=3, ge=0, le=20, description="further tries after a miss")
+    obstacles: tuple[Obstacle, ...] = Field(
+        default=(), max_length=MAX_OBSTACLES, description="that the way there must not touch"
+    )
+    scatter: Scatter | None = Field(default=None, description="of the poses that 'place set' saw")
+
+    @property
+    def goal(self) -> Pose:
+        """The pose of the docked base."""
+        return Pose(self.pose.x, self.pose.y, self.pose.theta)
+
+    @property
+    def backward(self) -> bool:
+        """Whether the rover drives in backward."""
+        return self.direction is Direction.BACKWARD
+
+    @property
+    def staging(self) -> Pose:
+        """The pose of the base where the straight approach begins."""
+        return compose(self.goal, Pose(self.staging_m if self.backward else -self.staging_m, 0.0, 0.0))
+
+    def errors(self, pose: Pose) -> tuple[float, float, float]:
+        """Return how far a pose is ahead of the place and to its left (m), and turned to the left (rad)."""
+        dx, dy = pose.x - self.pose.x, pose.y - self.pose.y
+        cos, sin = math.cos(self.pose.theta), math.sin(self.pose.theta)
+        return (
+            cos * dx + sin * dy,
+            cos * dy - sin * dx,
+            wrap_angle(pose.theta - self.pose.theta),
+        )
+
+
+def place_path(name: str) -> Path:
+    """Return the file of a place: itself, or NAME.yaml in the working folder."""
+    path = Path(name)
+    return path if path.suffix in SUFFIXES else path.with_name(f"{path.name}.yaml")
+
+
+def load_place(name: str) -> Place:
+    """Load a place by the name or path of its file. Raises FileError and ConfigError."""
+    return load_yaml(place_path(name), Place)
+
+
+def place_yaml(place: Place) -> str:
+    """Return a place as its file."""
+    return dump_yaml(place.model_dump(mode="json", exclude_none=True))

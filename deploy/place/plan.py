@@ -1,0 +1,204 @@
+"""Plans of a docking: the ways to the staging pose, into the place and back out, each with its reference.
+
+A way is a sequence of straight pieces and turns on the spot, each from rest to rest, so that its reference
+is drivable by construction. The rover drives each way with one end ahead: with its front, or backward with
+its tail. Poses of a backward way are those of the tail: turned by 180°.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+from deploy.place.place import Place, Proof
+from rover_ncp.core.geometry import Pose, compose, distance, inverse, wrap_angle
+from rover_ncp.course.course import TICK_S, Checkpoint, Course, Obstacle, ParkedRule
+from rover_ncp.course.feasibility import Drivability, Problem, check_course
+from rover_ncp.course.reference import OMEGA_MAX, V_MAX, Reference, drive_profile
+from rover_ncp.robot.description import RobotDescription
+
+EASE = 0.6
+"""Speed of a plan, as a share of the limits of a reference: the policy must be able to catch up."""
+RAMP_S = 1.0
+"""Time from rest to the speed of a piece."""
+SLOW_M, SLOW_M_S = 0.3, 0.04
+"""The last way into the place, and its speed."""
+PAUSE_S = 0.5
+"""Rest between two pieces."""
+LOOK_S = 2.0
+"""Rest before the last, slow way: external poses are most exact for a rover that stands."""
+SETTLE_S = 3.0
+"""Rest at the end of a way, to come to rest."""
+DOCK_S = 8.0
+"""Rest at the place, at the end of which the rover must stand."""
+PRESS_M = 0.03
+"""How far the reference leads beyond a place that contact proves."""
+FAR_M = 3.0
+"""Largest distance of a start from the staging pose."""
+SMALL_M, SMALL_RAD = 0.02, 0.03
+"""Shorter pieces are left out: the approach corrects them."""
+CHECKPOINT_TICKS = 10
+DETOURS_M = (0.5, 0.0), (1.0, 0.0), (0.0, 0.8), (0.0, -0.8), (0.8, 0.8), (0.8, -0.8)
+"""Points of detours: how much farther out than the staging pose, and how far to its left."""
+
+
+class Piece(NamedTuple):
+    """A straight piece or a turn on the spot, from rest to rest."""
+
+    length_m: float
+    turn_rad: float
+    rest_s: float = PAUSE_S
+    speed_m_s: float = EASE * V_MAX
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way of a docking: its course with its reference, for the end of the rover that is ahead."""
+
+    course: Course
+    reference: Reference
+    backward: bool
+
+
+def tail(pose: Pose) -> Pose:
+    """Return a pose turned by 180°: that of the rover's tail."""
+    return Pose(pose.x, pose.y, wrap_angle(pose.theta + math.pi))
+
+
+def approach(place: Place, slower: float = 1.0) -> Way:
+    """Return the way from the staging pose into the place; ``slower`` as for courses."""
+    press = PRESS_M if place.proof is Proof.CONTACT else 0.0
+    first = max(place.staging_m - SLOW_M, 0.0)
+    pieces = [Piece(first, 0.0, LOOK_S), Piece(place.staging_m - first + press, 0.0, DOCK_S, SLOW_M_S)]
+    way = _way(place, "approach", place.staging, pieces, backward=place.backward, slower=slower)
+    # Judged against the place, not against the point beyond it.
+    goal = tail(place.goal) if place.backward else place.goal
+    last = way.course.checkpoints[-1].model_copy(update=goal._asdict())
+    course = way.course.model_copy(update={"checkpoints": (*way.course.checkpoints[:-1], last)})
+    return Way(course, way.reference, way.backward)
+
+
+def place_course(place: Place, slower: float = 1.0) -> Course:
+    """Return the approach as the course of a recording, for the base, from the staging pose to the place."""
+    way = approach(place, slower)
+    points = tuple(
+        point.model_copy(update=tail(point.pose)._asdict()) if way.backward else point
+        for point in way.course.checkpoints
+    )
+    return way.course.model_copy(update={"name": place.name, "checkpoints": points})
+
+
+def retreat(place: Place, slower: float = 1.0, out_m: float = 0.0) -> Way:
+    """Return the way back to the staging pose, from the place or from so far out of it."""
+    start = compose(place.goal, Pose(out_m if place.backward else -out_m, 0.0, 0.0))
+    pieces = [Piece(place.staging_m - out_m, 0.0, SETTLE_S)]
+    return _way(place, "retreat", start, pieces, backward=not place.backward, slower=slower)
+
+
+def to_staging(
+    place: Place,
+    start: Pose,
+    robot: RobotDescription | None = None,
+    slower: float = 1.0,
+    *,
+    detours: bool = True,
+) -> tuple[Way | None, tuple[Problem, ...]]:
+    """Return the shortest clear way from ``start`` to the staging pose, or None and why there is none.
+
+    The rover turns on the spot, drives straight, and turns on the spot; or it does so by one more point.
+    """
+    ways, problems = [], tuple[Problem, ...]()
+    for detour in (None, *(DETOURS_M if detours else ())):
+        via = [] if detour is None else [_beside(place, *detour)]
+        for backward in (False, True):
+            pieces = list(_pieces([start, *via, place.staging], backward))
+            ways.append(_way(place, "staging", start, pieces, backward=backward, slower=slower))
+    for way in sorted(ways, key=lambda each: each.course.horizon_s):
+        found = check_way(way, robot)
+        if found.drivable:
+            return way, ()
+        problems = problems or found.problems
+    return None, problems
+
+
+def _beside(place: Place, farther_m: float, left_m: float) -> Pose:
+    """Return the pose that lies so much farther out than the staging pose, and to its left."""
+    return compose(place.staging, Pose(farther_m if place.backward else -farther_m, left_m, 0.0))
+
+
+def _pieces(poses: Sequence[Pose], backward: bool) -> Iterator[Piece]:
+    """Yield the pieces through the positions of poses, from the first one's heading to the last one's."""
+    heading = poses[0].theta
+    for a, b in pairwise(poses):
+        if distance(a, b) > SMALL_M:
+            bearing = math.atan2(b.y - a.y, b.x - a.x) + (math.pi if backward else 0.0)
+            yield from _turn(wrap_angle(bearing - heading))
+            yield Piece(distance(a, b), 0.0)
+            heading = bearing
+    yield from _turn(wrap_angle(poses[-1].theta - heading))
+    yield Piece(0.0, 0.0, SETTLE_S)
+
+
+def _turn(angle: float) -> Iterator[Piece]:
+    if abs(angle) > SMALL_RAD:
+        yield Piece(0.0, angle)
+
+
+def _way(
+    place: Place, name: str, start: Pose, pieces: Sequence[Piece], *, backward: bool, slower: float
+) -> Way:
+    """Return the way of pieces from ``start`` of the base; lengths count in the direction of the way."""
+    begin = tail(start) if backward else start
+    v, omega = [0.0] * round(PAUSE_S / TICK_S), [0.0] * round(PAUSE_S / TICK_S)
+    for piece in pieces:
+        along = _profile(piece.length_m, piece.speed_m_s / slower)
+        turning = _profile(piece.turn_rad, EASE * OMEGA_MAX / slower)
+        rest = [0.0] * round(piece.rest_s / TICK_S)
+        v += along + [0.0] * len(turning) + rest
+        omega += [0.0] * len(along) + turning + rest
+    reference = drive_profile(begin, v, omega)
+    ticks = reference.ticks
+    at = [*range(0, ticks, CHECKPOINT_TICKS), ticks]
+    points = tuple(Checkpoint(t=round(k * TICK_S, 1), **reference.tick(k)[0]._asdict()) for k in at)
+    course = Course(
+        name=name,
+        start_signal_s=0.0,
+        horizon_s=round(ticks * TICK_S, 1),
+        checkpoints=points,
+        obstacles=place.obstacles,
+        parked=ParkedRule(position_m=place.position_m, heading_rad=place.heading_rad),
+    )
+    return Way(course, reference, backward)
+
+
+def _profile(way: float, speed: float) -> list[float]:
+    """Return speeds at ticks from rest to rest, linear between them, whose integral is ``way``."""
+    if way == 0.0:
+        return []
+    ramp = round(RAMP_S / TICK_S)
+    ticks = max(2 * ramp, math.ceil(abs(way) / (speed * TICK_S)) + ramp)
+    top = way / ((ticks - ramp) * TICK_S)
+    return [top * min(k, ramp, ticks - k) / ramp for k in range(1, ticks + 1)]
+
+
+def check_way(way: Way, robot: RobotDescription | None) -> Drivability:
+    """Check a way as `course check` does, for the outline of the robot."""
+    # A course is checked for a rover that starts at its origin, front ahead.
+    first = way.course.checkpoints[0].pose
+    origin = inverse(tail(first) if way.backward else first)
+    turned = Pose(0.0, 0.0, math.pi if way.backward else 0.0)
+    points = tuple(
+        point.model_copy(update=compose(compose(origin, point.pose), turned)._asdict())
+        for point in way.course.checkpoints
+    )
+    obstacles = tuple(_moved(origin, obstacle) for obstacle in way.course.obstacles)
+    course = way.course.model_copy(update={"checkpoints": points, "obstacles": obstacles})
+    motion = way.reference.motion * [-1.0 if way.backward else 1.0, 1.0]
+    reference = drive_profile(Pose(0.0, 0.0, 0.0), motion[:, 0].tolist(), motion[:, 1].tolist())
+    return check_course(course, robot, reference)
+
+
+def _moved(frame: Pose, obstacle: Obstacle) -> Obstacle:
+    pose = compose(frame, Pose(obstacle.x, obstacle.y, obstacle.theta))
+    return obstacle.model_copy(update=pose._asdict())

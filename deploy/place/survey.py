@@ -1,0 +1,93 @@
+"""The median of external poses with their scatter: what makes a place, and what checks one."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from deploy.drive.start import median_pose
+from deploy.place.outcome import PoseErrors
+from deploy.place.place import Place, Scatter
+from rover_ncp.core.config import ResultModel
+from rover_ncp.core.errors import NoPose
+from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.wire.messages import PoseSample
+
+MIN_POSES = 10
+
+
+class Survey(NamedTuple):
+    """What the external poses of some seconds say of a rover that stands."""
+
+    frame: str
+    pose: Pose
+    scatter: Scatter
+
+
+class PlaceResult(ResultModel):
+    """What ``rover-ncp place`` prints."""
+
+    place: str
+    """its name"""
+    file: str
+    """its file"""
+    frame: str
+    """frame_id of the external poses"""
+    x: float = Field(description="median of the poses now, m")
+    y: float = Field(description="median of the poses now, m")
+    theta: float = Field(description="median of the headings now, rad")
+    scatter: Scatter
+    """standard deviations of the poses now"""
+    off: PoseErrors | None
+    """check: of the median from the place"""
+    fits: bool
+    """check: whether the median is within the place's tolerances"""
+
+
+def survey(samples: Sequence[PoseSample], seconds: float, unreadable: str = "") -> Survey:
+    """Return the median of poses of one frame, with their scatter. Raises NoPose without enough of them."""
+    finite = [sample for sample in samples if all(map(math.isfinite, sample.pose))]
+    frames = sorted({sample.frame for sample in finite})
+    if len(finite) < MIN_POSES or len(frames) != 1:
+        words = f"{len(finite)} external poses arrived on 'pose' in {seconds:g} s (at least {MIN_POSES})"
+        if len(frames) > 1:
+            words = f"external poses arrived in the frames {', '.join(map(repr, frames))}, expected one frame"
+        raise NoPose(words + (f"; {unreadable}" if unreadable else ""))
+    poses = [sample.pose for sample in finite]
+    median = median_pose(poses)
+    errors = [(pose.x - median.x, pose.y - median.y, wrap_angle(pose.theta - median.theta)) for pose in poses]
+    x_m, y_m, theta_rad = np.sqrt(np.mean(np.square(errors), axis=0)).tolist()
+    return Survey(frames[0], median, Scatter(x_m=x_m, y_m=y_m, theta_rad=theta_rad, poses=len(poses)))
+
+
+def complaint(place: Place, seen: Survey) -> str:
+    """Return in words how a rover that should be docked is not at its place; "" if it is."""
+    if seen.frame not in {"", place.frame}:
+        return f"poses arrive in frame {seen.frame!r}, the place is in {place.frame!r}"
+    away = distance(seen.pose, place.goal)
+    turned = abs(wrap_angle(seen.pose.theta - place.goal.theta))
+    if away <= place.position_m and turned <= place.heading_rad:
+        return ""
+    return (
+        f"the rover is seen {errors_of(place, seen.pose)} of the place (tolerance "
+        f"{1000 * place.position_m:.0f} mm, {math.degrees(place.heading_rad):.1f}°): it is not docked, the "
+        "dock was moved, or the calibration is stale; 'place set' stores what is seen now"
+    )
+
+
+def errors_of(place: Place, pose: Pose) -> PoseErrors:
+    """Return a pose minus that of the place."""
+    ahead, left, turned = place.errors(pose)
+    return PoseErrors(longitudinal_m=ahead, lateral_m=left, yaw_rad=turned)
+
+
+def blurred(place: Place, scatter: Scatter) -> str:
+    """Return a warning if single poses scatter by more than the tolerances; "" if not."""
+    if math.hypot(scatter.x_m, scatter.y_m) <= place.position_m and scatter.theta_rad <= place.heading_rad:
+        return ""
+    return (
+        f"warning: the poses scatter by {1000 * math.hypot(scatter.x_m, scatter.y_m):.0f} mm and "
+        f"{math.degrees(scatter.theta_rad):.1f}°, more than the place's tolerances"
+    )

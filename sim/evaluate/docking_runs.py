@@ -1,0 +1,85 @@
+"""Random trials of docking through the stack, summed up."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from pydantic import Field
+
+from deploy.place.outcome import DockError
+from rover_ncp.core.console import Output
+from sim.evaluate.evaluate import Ended, Evaluation, tally
+from sim.evaluate.trial_runs import progress
+from sim.stack.docking import Docked, DockTrials
+from sim.stack.trials import drive_all
+
+FINE_M, FINE_RAD = 0.01, math.radians(1.0)
+
+
+class DockingResult(Evaluation):
+    """Result of random trials of docking; success is docked by the proof and by the true pose."""
+
+    place: str = Field(description="its name")
+    randomize: str = Field(description="the name or file of the randomization")
+    model: str | None = Field(description="the robot's description, if one was named")
+    body: str = Field(description="the simulator's")
+    seed: int = Field(description="root seed")
+    said_docked: int = Field(description="trials that the driver declared docked")
+    falsely_docked: int = Field(description="those of them whose true pose is outside the tolerances")
+    within_1_cm_1_degree: int = Field(description="successes whose true pose is so near to the place")
+    first_try: int = Field(description="successes of the first try")
+    drive_s: float = Field(description="median time of a drive, in simulated time")
+
+
+def evaluate_docking(
+    trials: DockTrials, count: int, processes: int | None, output: Output, **about: str | None
+) -> DockingResult:
+    """Drive trials, and return how they ended. Raises WorkerDied."""
+    with progress(output, count) as done:
+        driven = drive_all(trials, count, processes, done)
+    ended = [Ended(math.hypot(*trial.errors[:2]), abs(trial.errors[2]), _reason(trial)) for trial in driven]
+    good = [trial for trial in driven if not _reason(trial)]
+    fine = [trial for trial in good if _within(trial, FINE_M, FINE_RAD)]
+    return DockingResult(
+        **vars(tally(ended)),
+        **about,
+        place=trials.place.name,
+        seed=trials.seed,
+        said_docked=sum(trial.result.success for trial in driven),
+        falsely_docked=sum(trial.result.success and not trial.docked for trial in driven),
+        within_1_cm_1_degree=len(fine),
+        first_try=sum(trial.result.num_retries == 0 for trial in good),
+        drive_s=float(np.median([trial.seconds for trial in driven])),
+    )
+
+
+def _within(trial: Docked, position_m: float, heading_rad: float) -> bool:
+    ahead, left, turned = trial.errors
+    return math.hypot(ahead, left) <= position_m and abs(turned) <= heading_rad
+
+
+def _reason(trial: Docked) -> str:
+    if trial.stop:
+        return f"stopped by {trial.stop}"
+    if trial.result.success:
+        return "" if trial.docked else "falsely docked"
+    return DockError(trial.result.error_code).name
+
+
+def docking_words(found: DockingResult) -> Iterator[str]:
+    """Yield lines about trials of docking."""
+    low, high = found.success_ci95
+    yield f"{found.success_rate:.1%} of {found.trials} trials docked (95 % interval {low:.1%} to {high:.1%})"
+    yield (
+        f"declared docked: {found.said_docked}, falsely: {found.falsely_docked}; at the first try: "
+        f"{found.first_try}; within 1 cm and 1°: {found.within_1_cm_1_degree}"
+    )
+    for name, spread, unit in (
+        ("final position error", found.error_m, "mm"),
+        ("final heading error", found.error_rad, "mrad"),
+    ):
+        p50, p95, largest = (1000 * error for error in (spread.p50, spread.p95, spread.max))
+        yield f"{name}: median {p50:.0f}, 95th percentile {p95:.0f}, largest {largest:.0f} {unit}"
+    for reason, count in found.failures.items():
+        yield f"not docked, {reason}: {count}"
+    yield f"median time {found.drive_s:.0f} s"

@@ -1,0 +1,123 @@
+"""Trials of docking through the whole stack, judged by the true pose.
+
+The robots are those of `trials`. Each starts somewhere before the place, and a camera of its own sees tags
+there. The world's frame is that of the place.
+"""
+
+import copy
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+from deploy.drive.config import DriveConfig
+from deploy.drive.control_loop import Drive
+from deploy.place.docking import Docking
+from deploy.place.outcome import DockResult
+from deploy.place.place import Place
+from deploy.place.plan import approach
+from deploy.place.settings import docking_of, place_config
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.files import DEFAULT_ROBOT
+from rover_ncp.core.geometry import Pose, compose
+from rover_ncp.core.streams import Domain, integer_seed, random_stream
+from rover_ncp.robot.description import RobotDescription, load_description
+from rover_ncp.robot.profile import RoverProfile
+from sim.pioneer.trial import BaseTrial, draw_rover
+from sim.stack.lines import simulated_base
+from sim.stack.tag_camera import TagCamera, TagLocaliser
+from sim.stack.virtual import SilentPublisher, VirtualBridge, VirtualLink
+from sim.world.randomization import Randomization
+
+DISTANCES_M = 0.5, 2.5
+BEARING_RAD = math.radians(60.0)
+"""Starts: this far from the place, at bearings up to this off its axis."""
+HEADING_RAD = math.radians(30.0)
+"""Largest turn of a start from the direction in which the tags are."""
+
+
+class Docked(NamedTuple):
+    """How a trial ended."""
+
+    result: DockResult
+    stop: str
+    """The safety rule that stopped the drive, or ""."""
+    errors: tuple[float, float, float]
+    """Of the true pose: ahead of the place and to its left (m), turned to the left (rad)."""
+    docked: bool
+    """Whether the true pose is within the place's tolerances."""
+    seconds: float
+
+
+@dataclass(frozen=True)
+class DockTrials:
+    """Settings of the trials; ``staging`` drives to the staging pose and ``dock`` into the place."""
+
+    staging: Policy
+    dock: Policy
+    place: Place
+    ranges: Randomization
+    seed: int
+    gyro: bool = True
+    robot: RobotDescription | None = None
+    camera: TagCamera = field(default_factory=TagCamera)
+
+    @cached_property
+    def description(self) -> RobotDescription:
+        """The description of the simulated robot."""
+        return self.robot or load_description(DEFAULT_ROBOT)
+
+    @cached_property
+    def _docking(self) -> Docking:
+        return docking_of(self._config, self.staging, self.dock)
+
+    @cached_property
+    def _config(self) -> DriveConfig:
+        known = RoverProfile(
+            name=f"a robot of {self.ranges.name}",
+            noise_m=self.ranges.noise_m,
+            noise_rad=self.ranges.noise_rad,
+        )
+        return place_config(self.place, known, self.robot, robot="virtual", policy=self.dock.circuit.name)
+
+    def start(self, number: int) -> Pose:
+        """Return where the robot of a trial starts: it sees the tags."""
+        stream = random_stream(self.seed, Domain.DOCKING, number)
+        away = stream.uniform(*DISTANCES_M)
+        bearing, heading = stream.uniform(-1.0, 1.0, 2) * (BEARING_RAD, HEADING_RAD)
+        side = math.pi if self.place.backward else 0.0
+        x, y = -away * math.cos(bearing), -away * math.sin(bearing)
+        from_place = Pose(x, y, math.atan2(-y, self.camera.tags_ahead_m - x) + heading)
+        # Turned about the place for a rover that backs in, its tail towards the place.
+        toward = compose(Pose(0.0, 0.0, side), from_place)
+        return compose(self.place.goal, compose(toward, Pose(0.0, 0.0, side)))
+
+    def drive(self, number: int) -> Docked:
+        """Drive a trial from power-up to the motors' release."""
+        course, start = approach(self.place).course, self.start(number)
+        rover, trials = draw_rover(
+            self.ranges, self.description, course, seed=self.seed, number=number, start=start
+        )
+        base_seed = integer_seed(self.seed, Domain.BASE_SENSORS, number)
+        base = simulated_base(self.description, rover, BaseTrial(trials), gyro=self.gyro, seed=base_seed)
+        bridge = VirtualBridge(base)
+        link = VirtualLink(bridge, None)
+        base.observe = TagLocaliser(
+            self.camera,
+            rover,
+            self.place.goal,
+            random_stream(self.seed, Domain.CAMERA, number),
+            link.localise,
+            frame=self.place.frame,
+            backward=self.place.backward,
+        ).observe
+        publisher = SilentPublisher(link, lambda message: None, self.dock.circuit.neurons, bridge)
+        docking = copy.deepcopy(self._docking)
+        drive = Drive(link, docking, publisher, self._config, lambda: False, clock=bridge)
+        drive.wait()
+        drive.run({})
+        errors = self.place.errors(rover.pose)
+        ahead, left, turned = errors
+        within = math.hypot(ahead, left) <= self.place.position_m and abs(turned) <= self.place.heading_rad
+        stop = "" if drive.stop is None else drive.stop.rule
+        return Docked(docking.result(), stop, errors, within, bridge.monotonic())

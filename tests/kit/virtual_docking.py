@@ -1,0 +1,76 @@
+"""A drive to a place on the virtual clock, among obstacles, with a localiser that may lose the rover."""
+
+import zlib
+
+import numpy as np
+
+from deploy.drive.control_loop import Drive
+from deploy.drive.publisher import Publisher
+from deploy.drive.records import attachments
+from deploy.drive.result import result_of
+from deploy.place.place import Place
+from deploy.place.plan import place_course
+from deploy.place.settings import docking_of, place_config
+from kit.virtual_drive import ChangedLink, VirtualDrive
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.geometry import Pose
+from rover_ncp.wire.messages import pose_with_covariance
+from sim.pioneer.firmware import Firmware
+from sim.stack.lines import NS, WALL_NS
+from sim.stack.virtual import VirtualBridge
+from sim.world.described import default_rover
+from sim.world.pymunk_rover import Ground, PymunkRover
+
+POSE_S = 0.125
+COVARIANCE = np.diag(np.square([0.002, 0.002, 0.004]))
+
+
+def place(**changed):
+    """Return a place of which the axis is that of the frame; ``changed`` are keys of its file."""
+    return Place(**{"name": "bay", "frame": "map", "pose": {"x": 2.0, "y": 1.0, "theta": 0.0}} | changed)
+
+
+class VirtualDocking(VirtualDrive):
+    """One drive from ``start`` to a place. ``see`` returns the pose that the localiser sends, or None."""
+
+    def __init__(self, where, start, *, path=None, obstacles=(), see=lambda pose, now: pose, **settings):
+        self.place, self.path, self.course = where, path, place_course(where)
+        self.start = start
+        self.policy, self.staging = load_policy("dock"), load_policy("course")
+        self.config = place_config(where, None, None, robot="virtual", policy="dock", **settings)
+        self.rover = PymunkRover(default_rover(), Ground(obstacles), start)
+        base = Firmware("p3at-sh", self.rover)
+        self.bridge, self.recorded, self._see, self._next_s = VirtualBridge(base), [], see, 0.0
+        self.link = ChangedLink(self.bridge, self.recorded.append)
+        self.link._start = None
+        base.observe = self._localise
+        self.interrupted = lambda: False
+
+    def _localise(self, now):
+        if now < self._next_s:
+            return
+        self._next_s += POSE_S
+        if (seen := self._see(self.rover.pose, now)) is not None:
+            frame = self.place.frame
+            data = pose_with_covariance(Pose(*seen), COVARIANCE, WALL_NS + round(now * NS), frame)
+            self.link.localise(data, round(now * NS))
+
+    def run(self):
+        """Drive; return the result as JSON has it."""
+        files = attachments(self.policy, self.course, self.config, self.staging)
+        publisher = Publisher(self.link, self.recorded.append, self.policy.circuit.neurons, self.bridge)
+        self.docking = docking_of(self.config, self.staging, self.policy)
+        drive = Drive(self.link, self.docking, publisher, self.config, self.interrupted, clock=self.bridge)
+        try:
+            drive.wait()
+            drive.run({name: zlib.crc32(content) for name, content in files.items()})
+        finally:
+            if self.path:
+                self._write(files)
+        self.result = result_of(drive, {"recording": None, "recording_failure": None, "recording_dropped": 0})
+        return self.result
+
+    @property
+    def off(self):
+        """The true pose minus the place: ahead and left in m, turned in rad."""
+        return self.place.errors(self.rover.pose)

@@ -1,0 +1,143 @@
+"""Drives to a place through firmware, gate and driver: how they end, and that they are replayed exactly."""
+
+import pytest
+from kit.virtual_docking import VirtualDocking, place
+
+from deploy.place.outcome import DockError
+from deploy.replay import replay
+from deploy.view.recorded_drive import read_drive, summarise
+from rover_ncp.core.geometry import Pose, distance
+from rover_ncp.course.course import Obstacle
+from rover_ncp.wire.messages import battery_state
+
+START = Pose(1.05, 1.12, -0.5)
+DOCK = Obstacle(x=2.365, y=1.0, length=0.1, width=0.6)
+"""A wall that the front of a Pioneer 3-AT reaches at the place."""
+
+
+@pytest.fixture(scope="module")
+def docked(tmp_path_factory):
+    path = tmp_path_factory.mktemp("docked") / "docked.mcap"
+    drive = VirtualDocking(place(), START, path=path)
+    drive.run()
+    return drive
+
+
+def test_rover_docks_within_the_tolerances_by_its_true_pose(docked):
+    ahead, left, turned = docked.off
+    assert docked.result.dock.success
+    assert docked.result.exit_code == 0
+    assert (ahead**2 + left**2) ** 0.5 < 0.02
+    assert abs(turned) < 0.035
+    assert docked.result.dock.by_estimate.longitudinal_m == pytest.approx(ahead, abs=0.003)
+    assert docked.result.dock.by_proof.lateral_m == pytest.approx(left, abs=0.003)
+
+
+def test_docking_is_replayed_to_the_last_bit(docked):
+    found = replay(docked.path)
+    assert found.same, found
+    assert found.ticks > 300
+
+
+def test_report_names_the_place_and_how_it_ended(docked):
+    assert "docked" in summarise(read_drive(docked.path)).headline.lower()
+
+
+def test_contact_at_the_place_proves_a_docking_and_is_replayed(tmp_path):
+    drive = VirtualDocking(place(proof="contact"), START, path=tmp_path / "c.mcap", obstacles=[DOCK])
+    result = drive.run()
+    assert result.dock.success, result.dock
+    assert abs(drive.off[1]) < 0.02
+    assert replay(drive.path).same
+
+
+def test_contact_elsewhere_is_a_miss_and_the_rover_backs_out(tmp_path):
+    blocked = DOCK.model_copy(update={"x": 2.15})
+    drive = VirtualDocking(
+        place(retries=1, proof="contact"), START, path=tmp_path / "c.mcap", obstacles=[blocked]
+    )
+    result = drive.run()
+    assert not result.dock.success
+    assert (result.exit_code, result.dock.error_code) == (1, DockError.FAILED_TO_CONTROL)
+    assert (result.dock.num_retries, result.dock.at) == (1, "staging pose")
+    assert replay(drive.path).same
+
+
+def charging(drive, value):
+    """Have the base report that its battery charges or does not."""
+    drive.link.change["battery_state"] = lambda data: battery_state(12.5, 1, charging=value)
+    return drive
+
+
+def test_docking_ends_with_the_charge_that_flows():
+    drive = charging(VirtualDocking(place(proof="charging"), START), True)
+    assert drive.run().dock.success
+
+
+def test_charge_that_does_not_flow_is_no_docking():
+    drive = charging(VirtualDocking(place(proof="charging", retries=0), START), False)
+    result = drive.run()
+    assert (result.exit_code, result.dock.error_code) == (1, DockError.FAILED_TO_CHARGE)
+    assert "no charge within 10 s" in result.dock.error_msg
+    assert (result.dock.at, drive.stands()) == ("staging pose", True)
+    assert drive.off[0] == pytest.approx(-0.7, abs=0.1)
+
+
+def test_odometry_carries_the_rover_where_poses_are_lost_before_the_place():
+    drive = VirtualDocking(place(), START, see=lambda pose, now: pose if pose.x < 1.65 else None)
+    dock = drive.run().dock
+    assert (dock.success, dock.by_proof) == (True, None)
+    assert max(map(abs, drive.off[:2])) < 0.02
+
+
+def test_localiser_that_dies_early_is_no_docking():
+    drive = VirtualDocking(place(retries=0), START, see=lambda pose, now: pose if now < 4.0 else None)
+    result = drive.run()
+    assert not result.dock.success
+    assert result.exit_code in (1, 4)
+    assert drive.stands()
+
+
+def test_rover_that_stands_docked_stays_and_undocks_to_the_staging_pose(tmp_path):
+    where = place(direction="backward")
+    docked = VirtualDocking(where, Pose(2.005, 1.0, 0.01))
+    assert docked.run().dock.success
+    assert drove_m(docked) < 0.002
+    away = VirtualDocking(where, Pose(2.0, 1.0, 0.0), path=tmp_path / "away.mcap", undock=True)
+    assert away.run().dock.success
+    assert away.off[0] == pytest.approx(0.7, abs=0.05)
+    assert replay(away.path).same
+
+
+def drove_m(drive):
+    return distance(drive.rover.pose, drive.start)
+
+
+def test_rover_undocks_from_contact_without_any_pose():
+    drive = VirtualDocking(
+        place(), Pose(2.0, 1.0, 0.0), obstacles=[DOCK], see=lambda pose, now: None, undock=True
+    )
+    result = drive.run()
+    assert (result.dock.success, result.pose.placed) == (True, False)
+    assert drive.off[0] == pytest.approx(-0.7, abs=0.05)
+
+
+def test_rover_elsewhere_does_not_undock():
+    result = VirtualDocking(place(), START, undock=True).run()
+    assert (result.exit_code, result.stopped_by) == (4, "start-pose")
+    assert "does not stand in bay" in result.reason
+
+
+def test_somebody_on_the_way_to_the_staging_pose_stops_the_rover():
+    person = Obstacle(x=0.9, y=1.0, length=0.2, width=0.4)
+    drive = VirtualDocking(place(), Pose(0.2, 1.0, 0.0), obstacles=[person])
+    result = drive.run()
+    assert (result.exit_code, result.stopped_by) == (4, "stall")
+    assert drive.stands()
+
+
+def test_backward_docking_ends_within_the_tolerances():
+    where = place(direction="backward")
+    drive = VirtualDocking(where, Pose(2.9, 0.9, 0.4))
+    assert drive.run().dock.success
+    assert max(map(abs, drive.off[:2])) < 0.02

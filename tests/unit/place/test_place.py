@@ -1,0 +1,157 @@
+"""The file of a place, the ways to it, and the survey of poses."""
+
+import math
+
+import numpy as np
+import pytest
+from kit.virtual_docking import place
+
+from deploy.drive.measurements import pose_reader
+from deploy.place.docking import Docking
+from deploy.place.place import load_place, place_yaml
+from deploy.place.plan import approach, check_way, place_course, retreat, tail, to_staging
+from deploy.place.survey import blurred, complaint, survey
+from deploy.zenoh_client import with_covariance
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.errors import FormatError, NoPose, SafetyStop
+from rover_ncp.core.geometry import ORIGIN, Pose, distance, wrap_angle
+from rover_ncp.course.feasibility import Cause
+from rover_ncp.course.reference import OMEGA_MAX, V_MAX
+from rover_ncp.wire.messages import PoseSample, pose_stamped, pose_with_covariance, read_pose
+
+DIRECTIONS = "forward", "backward"
+STARTS = Pose(0.0, 0.0, 0.0), Pose(1.8, 2.5, 2.0), Pose(1.5, 1.0, -3.1), Pose(3.0, 1.4, 1.0)
+
+
+def ends_at(way, base):
+    """Return whether a way leads to a pose of the base."""
+    x, y, theta = way.reference.poses[-1].tolist()
+    end = tail(Pose(x, y, theta)) if way.backward else Pose(x, y, theta)
+    return distance(end, base) < 1e-6 and abs(wrap_angle(end.theta - base.theta)) < 0.03
+
+
+@pytest.mark.parametrize("direction", DIRECTIONS)
+@pytest.mark.parametrize("start", STARTS)
+def test_way_from_any_heading_is_drivable_and_ends_at_the_staging_pose(start, direction):
+    where = place(direction=direction)
+    way, problems = to_staging(where, start)
+    assert problems == ()
+    assert ends_at(way, where.staging)
+    speeds = np.abs(way.reference.motion).max(axis=0)
+    assert (speeds < [V_MAX, OMEGA_MAX]).all()
+    assert check_way(way, None).drivable
+
+
+@pytest.mark.parametrize("direction", DIRECTIONS)
+def test_approach_ends_at_the_place_slowly_and_retreat_at_the_staging_pose(direction):
+    where = place(direction=direction)
+    way, back = approach(where), retreat(where)
+    assert ends_at(way, where.goal)
+    assert ends_at(back, where.staging)
+    assert (way.backward, back.backward) == (where.backward, not where.backward)
+    left_m = np.hypot(*(way.reference.poses[:, :2] - [2.0, 1.0]).T)
+    assert way.reference.motion[left_m < 0.29, 0].max() <= 0.0401
+    assert place_course(where).goal == where.goal
+
+
+def test_slower_robot_gets_slower_ways():
+    usual, slow = (to_staging(place(), STARTS[0], None, slower)[0] for slower in (1.0, 2.0))
+    assert slow.reference.motion.max() == pytest.approx(0.5 * usual.reference.motion.max(), rel=0.05)
+
+
+def test_obstacle_in_the_way_leads_to_a_detour_and_one_at_the_staging_pose_to_a_reason():
+    start, wall = Pose(-0.5, 1.0, 0.0), {"x": 0.5, "y": 1.0, "length": 0.2, "width": 0.4}
+    direct, _ = to_staging(place(), start)
+    around, problems = to_staging(place(obstacles=[wall]), start)
+    assert problems == ()
+    assert around.course.horizon_s > direct.course.horizon_s
+    none, problems = to_staging(place(obstacles=[wall | {"x": 1.3}]), start)
+    assert none is None
+    assert problems[0].cause is Cause.OBSTACLE
+
+
+@pytest.mark.parametrize(
+    ("where", "start", "words"),
+    [
+        (place(), Pose(-3.0, 1.0, 0.0), "4.30 m from the staging pose (at most 3 m)"),
+        (
+            place(obstacles=[{"x": 1.3, "y": 1.0, "length": 0.2, "width": 0.2}]),
+            Pose(0.0, 1.0, 0.0),
+            "touches obstacle 1",
+        ),
+    ],
+)
+def test_start_without_a_way_is_refused_with_the_reason(where, start, words):
+    policy = load_policy("course")
+    docking = Docking(where, policy, policy, place_settings())
+    with pytest.raises(SafetyStop, match="start-pose") as refused:
+        docking.start(ORIGIN, 0.0, start)
+    assert words in str(refused.value)
+
+
+def place_settings():
+    from deploy.estimator.settings import EstimatorSettings
+
+    return EstimatorSettings()
+
+
+def test_place_file_is_read_as_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    where = place(name="charger", direction="backward", obstacles=[{"x": 1, "y": 2, "length": 1, "width": 1}])
+    (tmp_path / "charger.yaml").write_text(place_yaml(where))
+    assert load_place("charger") == load_place(str(tmp_path / "charger.yaml")) == where
+
+
+def samples(poses, frame="map"):
+    return [PoseSample(0, frame, Pose(*pose), np.zeros((3, 3))) for pose in poses]
+
+
+def test_survey_takes_the_median_across_the_angle_where_headings_wrap():
+    noise = np.random.default_rng(1).normal(size=(40, 3)) * [0.002, 0.004, 0.01]
+    poses = np.array([1.0, 2.0, math.pi]) + noise
+    poses[7] = [9.0, 9.0, 0.0]  # one that is no view of this place
+    seen = survey(samples(poses), 5.0)
+    assert seen.pose == pytest.approx((1.0, 2.0, seen.pose.theta), abs=0.003)
+    assert abs(wrap_angle(seen.pose.theta - math.pi)) < 0.006
+    assert seen.scatter.poses == 40
+
+
+@pytest.mark.parametrize(
+    ("poses", "words"),
+    [
+        (samples([(0, 0, 0)] * 9), "9 external poses arrived"),
+        (samples([(0, 0, 0)] * 9) + samples([(0, 0, 0)] * 9, "odom"), "frames 'map', 'odom'"),
+        (samples([(math.nan, 0, 0)] * 20), "0 external poses arrived"),
+    ],
+)
+def test_survey_without_enough_poses_of_one_frame_says_so(poses, words):
+    with pytest.raises(NoPose, match=words):
+        survey(poses, 5.0)
+
+
+def test_check_names_a_dock_that_was_moved_and_another_frame():
+    where, there = place(), [(2.0, 1.0, 0.0)] * 20
+    assert complaint(where, survey(samples(there), 5.0)) == ""
+    moved = survey(samples([(2.0, 1.05, 0.0)] * 20), 5.0)
+    assert "+50 mm to the left" in complaint(where, moved)
+    assert "frame 'odom'" in complaint(where, survey(samples(there, "odom"), 5.0))
+    rough = np.array(there) + np.random.default_rng(1).normal(size=(20, 3)) * [0.03, 0.03, 0.0]
+    assert blurred(where, survey(samples(rough), 5.0).scatter)
+    assert not blurred(where, survey(samples(there), 5.0).scatter)
+
+
+def test_pose_stamped_counts_as_a_pose_of_unknown_variance():
+    pose, covariance = Pose(1.0, -2.0, 0.5), np.diag([1.0, 2.0, 3.0])
+    found = read_pose(with_covariance(pose_stamped(pose, 17, "map")))
+    assert (found.stamp_ns, found.frame) == (17, "map")
+    assert found.pose == pytest.approx(pose)
+    assert not found.covariance.any()
+    whole = pose_with_covariance(pose, covariance, 17, "")
+    assert with_covariance(whole) == whole
+    assert with_covariance(b"short") == b"short"
+
+
+def test_pose_of_another_frame_names_both_frames():
+    data = pose_with_covariance(ORIGIN, np.eye(3), 0, "odom")
+    with pytest.raises(FormatError, match="pose in frame 'odom', expected 'map'"):
+        pose_reader("map")(data)

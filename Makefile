@@ -23,6 +23,10 @@ help: ## Print this list.
 park: $(STAMP) ## Park a simulated robot with a circuit trained on the spot.
 	$(BIN)/rover-ncp park --out runs/park --overwrite
 
+.PHONY: dock
+dock: $(STAMP) ## Dock a simulated robot at a place, by a camera and tags.
+	$(BIN)/rover-ncp park --dock --out runs/dock --overwrite
+
 .PHONY: test
 test: $(STAMP) ## The quick tests, which plain pytest runs too.
 # Unit tests compute and process tests wait: they run beside each other, those that wait with precedence.

@@ -13,6 +13,7 @@ from pydantic import BaseModel
 
 RESULTS = {
     "park": "sim.park.park:ParkResult",
+    "park --dock": "sim.park.dock:DockedResult",
     "train": "sim.learn.results:TrainResult",
     "train --randomize": "sim.learn.results:RobustResult",
     "train --task": "sim.learn.results:TaskResult",

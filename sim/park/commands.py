@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from rover_ncp.core.console import MAX_SEED, Json, Output, Overwrite
+from rover_ncp.core.console import MAX_SEED, Json, Output, Overwrite, reject
 from rover_ncp.core.files import DEFAULT_ROBOT
 
 
@@ -25,6 +25,12 @@ def park(
             "course unless --policy names another: only Pioneers are trained for."
         ),
     ] = DEFAULT_ROBOT,
+    dock: Annotated[
+        bool,
+        typer.Option(
+            "--dock", help="Train nothing: dock a mock with a camera at a place, by tags (docs/place.md)."
+        ),
+    ] = False,
     seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Root seed of the training.")] = 0,
     out: Annotated[Path, typer.Option(help="Folder for training, recording, picture and logs.")] = Path(
         "runs/park"
@@ -38,7 +44,16 @@ def park(
     on Zenoh; bridge and driver are the same processes that drive a real one, and talk over Zenoh. The true
     pose is judged, which the driver does not know. Ends with 0 parked, 1 not parked, or with the exit code of
     what failed.
+
+    With --dock, a localiser by tags is the fourth process, and the first approach is blocked on purpose.
     """
+    if dock:
+        from sim.park.dock import run_dock
+
+        given = {"course": course, "model": model}
+        odd = {name: value for name, value in given.items() if value not in {"parking", DEFAULT_ROBOT}}
+        reject("does not go with --dock", policy=policy, seed=seed or None, **odd)
+        return run_dock(Output(json), out, overwrite=overwrite)
     from sim.park.park import run_park
 
     return run_park(

@@ -1,0 +1,102 @@
+"""Docking in one go: a mock with a camera, a localiser by tags, bridge and driver as four real processes.
+
+Something blocks the wheels once during the first approach, so that a retry is seen.
+"""
+
+import math
+import shutil
+from pathlib import Path
+
+from pydantic import BaseModel, Field
+
+from deploy.place.outcome import PoseErrors
+from deploy.place.place import load_place
+from deploy.view.page import drive_page
+from deploy.view.recorded_drive import read_drive
+from rover_ncp.core.console import Output
+from rover_ncp.core.files import require_creatable, resolve, write_atomic
+from rover_ncp.core.geometry import Pose
+from rover_ncp.recording.recording import read_recording, rewrite
+from sim.live.live_run import LiveRun
+from sim.live.processes import Process, ProcessError, wait_for
+from sim.live.truth import TRUTH, recorded_truth
+
+APPROACH_S, DOCK_S = 120.0, 300.0
+"""Longest times until the first approach, and until the end."""
+BLOCKED = "stall@0-1"
+BLOCKED_AT_M = 0.45
+"""Distance from the place at which the wheels are blocked: on the approach, which begins at 0.7 m."""
+
+
+class DockedResult(BaseModel):
+    """Result of the command ``park --dock``."""
+
+    docked: bool = Field(description="the verdict on the true pose, by the place's tolerances")
+    driver: str = Field(description="the driver's own words")
+    tries: int = Field(description="approaches that were driven")
+    true_errors: PoseErrors = Field(description="of the true pose at the end")
+    poses: int = Field(description="that the tags gave")
+    recording: str = Field(description="with the true pose as truth/pose")
+    report: str = Field(description="the page of the drive")
+    view: str = Field(description="what the camera saw last, its tags outlined")
+
+
+def run_dock(output: Output, out: Path, *, overwrite: bool) -> int:
+    """Run ``park --dock`` and return its exit code. Raises RoverNcpError when a process fails."""
+    for name in ("run.mcap", f"log/{TRUTH}"):
+        require_creatable(out / name, overwrite=overwrite)
+    out.mkdir(parents=True, exist_ok=True)
+    files = {name: out / f"{name}.yaml" for name in ("camera", "tags", "place")}
+    for name, path in files.items():
+        shutil.copyfile(resolve("dock", name), path)
+    place = load_place(str(files["place"]))
+    recording, view, report = out / "run.mcap", out / "view.jpg", out / "run.html"
+    overwriting = ["--overwrite"] if overwrite else []
+    seen = ["--camera", str(files["camera"]), "--tags", str(files["tags"]), "--camera-listen", "127.0.0.1:0"]
+    with LiveRun(out / "log", mock=[*seen, *overwriting]) as run:
+        camera = run.mock.wait_for_line("camera at ")
+        localise = ["run", "--camera", camera, "--camera-file", str(files["camera"])]
+        localise += ["--map", str(files["tags"]), "--robot", run.robot, "--picture", str(view), "--json"]
+        tags = run.start_process(lambda: Process("tag", localise, out / "log"))
+        tags.wait_for_line("localising")
+        output.say(f"mock, bridge ({run.robot}) and localiser are up; the circuit drives to the place")
+        driver = run.deploy("--to", str(files["place"]), "--record", str(recording), *overwriting)
+        wait_for(lambda: _near(run, place.goal) or not driver.running, APPROACH_S, "the approach")
+        if driver.running:
+            output.say("the first approach is blocked on purpose")
+            run.mock.tell(BLOCKED)
+        done = driver.wait(DOCK_S)
+        if done.code not in {0, 1} or not done.result:
+            raise ProcessError("deploy", done.code, done.last_line)
+        found = tags.stop()
+        run.bridge.stop()
+        run.mock.stop()
+    truth = run.truth.read()
+    rewrite(read_recording(recording), recording, recorded_truth(truth))
+    write_atomic(report, drive_page(read_drive(recording)))
+    ahead, left, turned = place.errors(truth[-1].pose)
+    within = math.hypot(ahead, left) <= place.position_m and abs(turned) <= place.heading_rad
+    dock = done.result["dock"]
+    result = DockedResult(
+        docked=within,
+        driver=dock["error_msg"] or "docked",
+        tries=dock["num_retries"] + 1,
+        true_errors=PoseErrors(longitudinal_m=ahead, lateral_m=left, yaw_rad=turned),
+        poses=found.result.get("poses", 0),
+        recording=str(recording),
+        report=str(report),
+        view=str(view),
+    )
+    words = "docked" if within else "not docked"
+    output.result(
+        result.model_dump(),
+        f"{words} after {result.tries} tries; true errors {result.true_errors}; the driver says: "
+        f"{result.driver}\nreport: {report}\nwhat the camera saw: {view}\nrecording: {recording}",
+    )
+    return 0 if within and dock["success"] else 1
+
+
+def _near(run: LiveRun, goal: Pose) -> bool:
+    """Return whether the rover is on its approach."""
+    states = run.truth.read()
+    return bool(states) and math.dist(states[-1].pose[:2], goal[:2]) < BLOCKED_AT_M

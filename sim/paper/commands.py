@@ -135,6 +135,7 @@ def _make(output: Output, store: Any, names: list[Any], options: dict[str, Any])
     """Make runs; return a summary of each."""
     from rover_ncp.core.files import require_writable
     from sim.paper.command_results import MadeRun
+    from sim.paper.results import RunSummary
     from sim.paper.runs import make_runs
 
     made: list[MadeRun] = []
@@ -144,8 +145,7 @@ def _make(output: Output, store: Any, names: list[Any], options: dict[str, Any])
             MadeRun(
                 path=str(store.path(result.name.task, result.name.budget)),
                 **result.name.model_dump(),
-                **{name: getattr(result, name) for name in ("mean", "std", "plain_mean", "success")},
-                **{name: getattr(result, name) for name in ("cpu_s", "steps", "ended")},
+                **result.model_dump(include=set(RunSummary.model_fields)),
             )
         )
         outcome = "" if result.success else ", no success"
@@ -189,9 +189,9 @@ def _replay(output: Output, store: Any, names: list[Any]) -> int:
             continue
         found = replay(result)
         replayed += 1
-        exact += all(getattr(result, field) == value for field, value in found.items())
+        exact += found == result.score
         if not agrees(result, found):
-            differ.append(DifferentRun(**name.model_dump(), stored=result.mean, replayed=found["mean"]))
+            differ.append(DifferentRun(**name.model_dump(), stored=result.mean, replayed=found.mean))
     if not replayed:
         raise UsageError(f"{store.folder}: has no such runs to replay")
     output.result(

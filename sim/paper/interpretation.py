@@ -5,6 +5,7 @@ whether the whole run counts or only the drive, and the threshold. A sign here i
 """
 
 from collections import Counter
+from collections.abc import Iterable
 from functools import lru_cache
 from itertools import product
 from typing import Self
@@ -116,6 +117,12 @@ def readings(policy: Policy, drive: Rollout, source: str, destination: str) -> C
         positive, negative = counts(a[part], b[part], vertical=vertical)
         found.update(sign_of(positive, negative, threshold) for threshold in THRESHOLDS)
     return found
+
+
+def clear_signs(found: Iterable[Counter[Sign]]) -> list[Sign]:
+    """Return the sign of each circuit's ``readings`` where all of them give the same one."""
+    signs = [next(iter(each)) for each in found if len(each) == 1]
+    return [sign for sign in signs if sign is not Sign.NONE]
 
 
 def time_constants(store: ResultStore, task: str) -> dict[str, Range]:

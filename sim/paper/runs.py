@@ -22,7 +22,7 @@ from sim.learn.workers import ProcessPool, available_processes
 from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import GRADIENTS, NETWORKS, build_agent, load_agent
 from sim.paper.evaluator import Evaluator
-from sim.paper.results import Packed, Result, ResultStore, RunName
+from sim.paper.results import Packed, Result, ResultStore, RunName, Score
 from sim.paper.search.cma import CMA, HALVING, search_by_cma, search_by_halving
 from sim.paper.search.parking import ParkingEvaluator, search_parking
 from sim.paper.search.published import BenchmarkEstimator, Checkpoint, search_as_published
@@ -100,7 +100,7 @@ def train_run(
         curve=found.curve,
         policy=policy_to_yaml(agent) if circuit and isinstance(agent, Policy) else None,
         parameters=Packed.of(found.vector),
-        **score(task, agent, found.vector, name.seed, episodes, settings),
+        **score(task, agent, found.vector, name.seed, episodes, settings).model_dump(),
     )
 
 
@@ -147,8 +147,8 @@ def score(  # noqa: PLR0917
     seed: int,
     episodes: int,
     settings: Mapping[str, Any],
-) -> dict[str, Any]:
-    """Return the score of parameters (P,) in fresh episodes: the fields ``episodes`` to ``success`` of a run.
+) -> Score:
+    """Return the score of parameters (P,) in fresh episodes.
 
     Without an agent, the parameters are those of an actor (``search/gradients.py``). Parking is
     deterministic: one episode is enough. ``settings`` are those of the run.
@@ -157,7 +157,7 @@ def score(  # noqa: PLR0917
         assert agent is not None
         total, parked = ParkingEvaluator(task, agent).outcome(vector)
         success = parked and total >= task.success
-        return {"episodes": 1, "mean": total, "std": 0.0, "plain_mean": total, "success": success}
+        return Score(episodes=1, mean=total, std=0.0, plain_mean=total, success=success)
     seeds = draw_seeds(seed, (_FINAL,), episodes)
     if agent is None:
         from sim.paper.search.gradients import score_actor
@@ -168,17 +168,17 @@ def score(  # noqa: PLR0917
         found = evaluator.run(np.tile(vector, (episodes, 1)), seeds)
         returns, plain = found[:, :2].sum(axis=1), found[:, 0]
     plain_mean = float(plain.mean())
-    return {
-        "episodes": episodes,
-        "mean": float(returns.mean()),
-        "std": float(returns.std()),
-        "plain_mean": plain_mean,
-        "success": plain_mean >= task.success,
-    }
+    return Score(
+        episodes=episodes,
+        mean=float(returns.mean()),
+        std=float(returns.std()),
+        plain_mean=plain_mean,
+        success=plain_mean >= task.success,
+    )
 
 
-def replay(result: Result) -> dict[str, Any]:
-    """Return the score of a stored run's parameters now, as ``score`` does."""
+def replay(result: Result) -> Score:
+    """Return the score of a stored run's parameters now."""
     name = result.name
     agent: Policy | Net | None = None
     task = find_task(name.task)
@@ -190,15 +190,13 @@ def replay(result: Result) -> dict[str, Any]:
     return score(task, agent, vector, name.seed, result.episodes, result.settings)
 
 
-def agrees(result: Result, replayed: Mapping[str, Any]) -> bool:
+def agrees(result: Result, replayed: Score) -> bool:
     """Whether a replay has the stored verdict, and returns within ``TOLERANCE`` except a half-cheetah's."""
-    if replayed["success"] != result.success or replayed["episodes"] != result.episodes:
+    if (replayed.success, replayed.episodes) != (result.success, result.episodes):
         return False
-    if result.name.task == "half-cheetah":
-        return True
-    return all(
-        math.isclose(replayed[field], getattr(result, field), rel_tol=TOLERANCE, abs_tol=TOLERANCE)
-        for field in ("mean", "std", "plain_mean")
+    pairs = zip(replayed, result.score, strict=True)
+    return result.name.task == "half-cheetah" or all(
+        math.isclose(now, stored, rel_tol=TOLERANCE, abs_tol=TOLERANCE) for (_, now), (_, stored) in pairs
     )
 
 

@@ -67,6 +67,8 @@ def select(
     if circuit is not None:
         if agents or not tasks:
             raise UsageError("--circuit FILE is an agent of its own: give --task and no --agent")
+        if circuit.stem in AGENTS:
+            raise UsageError(f"--circuit {circuit}: {circuit.stem} is an agent of the paper; rename the file")
         groups = [Group(task, circuit.stem, budget) for budget in budgets for task in tasks]
         return [name for group in groups for name in group.names(seeds)]
     for agent in agents or ():

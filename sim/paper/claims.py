@@ -242,16 +242,6 @@ def fact(store: ResultStore, of: str, expected: Any, **arguments: Any) -> Outcom
     return Outcome(f"{found} against {expected}", Verdict.DIFFERS)
 
 
-def _size(_: ResultStore, task: str) -> str:
-    circuit = TASKS[task].circuit()
-    return f"{circuit.size} neurons, {circuit.synapse_count} synapses"
-
-
-def _sparsity(_: ResultStore) -> float:
-    circuit = TASKS["pendulum"].circuit()
-    return round(1.0 - circuit.synapse_count / circuit.size**2, 2)
-
-
 def _fewest_parameters(_: ResultStore, task: str) -> str:
     agents = ("circuit", "mlp", "lstm")
     sizes = {agent: build_agent(TASKS[task], agent, 0).layout().size for agent in agents}
@@ -274,8 +264,6 @@ def _varying_time_constants(store: ResultStore) -> str | None:
 
 
 _FACTS: Mapping[str, Callable[..., Any]] = {
-    "size": _size,
-    "sparsity": _sparsity,
     "parameters": _fewest_parameters,
     "time-constants": _overlapping_time_constants,
     "varying": _varying_time_constants,

@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.view.interpretation import STILL_MV, Sign, time_constant_ranges
+from deploy.view.interpretation import STILL_MV, Sign, sign_of, time_constant_ranges
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.course.course import load_course
@@ -96,15 +96,6 @@ def counts(a: FloatArray, b: FloatArray, *, vertical: bool) -> tuple[int, int]:
     a, b = (np.where(np.abs(each) <= STILL_MV, 0.0, each) for each in (a, b))
     slopes = np.where((a == 0.0) & vertical, b, a * b)
     return int(np.sum(slopes > 0.0)), int(np.sum(slopes < 0.0))
-
-
-def sign_of(positive: int, negative: int, threshold: float) -> Sign:
-    """Return the sign of counts P and Q."""
-    if positive + negative == 0:
-        return Sign.NONE
-    if positive > threshold * negative:
-        return Sign.POSITIVE
-    return Sign.ANTAGONISTIC if negative > threshold * positive else Sign.PHASE_SWITCHING
 
 
 def readings(policy: Policy, drive: Rollout, source: str, destination: str) -> Counter[Sign]:

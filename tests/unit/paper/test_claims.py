@@ -8,12 +8,12 @@ import pytest
 from kit.json_fields import assert_on_page
 from kit.paper_runs import result
 
-from deploy.view.interpretation import Sign
+from deploy.view.interpretation import Sign, sign_of
 from rover_ncp.cli import run
 from sim.paper import BudgetName, claims
 from sim.paper.claims import Claim, Verdict, judge_claims, load_claims
 from sim.paper.curves import average, curves_png
-from sim.paper.interpretation import counts, sign_of
+from sim.paper.interpretation import counts
 from sim.paper.report import LAYOUTS, long_report, short_report
 from sim.paper.results import ResultStore
 from sim.paper.selection import grid
@@ -155,7 +155,7 @@ def test_command_reports_runs_and_draws_their_curves(store, tmp_path, capsys):
     printed = json.loads(capsys.readouterr().out)
     assert_on_page(printed, "paper report")
     found = {claim["name"]: claim for claim in printed["claims"]}
-    verdicts = {"size": "reproduced", "parameters-mlp": "differs", "park-all": "inconclusive"}
+    verdicts = {"size": "not tested", "parameters-mlp": "differs", "park-all": "inconclusive"}
     assert {name: found[name]["verdict"] for name in verdicts} == verdicts
     for claim in found.values():
         assert claim["why"] or claim["figure"], claim["name"]

@@ -34,20 +34,15 @@ def test_an_actor_is_its_vector():
         Actor.of(actor.vector()[1:], 4, 1)
 
 
-@pytest.mark.parametrize("name", ["pendulum", "roboschool", "mountain-car"])
-def test_the_environment_starts_where_the_lanes_do(name):
-    task = TASKS[name]
-    evaluator = Evaluator(task, task.policy(task.circuit()), lanes=1)
-    seeds = draw_seeds(3, (1,), 4)
+def test_environment_starts_and_pays_as_the_searches_do():
+    task = TASKS["roboschool"]
+    seeds = draw_seeds(3, (1,), 2)
     world = PaperEnvironment(task)
-    for seed, start in zip(seeds, evaluator.starts(seeds), strict=True):
+    for seed, start in zip(
+        seeds, Evaluator(task, task.policy(task.circuit()), lanes=1).starts(seeds), strict=True
+    ):
         seen, _ = world.reset(seed=int(seed))
-        np.testing.assert_allclose(seen, start, rtol=1e-7)
-
-
-def test_the_bonus_is_on_every_rewarded_step():
-    world = PaperEnvironment(TASKS["roboschool"])
-    world.reset(seed=1)
+        assert seen.tolist() == start.tolist()
     rewards, places, over = [], [], False
     while not over:
         seen, reward, over, _, _ = world.step(np.array([3.0]))
@@ -55,7 +50,6 @@ def test_the_bonus_is_on_every_rewarded_step():
         places.append(seen[0])
     assert rewards[-1] == 0.0
     np.testing.assert_allclose(rewards[:-1], 1.0 + 0.2 * (1.0 - np.abs(places[:-1])))
-    assert world.unwrapped.dt == pytest.approx(0.0165)
 
 
 def test_an_actor_is_scored_with_and_without_the_bonus():

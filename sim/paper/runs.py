@@ -24,9 +24,9 @@ from sim.paper.agents import GRADIENTS, NETWORKS, build_agent, load_agent
 from sim.paper.evaluator import Evaluator
 from sim.paper.results import Packed, Result, ResultStore, RunName, Score
 from sim.paper.search.cma import CMA, HALVING, search_by_cma, search_by_halving
+from sim.paper.search.estimate import BenchmarkEstimator, Budget, Found
 from sim.paper.search.parking import ParkingEvaluator, search_parking
-from sim.paper.search.published import BenchmarkEstimator, Checkpoint, search_as_published
-from sim.paper.search.random import Budget, Found, search_randomly
+from sim.paper.search.published import SEARCHES, Checkpoint, search_from_one
 from sim.paper.tasks import Benchmark, Task, find_task
 
 _FINAL = 99
@@ -45,7 +45,16 @@ replay is compared by its verdict."""
 def budget_for(task: Task, name: BudgetName, agent: str = "circuit") -> Budget:
     """Return a budget: the paper's, one of some core-minutes at most, or one of seconds."""
     settings = task.settings
-    default = Budget(settings.rollouts, settings.worst, _UNLIMITED, task.steps, task.untuned, patience=15_000)
+    default = Budget(
+        settings.rollouts,
+        settings.worst,
+        _UNLIMITED,
+        task.steps,
+        task.untuned,
+        patience=15_000,
+        strategy=task.search,
+        prunes=True,
+    )
     if name is BudgetName.PUBLISHED and agent in NETWORKS:
         return Budget(*_NETWORK_SETTINGS, _UNLIMITED, 1, _UNLIMITED, "published-network")
     if name in FAITHFUL:
@@ -108,21 +117,19 @@ def _search(
     task: Task, agent: Policy | Net, seed: int, budget: Budget, checkpoint: Checkpoint
 ) -> tuple[Found, int, dict[str, Any]]:
     """Return what the search found, the steps it took, and the settings to record."""
-    if budget.strategy:
-        estimator = (
-            BenchmarkEstimator(task, agent, seed, budget)
-            if isinstance(task, Benchmark)
-            else ParkingEvaluator(task, agent)
-        )
-        return search_as_published(estimator, agent, seed, budget, checkpoint), estimator.steps, vars(budget)
     if not isinstance(task, Benchmark):
         parking = ParkingEvaluator(task, agent)
-        return search_parking(parking, agent, seed, budget), parking.steps, vars(budget)
-    evaluator = Evaluator(task, agent, for_search=True)
+        if budget.strategy in SEARCHES:
+            found = search_from_one(parking, agent, seed, budget, checkpoint)
+        else:
+            found = search_parking(parking, agent, seed, budget)
+        return found, parking.steps, vars(budget)
+    evaluator = BenchmarkEstimator(task, agent, seed, budget)
+    if budget.strategy in SEARCHES:
+        found = search_from_one(evaluator, agent, seed, budget, checkpoint)
+        return found, evaluator.steps, vars(budget)
     limits = {"steps": budget.steps, "starts": budget.starts}
-    if task.search == "random":
-        return search_randomly(evaluator, agent, seed, budget), evaluator.steps, vars(budget)
-    if task.search == "halving":
+    if budget.strategy == "halving":
         return search_by_halving(evaluator, agent, seed, budget), evaluator.steps, limits | HALVING
     judge = Evaluator(task, agent)
     found = search_by_cma(evaluator, judge, agent, seed, budget)

@@ -15,8 +15,9 @@ from sim.paper import BudgetName
 from sim.paper.agents import build_agent
 from sim.paper.evaluator import Evaluator
 from sim.paper.runs import budget_for
+from sim.paper.search.estimate import BenchmarkEstimator
 from sim.paper.search.parking import ParkingEvaluator
-from sim.paper.search.published import SEARCHES, BenchmarkEstimator, Checkpoint, search_as_published
+from sim.paper.search.published import SEARCHES, Checkpoint, search_from_one
 from sim.paper.tasks import TASKS, Benchmark
 
 ALONE = Checkpoint(None, {})
@@ -30,7 +31,7 @@ def budget(name, iterations, which=BudgetName.PUBLISHED, **changes):
 def search(name, limits, *, checkpoint=ALONE, most=None):
     task = TASKS[name] if most is None else replace(TASKS[name], most=most)
     agent = build_agent(task, "circuit", 1)
-    return search_as_published(BenchmarkEstimator(task, agent, 1, limits), agent, 1, limits, checkpoint)
+    return search_from_one(BenchmarkEstimator(task, agent, 1, limits), agent, 1, limits, checkpoint)
 
 
 def fast(strategy, agent, returns, iterations, ahead=7):

@@ -12,8 +12,8 @@ from sim.paper.evaluator import Evaluator
 from sim.paper.runs import budget_for
 from sim.paper.search import cma
 from sim.paper.search.cma import search_by_cma, search_by_halving, spread_seeds
+from sim.paper.search.estimate import BenchmarkEstimator
 from sim.paper.search.parking import ParkingEvaluator, search_parking
-from sim.paper.search.random import estimate
 from sim.paper.tasks import TASKS
 
 
@@ -78,14 +78,14 @@ def test_a_return_that_the_judge_does_not_confirm_is_not_enough(monkeypatch):
 
 
 def test_an_estimate_is_the_papers_except_for_pruned_candidates():
-    place, policy = evaluator("cart-pole")
+    policy = build_agent(TASKS["cart-pole"], "circuit", 0)
     vectors = np.tile(policy.parameters(), (3, 1))
-    budget = default_budget("cart-pole")
-    full = estimate(place, vectors, 5, 0, np.full(3, -np.inf), budget)
+    place = BenchmarkEstimator(TASKS["cart-pole"], policy, 5, default_budget("cart-pole"))
+    full = place.estimate(vectors, 0, np.full(3, -np.inf))
     returns = place.returns(vectors[:1], draw_seeds(5, (1, 0), 20))[0]
     assert full[0] == pytest.approx(np.sort(returns)[:10].mean())
     steps = place.steps
-    pruned = estimate(place, vectors, 5, 0, np.full(3, 400.0), budget)
+    pruned = place.estimate(vectors, 0, np.full(3, 400.0))
     assert np.all(pruned <= 400.0)
     assert place.steps - steps < 3 * 60  # one rollout each
 

@@ -107,6 +107,7 @@ def paper(
     from sim.paper.agents import AGENTS
     from sim.paper.command_results import MadeResult
     from sim.paper.results import ResultStore
+    from sim.paper.runs import is_stored
     from sim.paper.selection import select
 
     given: dict[str, Any] = {"task": task, "agent": agent, "seed": seed, "circuit": circuit, "budget": budget}
@@ -122,7 +123,7 @@ def paper(
     if cluster is not None and any(each is not None for each in (processes, circuit, checkpoint)):
         raise UsageError("--cluster cannot be combined with --processes, --circuit or --checkpoint")
     names = select(task, agent, seed, circuit, [budget or BudgetName.DEFAULT])
-    left = [name for name in names if again or store.find(name) is None]
+    left = [name for name in names if again or not is_stored(store, name, circuit)]
     every_s = 60.0 * (5.0 if checkpoint is None else checkpoint)
     options = {"circuit": circuit, "cluster": cluster, "processes": processes, "every_s": every_s}
     made = _make(output, store, left, options) if left else []

@@ -197,6 +197,14 @@ def replay(result: Result) -> Score:
     return score(task, agent, vector, name.seed, result.episodes, result.settings)
 
 
+def is_stored(store: ResultStore, name: RunName, circuit: Path | None) -> bool:
+    """Whether a run exists; where a circuit file is given, a run of what it contains now."""
+    stored = store.find(name)
+    if stored is None or circuit is None:
+        return stored is not None
+    return stored.policy == policy_to_yaml(load_agent(find_task(name.task), circuit))
+
+
 def agrees(result: Result, replayed: Score) -> bool:
     """Whether a replay has the stored verdict, and returns within ``TOLERANCE`` except a half-cheetah's."""
     if (replayed.success, replayed.episodes) != (result.success, result.episodes):

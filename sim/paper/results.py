@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -116,6 +117,12 @@ class ResultStore:
         """Return the finished runs of an agent, by seed. Raises FileError."""
         runs = self._runs(self.path(task, budget)).values()
         return sorted((run for run in runs if run.name.agent == agent), key=lambda run: run.name.seed)
+
+    def every(self) -> Iterator[Result]:
+        """Yield all runs, file by file. Raises FileError."""
+        for budget in BudgetName:
+            for path in sorted((self.folder / budget).glob("*.jsonl")):
+                yield from self._runs(path).values()
 
     def save(self, result: Result) -> None:
         """Append a result to its file. Raises FileError."""

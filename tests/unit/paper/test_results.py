@@ -28,6 +28,7 @@ def test_last_line_of_a_name_counts(tmp_path):
     store.save(result("cart-pole", "mlp-wide", 1, 6.0))
     assert [run.mean for run in store.results("cart-pole", "mlp", BudgetName.PUBLISHED)] == [5.0, 2.0]
     assert store.results("cart-pole", "mlp") == []
+    assert len(list(store.every())) == 3
     again = ResultStore(tmp_path)
     assert again.find(result("cart-pole", "mlp", 3, 0.0).name) == result("cart-pole", "mlp", 3, 2.0)
 

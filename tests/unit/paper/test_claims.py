@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from rover_ncp.cli import run
 from sim.paper import BudgetName, claims
 from sim.paper.claims import Claim, Verdict, judge_claims, load_claims
 from sim.paper.curves import average, curves_png
-from sim.paper.interpretation import counts
+from sim.paper.interpretation import counts, readings
 from sim.paper.report import LAYOUTS, long_report, short_report
 from sim.paper.results import ResultStore
 from sim.paper.selection import grid
@@ -127,6 +128,17 @@ def test_vertical_steps_count_only_if_wanted_and_still_ones_never():
     assert sign_of(3, 2, 1.5) is Sign.PHASE_SWITCHING
     assert sign_of(1, 9, 2.0) is Sign.ANTAGONISTIC
     assert sign_of(0, 0, 2.0) is Sign.NONE
+
+
+def test_definition_1_is_read_with_and_without_the_rest_at_three_thresholds():
+    # In 28 ticks at rest the two move apart, in 20 of driving alike.
+    source, target = np.arange(48.0), np.concatenate([-np.arange(28.0), np.arange(20.0) - 27.0])
+    poses = np.zeros((49, 3))
+    poses[29:, 0] = 0.01 * np.arange(1, 21)
+    drive = SimpleNamespace(potentials=np.column_stack([source, target]), poses=poses)
+    policy = SimpleNamespace(circuit=SimpleNamespace(index=["AVA", "RGT"].index))
+    found = readings(policy, drive, "AVA", "RGT")
+    assert found == {Sign.POSITIVE: 6, Sign.ANTAGONISTIC: 2, Sign.PHASE_SWITCHING: 4}
 
 
 def test_sign_has_a_verdict_only_where_all_readings_agree(store, monkeypatch):

@@ -36,7 +36,7 @@ def search(name, limits, *, checkpoint=ALONE, most=None):
 
 
 def fast(strategy, agent, returns, iterations, ahead=7):
-    """Return the incumbent and its value by iteration, where a fast search on recorded returns changes them."""
+    """Return the incumbent and its value by iteration where a fast search may change them."""
     first = agent.parameters() if hasattr(agent, "parameters") else np.zeros(agent.layout().size)
     found = SEARCHES[strategy].begin(agent.layout(), first, np.random.default_rng(5))
     states = {}

@@ -124,7 +124,7 @@ def slopes(a: ArrayLike, b: ArrayLike) -> Slopes:
     positive, negative = int(np.sum(omega > 0)), int(np.sum(omega < 0))
     histogram, _ = np.histogram(omega, BINS, (-np.pi / 2, np.pi / 2))
     return Slopes(
-        sign=_sign(positive, negative),
+        sign=sign_of(positive, negative),
         positive=positive,
         negative=negative,
         flat=len(omega) - positive - negative,
@@ -183,11 +183,12 @@ def _steps(potentials: ArrayLike) -> FloatArray:
     return steps
 
 
-def _sign(positive: int, negative: int) -> Sign:
+def sign_of(positive: int, negative: int, threshold: float = THRESHOLD) -> Sign:
+    """Return the sign of counts P and Q: one must exceed the other by the factor ``threshold``."""
     if positive + negative == 0:
         return Sign.NONE
-    if positive > THRESHOLD * negative:
+    if positive > threshold * negative:
         return Sign.POSITIVE
-    if negative > THRESHOLD * positive:
+    if negative > threshold * positive:
         return Sign.ANTAGONISTIC
     return Sign.PHASE_SWITCHING

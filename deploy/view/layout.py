@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deploy.view.trace import FloatArray
 from rover_ncp.circuit.policy import Policy
-
-FloatArray = NDArray[np.float64]
 
 WIDTH, HEIGHT, ROW = 560.0, 600.0, 160.0
 RADIUS = 30.0

@@ -21,6 +21,7 @@ import uvicorn
 import zenoh
 from anyio import CapacityLimiter, create_task_group
 from anyio.to_thread import run_sync
+from pydantic import Field
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
@@ -98,10 +99,8 @@ class Viewer(ZenohClient):
 class WatchResult(ResultModel):
     """What ``rover-ncp watch`` prints at its end."""
 
-    address: str
-    """to open in a browser"""
-    robot: str
-    """the bridge's Zenoh address"""
+    address: str = Field(description="to open in a browser")
+    robot: str = Field(description="the bridge's Zenoh address")
 
 
 def run(address: BridgeAddress, policy: str, course: str, port: int, output: Output, *, model: str) -> int:

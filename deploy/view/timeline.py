@@ -11,9 +11,8 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from deploy.view.trace import Trace, motor_outputs
+from deploy.view.trace import FloatArray, Trace, motor_outputs
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, compose, inverse
@@ -30,8 +29,6 @@ from rover_ncp.wire.messages import (
     read_twist,
 )
 from rover_ncp.wire.protocol import DriverStatus, GateStatus, parse_json
-
-FloatArray = NDArray[np.float64]
 
 TRUTH_TOPIC = "truth/pose"
 MAX_VALUE = 1e9

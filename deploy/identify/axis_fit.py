@@ -58,16 +58,10 @@ class OdometryErrors(NamedTuple):
 
 
 class Axis(NamedTuple):
-    """One axis: s, gain as odometry sees it, m/s² or rad/s² (true); and their standard deviations; SI."""
+    """Delay (s), gain as odometry sees it, true acceleration and deceleration (m/s² or rad/s²) of an axis."""
 
-    delay_s: float
-    gain: float
-    acceleration: float
-    deceleration: float
-    delay_std: float
-    gain_std: float
-    acceleration_std: float
-    deceleration_std: float
+    values: FloatArray
+    std: FloatArray
     residual: float
     """Root mean square over the blocks that were kept, m/s or rad/s."""
 
@@ -165,7 +159,7 @@ def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis |
     deviations = units * np.sqrt(np.diag(covariance + shift @ odometry.covariance @ shift.T))
     found = np.append(x[:2], units[2:])
     residual = float(np.sqrt(np.mean(np.square(residuals(x)[chosen]))))
-    return Axis._make([*found.tolist(), *deviations.tolist(), residual])
+    return Axis(found, deviations, residual)
 
 
 def _changes(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,9 +1,8 @@
 """The commands ``course`` and ``report``; heavy libraries load only when one runs."""
 
 import re
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -12,15 +11,8 @@ from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
 
 
-class What(StrEnum):
-    """Actions on a course."""
-
-    NEW = "new"
-    CHECK = "check"
-
-
 def course(
-    what: Annotated[What, typer.Argument(help="new: make one. check: can it be driven?")],
+    what: Annotated[Literal["new", "check"], typer.Argument(help="new: make one. check: can it be driven?")],
     source: Annotated[
         str,
         typer.Argument(
@@ -64,7 +56,7 @@ def course(
     from rover_ncp.robot.description import load_description
 
     output, pace = Output(json), ""
-    if what is What.NEW:
+    if what == "new":
         reject("is for check", model=model)
         made, found = _new(Path(source), out, name)
     else:

@@ -14,27 +14,18 @@ from rover_ncp.core.files import DEFAULT_ROBOT
 def course(
     what: Annotated[Literal["new", "check"], typer.Argument(help="new: make one. check: can it be driven?")],
     source: Annotated[
-        str,
-        typer.Argument(
-            help="new: poses (YAML, CSV) or a recorded drive (MCAP). check: a course by name or file."
-        ),
+        str, typer.Argument(help="new: poses (YAML, CSV) or a recorded drive (MCAP). check: a course.")
     ],
     *,
     out: Annotated[
         Path | None,
-        typer.Option(
-            help="new: the course's file (YAML). check: a picture (PNG or SVG).", show_default=False
-        ),
+        typer.Option(help="new: the course (YAML). check: a picture (PNG, SVG).", show_default=False),
     ] = None,
     name: Annotated[
         str | None, typer.Option(help="new: what the course is called.", show_default="the file's name")
     ] = None,
     model: Annotated[
-        str | None,
-        typer.Option(
-            help="check: the robot's description, for its speeds and outline: a name or a file.",
-            show_default=DEFAULT_ROBOT,
-        ),
+        str | None, typer.Option(help="check: the robot's description.", show_default=DEFAULT_ROBOT)
     ] = None,
     json: Json = False,
 ) -> int:

@@ -23,14 +23,14 @@ from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import neurons, read_neurons, read_text, read_twist, text
 
 MS = 1_000_000
-TICKS = 60
+TICKS = 40
 COURSE = load_course("parking").model_copy(update={"start_signal_s": 0.5})
 
 
 def record_drive(path, policy):
-    """Record a drive that loses one of 17 samples of odometry; return its result."""
+    """Record a drive that loses one of 13 samples of odometry; return its result."""
     virtual, count = VirtualDrive(policy, COURSE, path, ticks=TICKS), itertools.count(1)
-    virtual.link.change["odom"] = lambda data: data if next(count) % 17 else None
+    virtual.link.change["odom"] = lambda data: data if next(count) % 13 else None
     return virtual.run()
 
 
@@ -180,9 +180,9 @@ def other_estimate(data):
 )
 def test_what_was_changed_in_a_recording_is_found(recorded, tmp_path, topic, change, quantity):
     # Odometry came before the start, too.
-    difference = rewritten(recorded, tmp_path, topic, -38 if topic == "odom" else 20, change)
+    difference = rewritten(recorded, tmp_path, topic, 18 - TICKS if topic == "odom" else 18, change)
     assert difference.quantity.startswith(quantity)
-    assert 18 <= difference.tick <= 22
+    assert 16 <= difference.tick <= 20
     assert str(difference).startswith(f"tick {difference.tick}: {quantity}")
 
 

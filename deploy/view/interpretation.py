@@ -99,10 +99,6 @@ def slopes(a: ArrayLike, b: ArrayLike) -> Slopes:
     potential changes are not counted.
     """
     da, db = _steps(a), _steps(b)
-    if da.shape != db.shape:
-        raise ValueError(
-            f"potentials of one run must have the same length, got {len(da)} and {len(db)} steps"
-        )
     changed = (da != 0) | (db != 0)
     da, db = da[changed], db[changed]
     # The slope of a line does not depend on the direction of travel; vertical lines keep the sign of db.
@@ -161,10 +157,7 @@ def time_constant_ranges(
 
 
 def _steps(potentials: ArrayLike) -> FloatArray:
-    values = np.asarray(potentials, np.float64)
-    if values.ndim != 1 or not np.isfinite(values).all():
-        raise ValueError("expected the potentials of one neuron as a row of finite numbers")
-    steps = np.diff(values)
+    steps = np.diff(np.asarray(potentials, np.float64))
     steps[np.abs(steps) <= STILL_MV] = 0.0
     return steps
 

@@ -180,13 +180,6 @@ def test_declared_noise_does_not_move_a_standing_rover(speed_noise):
         assert estimator.at(tick * DT).pose == pytest.approx((1.0, 2.0, 0.5), abs=1e-9)
 
 
-def test_old_measurements_are_rejected():
-    estimator = started()
-    estimator.odometry(Pose(0, 0, 0), STANDSTILL, 1.0)
-    assert estimator.odometry(Pose(0, 0, 0), STANDSTILL, 0.9) is Outcome.OUT_OF_ORDER
-    assert estimator.odometry(Pose(0, 0, 0), STANDSTILL, 1.0) is Outcome.ACCEPTED  # the same moment is fine
-
-
 def test_past_estimate_is_that_of_its_moment():
     estimator, x, then = started(), 0.0, {}
     for tick in range(1, 31):

@@ -171,11 +171,6 @@ def test_command_writes_the_page_beside_the_recording(tmp_path, capsys):
     assert (tmp_path / "other.html").read_bytes() == page.read_bytes()
 
 
-def test_command_names_a_missing_recording(tmp_path, capsys):
-    assert run(["report", str(tmp_path / "none.mcap")]) == 2
-    assert "none.mcap" in capsys.readouterr().err
-
-
 def test_messages_are_taken_while_a_drive_is_explained(monkeypatch):
     policy, course = load_policy("parking"), load_course(SHORT)
     received, _ = drive_messages(policy, course)

@@ -116,15 +116,6 @@ def test_unreadable_messages_are_counted_and_skipped(short, topic):
     assert len(timeline.ticks) == course.ticks
 
 
-def test_neurons_of_another_circuit_are_rejected(short):
-    policy, course, received, _ = short
-    other = Recorded(
-        "rover/neurons", "std_msgs/msg/Float64MultiArray", messages.neurons([-70.0], ["X"]), BEGAN_NS, 0
-    )
-    timeline = timeline_of(policy, course, [*received[:5], other])
-    assert timeline.unreadable == {"rover/neurons": 1}
-
-
 @pytest.mark.parametrize("truth", [True, False])
 def test_drive_is_judged_by_the_true_and_the_estimated_pose(tmp_path, truth):
     run = write_drive(tmp_path / "run.mcap", course=SHORT, truth=truth)

@@ -1,14 +1,16 @@
+import functools
 import math
 
 import numpy as np
 import pytest
 from kit.base_odometry import reported
+from kit.virtual_drive import AHEAD
 
 from deploy.drive.controller import Controller
 from deploy.estimator.measurements import Outcome
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy import course_policy
-from rover_ncp.circuit.policy_file import load_circuit, load_policy
+from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, compose, distance, relative
 from rover_ncp.course.course import load_course
@@ -19,17 +21,16 @@ from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import nominal_trials
 
-GOLDEN = "tests/data/golden/parking.bnn"
 COURSE = load_course("parking")
 DT = 0.1
 
 
-@pytest.fixture(scope="module")
-def policy(request):
-    return load_policy(request.config.rootpath / GOLDEN)
+def exact(pose, velocity):
+    return pose, velocity
 
 
-def drive(policy, odom=ORIGIN, pose=ORIGIN, report=lambda p, v: (p, v), latency=0.003):
+@functools.cache
+def drive(policy=AHEAD, odom=ORIGIN, pose=ORIGIN, report=exact, latency=0.003):
     """A whole course in simulation; returns the true poses (course frame), the ticks, the controller."""
     rover = PymunkRover(default_rover(), Ground(), pose)
     controller = Controller(policy, COURSE, EstimatorSettings())
@@ -48,9 +49,9 @@ def drive(policy, odom=ORIGIN, pose=ORIGIN, report=lambda p, v: (p, v), latency=
     return poses, ticks, controller
 
 
-def test_the_circuit_is_run_as_in_the_simulator(policy):
-    _, ticks, _ = drive(policy, latency=0.0)
-    runner = Runner(policy)
+def test_the_circuit_is_run_as_in_the_simulator():
+    _, ticks, _ = drive()
+    runner = Runner(AHEAD)
     runner.tick((0.0, 0.0, 0.0, 0.0))
     for tick in ticks:
         start = 1.0 if tick.index >= 30 else 0.0
@@ -85,16 +86,16 @@ def started_at(pose):
     return trials._replace(start=np.array([pose]))
 
 
-def test_the_origin_of_odometry_is_of_no_consequence(policy):
-    _, ticks, _ = drive(policy)
-    _, moved, _ = drive(policy, odom=Pose(-0.4, 0.1, math.pi))
+def test_the_origin_of_odometry_is_of_no_consequence():
+    _, ticks, _ = drive()
+    _, moved, _ = drive(odom=Pose(-0.4, 0.1, math.pi))
     for tick, other in zip(ticks, moved, strict=True):
         assert distance(tick.estimate.pose, other.estimate.pose) < 1e-6
         assert tick.command == pytest.approx(other.command, abs=1e-6)
 
 
-def test_the_verdict_is_the_courses_on_the_estimates(policy):
-    poses, _, controller = drive(policy)
+def test_the_verdict_is_the_courses_on_the_estimates():
+    poses, _, controller = drive()
     assert controller.verdict().reason.endswith("(at most 0.1 m)")
     controller.record_estimate(COURSE.ticks, COURSE.ticks * DT)
     assert controller.verdict().error_m == pytest.approx(distance(poses[-1], COURSE.goal), abs=0.03)

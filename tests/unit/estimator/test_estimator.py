@@ -1,3 +1,4 @@
+import copy
 import functools
 import math
 
@@ -66,9 +67,8 @@ def test_prediction_bridges_a_missing_sample():
         if number % 3 == 2:
             estimate = estimator.at(t)
             errors.append(distance(estimate.pose, pose))
-            assert (
-                abs(wrap_angle(estimate.pose.theta - pose.theta)) < 0.016
-            )  # ½ α dt² is 6 mrad, twice on a reversal
+            # ½ α dt² is 6 mrad, twice on a reversal.
+            assert abs(wrap_angle(estimate.pose.theta - pose.theta)) < 0.016
         else:
             estimator.odometry(*reported(pose, velocity), t)
     assert max(errors) < 0.006  # holding the old pose would be off by 16 mm
@@ -77,10 +77,13 @@ def test_prediction_bridges_a_missing_sample():
 @pytest.mark.parametrize("lasts_s", [0.13, 0.23, 0.38])
 def test_odometry_that_waited_behind_a_pause_fits_in_spite_of_its_stamps(lasts_s):
     """A bridge that does not run stamps what has come meanwhile with the moment of its reading."""
-    rows, refused = manoeuvre(), 0
+    before, usual, refused = 0, started(), 0
     for begin in np.arange(3.0, 20.0, 1.07):
-        estimator, arrived = started(), -1.0
-        for t, pose, velocity in rows[: round(10 * begin) + 10]:
+        first = math.ceil(10 * begin)
+        for t, pose, velocity in manoeuvre()[before:first]:
+            usual.odometry(*reported(pose, velocity), t)
+        before, estimator, arrived = first, copy.deepcopy(usual), t
+        for t, pose, velocity in manoeuvre()[first : first + 10]:
             arrived = max(begin + lasts_s if begin <= t < begin + lasts_s else t, arrived + 0.0004)
             estimator.odometry(*reported(pose, velocity), arrived)
             if t > begin + lasts_s + 0.25:

@@ -85,21 +85,27 @@ def test_voltage_of_zero_is_not_known_as_to_the_gate(volts, ok, words):
     assert detail.startswith(words)
 
 
-def test_the_check_keeps_its_lease_while_it_measures_and_prints_the_line_to_add(monkeypatch):
-    states = ["unknown", *["running"] * 8, "measured"]
-    replies = (BaseReply(model="mine", state=state, timeout_s=0.514) for state in states)
+@pytest.mark.parametrize(
+    ("states", "ok", "words"),
+    [
+        (["running"] * 8 + ["measured"], True, f": measured_base_timeout_s: 0.52 # {date.today()}"),
+        (["running", "unknown"], False, "the timeout was not measured: a stop"),
+        (["running", "none"], False, "if the bridge dies, the base does not"),
+    ],
+)
+def test_the_check_keeps_its_lease_while_it_measures_and_says_what_it_found(monkeypatch, states, ok, words):
+    replies = (BaseReply(model="mine", state=state, timeout_s=0.514) for state in ("unknown", *states))
     requested = []
-
-    def request(name, unchecked=False):
-        requested.append((name, unchecked))
-
-    link = SimpleNamespace(about_base=lambda measure=False: next(replies), request_motors=request)
+    link = SimpleNamespace(
+        about_base=lambda measure=False: next(replies),
+        request_motors=lambda name, unchecked: requested.append((name, unchecked)),
+    )
     monkeypatch.setattr(Preflight, "_move", lambda self, velocity: None)
-    monitor = SimpleNamespace(until=lambda condition, timeout_s: False)
-    found, detail = Preflight(link, None, monitor, None)._check_base_timeout()
-    assert found
-    assert detail.endswith(f"measured_base_timeout_s: 0.52 # {date.today()}")
-    assert requested == [("check", True)] * 9  # one for the move, and one at each look
+    monitor, measurements = SimpleNamespace(until=lambda condition, timeout_s: False), SimpleNamespace()
+    found, detail = Preflight(link, measurements, monitor, Battery())._check_base_timeout()
+    assert found is ok
+    assert words in detail
+    assert requested == [("check", True)] * len(states)  # one for the move, and one at each look
 
 
 @pytest.mark.parametrize(("decel", "ok"), [(1.0, False), (0.1, True)])
@@ -212,22 +218,3 @@ def test_rare_odometry_is_listened_to_once_more(reports, ok):
     found, words = Preflight(None, measurements, monitor, Battery())._check_odometry()
     assert found is ok
     assert words == f"{reports[-1] / 2:.1f} reports a second (at least 8)"
-
-
-@pytest.mark.parametrize(
-    ("state", "words"),
-    [
-        ("unknown", "the timeout was not measured: a stop"),
-        ("none", "if the bridge dies, the base does not"),
-    ],
-)
-def test_a_measurement_that_a_stop_ended_is_not_called_a_missing_timeout(monkeypatch, state, words):
-    replies = (BaseReply(model="husky-a200", state=state) for state in ("unknown", "running", state))
-    link = SimpleNamespace(
-        about_base=lambda measure=False: next(replies), request_motors=lambda name, unchecked: None
-    )
-    monkeypatch.setattr(Preflight, "_move", lambda self, velocity: None)
-    monitor, measurements = SimpleNamespace(until=lambda condition, timeout_s: False), SimpleNamespace()
-    found, detail = Preflight(link, measurements, monitor, Battery())._check_base_timeout()
-    assert found is False
-    assert detail.startswith(words)

@@ -22,22 +22,15 @@ SETTINGS = EstimatorSettings()
 COVARIANCE = np.diag(np.square([0.005, 0.005, math.radians(0.5)]))
 COUNT = 30
 SENSORS = {
-    "encoders": {},
-    "gyro": {"gyro": True},
-    "camera": {"camera": Camera()},
-    "both": {"camera": Camera(), "gyro": True},
-    "motion capture": {"camera": Camera(every=1, delay_s=0.01, sigma=(0.001, 0.001, 0.002))},
+    "encoders": ({}, 50, 0.10),
+    "gyro": ({"gyro": True}, 95, 0.14),
+    "camera": ({"camera": Camera()}, 95, 0.014),
+    "both": ({"camera": Camera(), "gyro": True}, 95, 0.014),
+    "motion capture": ({"camera": Camera(every=1, delay_s=0.01, sigma=(0.001, 0.001, 0.002))}, 95, 0.002),
 }
-POSITION_M = {
-    "encoders": (50, 0.10),
-    "gyro": (95, 0.14),
-    "camera": (95, 0.014),
-    "both": (95, 0.014),
-    "motion capture": (95, 0.002),
-}
-"""A percentile of the drives, and the largest error there. With encoders alone it is the median: the tail
-depends on how long the longest of these random courses are, from 0.2 to 0.6 m. Odometry that misses ±25 % of
-a turn errs by decimetres, odometry with a gyro by the slide of ±8 cm per rad. With poses the error is to be
+"""Sensors, a percentile of the drives, and the largest error there, m. With encoders alone it is the median:
+the tail depends on how long the longest of these random courses are, from 0.2 to 0.6 m. Odometry that misses
+±25 % of a turn errs by decimetres, with a gyro by the slide of ±8 cm per rad. With poses the error is to be
 less than that of one of them (2.45 σ)."""
 
 
@@ -48,7 +41,7 @@ def drives(count):
 
 @pytest.fixture(scope="module")
 def runs():
-    return {name: [drive.follow(**sensors) for drive in drives(COUNT)] for name, sensors in SENSORS.items()}
+    return {name: [drive.follow(**row[0]) for drive in drives(COUNT)] for name, row in SENSORS.items()}
 
 
 def band(degrees, count, share=0.999):
@@ -63,7 +56,7 @@ def test_errors_at_the_goal_agree_with_the_covariance(runs, name):
     nees = [error @ np.linalg.solve(covariance, error) for error, covariance in ends]
     low, high = band(3, COUNT)
     assert low < np.mean(nees) < high
-    share, most_m = POSITION_M[name]
+    _, share, most_m = SENSORS[name]
     assert np.percentile([math.hypot(*error[:2]) for error, _ in ends], share) < most_m
     assert not any(estimator.fault or estimator.rejected for _, _, estimator in runs[name])
 

@@ -134,7 +134,7 @@ def result_of(drive: Drive, recording: Mapping[str, Any]) -> DriveResult:
     else:
         fails = {Parked.NO, Parked.UNCERTAIN} if config.require_certainty else {Parked.NO}
         code = 1 if verdict.words in fails and not config.dry_run else 0
-    latencies_ms = np.array(drive.latencies_ns or [0]) / 1e6
+    p50, p99 = (np.percentile(drive.latencies_ns or [0], [50, 99]) / 1e6).tolist()
     estimator, outcomes = drive.controller.estimator, drive.controller.estimator.poses
     odometry, gyro, pose = (
         {name: getattr(drive.measurements, name)[topic] for name in ("taken", "unreadable", "doubtful")}
@@ -151,9 +151,7 @@ def result_of(drive: Drive, recording: Mapping[str, Any]) -> DriveResult:
         predicted_error_m=drive.predicted_error_m,
         estimate_error_m=verdict.error_m if verdict else None,
         estimate_error_rad=verdict.error_rad if verdict else None,
-        odometry_to_command_ms=Latency(
-            p50=float(np.percentile(latencies_ms, 50)), p99=float(np.percentile(latencies_ms, 99))
-        ),
+        odometry_to_command_ms=Latency(p50=p50, p99=p99),
         odometry=Odometry(**odometry, rejected=estimator.rejected),
         gyro=Odometry(**gyro, rejected=estimator.gyro_rejected),
         pose=ExternalPoses(

@@ -123,17 +123,13 @@ def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis |
     kept = ~np.isin(blocks, _outliers(residuals(x), blocks, scale))
     for _ in range(8):
         chosen = kept
-
-        def weighted(table: FloatArray, chosen: NDArray[np.bool_] = chosen) -> FloatArray:
-            found: FloatArray = (table.T * weights).T[chosen]
-            return found
-
         fit = least_squares(
-            lambda x, weighted=weighted: weighted(residuals(x)),
+            lambda x, chosen: (residuals(x) * weights)[chosen],
             x,
-            lambda x, weighted=weighted: weighted(jacobian(x)),
+            lambda x, chosen: (jacobian(x) * weights[:, None])[chosen],
             bounds=bounds,
             x_scale=steps,
+            args=(chosen,),
         )
         x = fit.x
         if (fit.active_mask[1:] != 0).any() or fit.active_mask[0] > 0:

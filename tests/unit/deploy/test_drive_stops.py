@@ -4,7 +4,7 @@ import collections
 import math
 
 import pytest
-from kit.virtual_drive import AHEAD, LONG, LOST, VirtualDrive
+from kit.virtual_drive import AHEAD, LONG, LOST, VirtualDrive, short_course
 
 from bridge.base import Lost
 from deploy.drive.link import STEPS_BACK
@@ -13,7 +13,7 @@ from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.view.recorded_drive import read_drive
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity
-from rover_ncp.course.course import Course, Parked
+from rover_ncp.course.course import Parked
 from rover_ncp.wire.messages import bumpers, twist_stamped
 from rover_ncp.wire.protocol import CommandTag, Signed, StopRequest, dump_json
 
@@ -177,15 +177,7 @@ def test_a_lease_that_lapsed_has_words(virtual):
     assert str(stop.value) == "stopped by lease-lapsed: no command arrived for longer than a lease lasts"
 
 
-ANYWHERE = Course.model_validate(
-    {
-        "name": "anywhere",
-        "start_signal_s": 0.3,
-        "horizon_s": 2.0,
-        "checkpoints": [{"t": 2.0, "x": 0.0, "y": 0.0, "theta": 0.0}],
-        "parked": {"position_m": 5.0, "heading_rad": 3.0, "still_m": 5.0, "still_rad": 3.0, "still_s": 0.1},
-    }
-)
+ANYWHERE = short_course(position_m=5.0, heading_rad=3.0, still_m=5.0, still_rad=3.0, still_s=0.1)
 """A rover parks wherever this course ends."""
 
 

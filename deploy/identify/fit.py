@@ -31,31 +31,19 @@ SCALE_STD = 0.0173
 SLIP_STD_S = 0.17
 """Standard deviation of a turn's slip about 0: uniform from 0 to 0.3 s (preset `harsh`)."""
 
-MAX_DELAY_STD_S = 0.03
-"""Largest standard deviation of a delay that is kept."""
 MAX_STD_SHARE = {
-    "gain_v": 0.03,
-    "gain_omega": 0.03,
-    "accel": 0.15,
-    "decel": 0.15,
-    "alpha": 0.15,
-    "alpha_decel": 0.15,
-    "noise_m": 0.25,
-    "noise_rad": 0.25,
-    "odometry_distance": 0.03,
+    **dict.fromkeys(("gain_v", "gain_omega", "odometry_distance"), 0.03),
     "odometry_heading": 0.1,
+    **dict.fromkeys(("accel", "decel", "alpha", "alpha_decel"), 0.15),
+    **dict.fromkeys(("noise_m", "noise_rad"), 0.25),
 }
 """Largest standard deviation that is kept, as a share of the value."""
 MAX_STD = {
-    "delay_v_s": MAX_DELAY_STD_S,
-    "delay_omega_s": MAX_DELAY_STD_S,
-    "imbalance_rad_m": 0.03,
-    "slip_s": 0.15,
+    **dict.fromkeys(("downhill_x_m", "downhill_y_m"), 0.01),
+    **dict.fromkeys(("delay_v_s", "delay_omega_s", "imbalance_rad_m"), 0.03),
+    **dict.fromkeys(("rotation_center_m", "rotation_center_left_m"), 0.03),
     "turn_asymmetry": 0.05,
-    "downhill_x_m": 0.01,
-    "downhill_y_m": 0.01,
-    "rotation_center_m": 0.03,
-    "rotation_center_left_m": 0.03,
+    "slip_s": 0.15,
 }
 """Largest standard deviation of the other values, SI."""
 

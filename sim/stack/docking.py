@@ -26,6 +26,7 @@ from rover_ncp.robot.profile import RoverProfile
 from sim.pioneer.trial import BaseTrial, draw_rover
 from sim.stack.lines import simulated_base
 from sim.stack.tag_camera import TagCamera, TagLocaliser
+from sim.stack.trials import drive_whole
 from sim.stack.virtual import SilentPublisher, VirtualBridge, VirtualLink
 from sim.world.randomization import Randomization
 
@@ -114,8 +115,7 @@ class DockTrials:
         publisher = SilentPublisher(link, lambda message: None, self.dock.circuit.neurons, bridge)
         docking = copy.deepcopy(self._docking)
         drive = Drive(link, docking, publisher, self._config, lambda: False, clock=bridge)
-        drive.wait()
-        drive.run({})
+        drive_whole(drive)
         errors = self.place.errors(rover.pose)
         ahead, left, turned = errors
         within = math.hypot(ahead, left) <= self.place.position_m and abs(turned) <= self.place.heading_rad

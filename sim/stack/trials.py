@@ -149,8 +149,7 @@ class Stack:
         config = config.model_copy(update={"estimator": changed})
         publisher = SilentPublisher(link, lambda message: None, self.driver.neurons, bridge)
         drive = Drive(link, self._controller(number, config), publisher, config, lambda: False, clock=bridge)
-        drive.wait()
-        drive.run({})
+        drive_whole(drive)
         report = drive.keeper.report()
         verdict = truth.judge(course, link.first_command_ns)
         return Driven(
@@ -203,6 +202,14 @@ class _Truth:
         first, last = (bisect_right(self._times, began + t) for t in (-1e-6, course.horizon_s + 1e-6))
         times = [now - began for now in self._times[first:last]]
         return course.judge(times, self._poses[first:last], self._touched)
+
+
+def drive_whole(drive: Drive) -> None:
+    """Drive until the drive is over. Raises KeyboardInterrupt, which a driver takes for its own end."""
+    drive.wait()
+    drive.run({})
+    if drive.verdict is None and drive.stop is None:
+        raise KeyboardInterrupt
 
 
 class Drives(Protocol[FoundT_co]):

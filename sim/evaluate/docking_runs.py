@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -32,7 +33,7 @@ class DockingResult(Evaluation):
 
 
 def evaluate_docking(
-    trials: DockTrials, count: int, processes: int | None, output: Output, **about: str | None
+    trials: DockTrials, count: int, processes: int | None, output: Output, **about: Any
 ) -> DockingResult:
     """Drive trials, and return how they ended. Raises WorkerDied."""
     with progress(output, count) as done:

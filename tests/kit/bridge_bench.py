@@ -8,7 +8,6 @@ from kit.driver_client import PERIOD_S, DriverClient  # noqa: F401  # the period
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.zenoh import client_config
-from sim.live.live_run import LiveRun
 from sim.live.processes import wait_for
 
 STOP_S = 0.5
@@ -71,19 +70,6 @@ class Driver(DriverClient, ClosedAtExit):
 
     def close(self):
         self.session.close()
-
-
-class Rig(LiveRun):
-    """Mock and bridge; times of the rover's true motion are of the wall clock."""
-
-    @property
-    def locator(self):
-        return self.robot
-
-    def stood_after(self, wall_ns, still_s=0.4):
-        """Wait until it has stood for ``still_s``; return how long after ``wall_ns`` it came to stand."""
-        newest = self.truth.read()[-1]
-        return self.truth.stood_after(wall_ns - newest.wall_ns + newest.clock_ns, 8.0, still_s)
 
 
 def braking_s(v):

@@ -46,7 +46,7 @@ class User(Driver):
 
 
 def test_a_driver_sees_everything_and_drives(secured, keys):
-    with User(secured.locator, config=keys / "driver.json5") as driver:
+    with User(secured.robot, config=keys / "driver.json5") as driver:
         wait_for(lambda: driver.may_drive and {*HEARD} - SELDOM <= driver.seen.keys())
         wait_for(lambda: driver.motors().granted)
         wait_for(lambda: driver.send() and driver.gate.accepted > 0)
@@ -54,7 +54,7 @@ def test_a_driver_sees_everything_and_drives(secured, keys):
 
 
 def test_viewer_receives_everything_and_cannot_drive(secured, keys):
-    with User(secured.locator, config=keys / "viewer.json5") as viewer:
+    with User(secured.robot, config=keys / "viewer.json5") as viewer:
         wait_for(lambda: {*HEARD} - SELDOM <= viewer.seen.keys())
         before = viewer.gate
         for name in ("cmd_vel", "*", "**", "cmd_$*", "cmd_vel/**"):
@@ -77,7 +77,7 @@ def test_viewer_receives_everything_and_cannot_drive(secured, keys):
 
 
 def test_viewer_is_refused_a_stop(secured, keys):
-    with Viewer(BridgeAddress(secured.locator, "", keys / "viewer.json5"), lambda message: None) as viewer:
+    with Viewer(BridgeAddress(secured.robot, "", keys / "viewer.json5"), lambda message: None) as viewer:
         wait_for(lambda: viewer.bridge_alive)
         assert viewer.may_stop is False
         with pytest.raises(NotAuthorised, match="not authorised to stop"):
@@ -86,8 +86,8 @@ def test_viewer_is_refused_a_stop(secured, keys):
 
 def test_localiser_can_publish_the_pose_only(secured, keys):
     with (
-        User(secured.locator, config=keys / "driver.json5") as driver,
-        User(secured.locator, config=keys / "localiser.json5") as localiser,
+        User(secured.robot, config=keys / "driver.json5") as driver,
+        User(secured.robot, config=keys / "localiser.json5") as localiser,
     ):
         poses, others = [], []
         own = [
@@ -113,8 +113,8 @@ def test_localiser_can_publish_the_pose_only(secured, keys):
 
 def test_no_client_can_publish_or_answer_for_the_bridge(secured, keys):
     with (
-        User(secured.locator, config=keys / "driver.json5") as driver,
-        User(secured.locator, config=keys / "viewer.json5") as viewer,
+        User(secured.robot, config=keys / "driver.json5") as driver,
+        User(secured.robot, config=keys / "viewer.json5") as viewer,
     ):
         wait_for(lambda: "rover/gate" in viewer.seen and driver.may_drive)
         token = driver.session.liveliness().declare_token("rover/alive/bridge")
@@ -143,7 +143,7 @@ def refused(locator, config):
 
 @pytest.mark.parametrize("stranger", ["of another lab", "without a certificate"])
 def test_a_stranger_cannot_connect(secured, keys, tmp_path, stranger):
-    assert not refused(secured.locator, keys / "driver.json5")
+    assert not refused(secured.robot, keys / "driver.json5")
     ours = read(keys / "driver.json5")["transport"]["link"]["tls"]
     assert cli.run(["keys", "--out", str(tmp_path)]) == 0
     tls = read(tmp_path / "driver.json5")["transport"]["link"]["tls"]
@@ -152,7 +152,7 @@ def test_a_stranger_cannot_connect(secured, keys, tmp_path, stranger):
         tls = {name: value for name, value in tls.items() if not name.startswith("connect_")}
     config = tmp_path / "zenoh.json5"
     config.write_text(json.dumps({"transport": {"link": {"protocols": ["tls"], "tls": tls}}}))
-    assert refused(secured.locator, config)
+    assert refused(secured.robot, config)
 
 
 def test_drivers_certificate_is_not_valid_for_listening(keys):
@@ -176,7 +176,7 @@ def test_deploy_says_not_authorised_and_drives_when_it_is(secured, keys, capsys,
     monkeypatch.setitem(CLIENT, "connect/timeout_ms", 500)
 
     def deploy(*options):
-        code = cli.run(["deploy", "--robot", secured.locator, *options])
+        code = cli.run(["deploy", "--robot", secured.robot, *options])
         return code, capsys.readouterr()
 
     code, printed = deploy("--zenoh-config", str(keys / "viewer.json5"))

@@ -36,7 +36,7 @@ def publish(rig):
     ended, threads = threading.Event(), []
 
     def run(name, late_s):
-        session = client(rig.locator)
+        session = client(rig.robot)
         while not ended.wait(0.02):
             session.put(name, INPUTS[name](time.time_ns() - round(late_s * 1e9)))
         session.close()
@@ -60,14 +60,14 @@ def publish(rig):
     ],
 )
 def test_a_second_publisher_of_an_input_is_found(rig, publish, publishers, named):
-    with ZenohLink(BridgeAddress(rig.locator), lambda message: None) as link:
+    with ZenohLink(BridgeAddress(rig.robot), lambda message: None) as link:
         for publisher in publishers:
             publish(*publisher)
         wait_for(lambda: any(words.startswith(named) for words in link.sources.second.values()), 10.0)
 
 
 def test_one_publisher_of_each_is_not_reported(rig, publish):
-    with ZenohLink(BridgeAddress(rig.locator), lambda message: None) as link:
+    with ZenohLink(BridgeAddress(rig.robot), lambda message: None) as link:
         measurements = Measurements(link)
         publish("pose")
         wait_for(lambda: measurements.odometry(0.1) and measurements.taken["odom"] > 5, 10.0)
@@ -88,28 +88,28 @@ def false_answerer(rig, request):
             with query:
                 query.reply(name, ANSWERS[name] if request.param == "false" else b"{")
 
-    session = client(rig.locator)
+    session = client(rig.robot)
     queryables = [session.declare_queryable(name, answer) for name in ANSWERS]
     yield queryables
     session.close()
 
 
 def test_only_the_bridges_answer_counts(rig, false_answerer):
-    with Viewer(BridgeAddress(rig.locator), lambda message: None) as viewer:
+    with Viewer(BridgeAddress(rig.robot), lambda message: None) as viewer:
         wait_for(lambda: viewer.may_stop)
         for release in (False, True) * 3:
             began_s = time.monotonic()
             assert viewer.stop(release).stopped is not release
             assert time.monotonic() - began_s < 0.9  # it waits for no other answer
-    with ZenohLink(BridgeAddress(rig.locator), lambda message: None) as link:
+    with ZenohLink(BridgeAddress(rig.robot), lambda message: None) as link:
         assert [link.about_base().model for _ in range(5)] == ["p3at-sh"] * 5
 
 
 def test_another_model_is_a_warning_to_a_driver_and_a_finding_of_check(rig, capsys):
-    with ZenohLink(BridgeAddress(rig.locator), lambda message: None) as link:
+    with ZenohLink(BridgeAddress(rig.robot), lambda message: None) as link:
         assert "drives p3at-sh, but --model is turtlebot4" in link.other_model(load_description("turtlebot4"))
         assert link.other_model(load_description("p3at-sh")) == ""
-    assert cli.run(["check", "--robot", rig.locator, "--on-blocks", "--json", "--model", "turtlebot4"]) == 1
+    assert cli.run(["check", "--robot", rig.robot, "--on-blocks", "--json", "--model", "turtlebot4"]) == 1
     (finding,) = json.loads(capsys.readouterr().out)["findings"]
     assert (finding["name"], finding["ok"]) == ("model", False)
     assert "the bridge drives p3at-sh, expected turtlebot4" in finding["detail"]

@@ -3,19 +3,20 @@
 import json
 
 import pytest
-from kit.bridge_bench import BRAKING_M_S2, Rig
+from kit.bridge_bench import BRAKING_M_S2
 from kit.json_fields import undescribed
 
 from deploy.check import STANDING
 from rover_ncp import cli
+from sim.live.live_run import LiveRun
 
 
 @pytest.mark.long
 def test_a_robot_that_is_well(tmp_path, capsys):
-    with Rig(tmp_path) as rig:
-        code = cli.run(["check", "--robot", rig.locator, "--on-blocks", "--json"])
+    with LiveRun(tmp_path) as rig:
+        code = cli.run(["check", "--robot", rig.robot, "--on-blocks", "--json"])
         said = json.loads(capsys.readouterr().out)
-        stopped = rig.stood_after(rig.truth.read()[-1].wall_ns)
+        stopped = rig.truth.stood_after(rig.truth.read()[-1].clock_ns)
         gate = rig.bridge.stop().result
     assert not undescribed("check", said)
     assert [finding for finding in said["findings"] if not finding["ok"]] == []

@@ -16,7 +16,7 @@ from rover_ncp.wire.protocol import CommandTag, MotorsReply, Signed, dump_json
 
 @pytest.fixture
 def driver(rig):
-    with Driver(rig.locator) as driver:
+    with Driver(rig.robot) as driver:
         wait_for(lambda: driver.odom is not None and driver.gate.lease == 0)
         yield driver
         driver.motors(enable=False)
@@ -24,7 +24,7 @@ def driver(rig):
 
 @pytest.fixture
 def peer(rig):
-    peer = client(rig.locator)
+    peer = client(rig.robot)
     yield peer
     peer.close()
 
@@ -35,7 +35,7 @@ def answering(rig, peer):
 
     def answer(give):
         held = peer.declare_queryable("rover/motors", give, complete=True)
-        with ZenohLink(BridgeAddress(rig.locator), lambda _: None) as link:
+        with ZenohLink(BridgeAddress(rig.robot), lambda _: None) as link:
             time.sleep(0.3)
             with pytest.raises(NoBridge, match="expected one: a peer beside the bridge answers") as error:
                 link.request_motors("test")

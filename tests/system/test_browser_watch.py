@@ -4,7 +4,7 @@ import csv
 import time
 
 import pytest
-from kit.bridge_bench import Driver, Rig, wait_for
+from kit.bridge_bench import Driver, wait_for
 from kit.browser import Watched, chromium
 
 from rover_ncp import cli
@@ -142,9 +142,8 @@ def test_who_may_only_look_sees_that(browser, tmp_path):
     keys = tmp_path / "keys"
     assert cli.run(["keys", "--out", str(keys)]) == 0
     listen = ["--listen", "tls/127.0.0.1:0", "--zenoh-config", str(keys / "bridge.json5")]
-    (tmp_path / "rig").mkdir()
-    with Rig(tmp_path / "rig", bridge=listen) as rig:
-        options = ["--robot", rig.locator, "--port", "0", "--zenoh-config", str(keys / "viewer.json5")]
+    with LiveRun(tmp_path / "rig", bridge=listen) as rig:
+        options = ["--robot", rig.robot, "--port", "0", "--zenoh-config", str(keys / "viewer.json5")]
         watch = Process("watch", options, tmp_path)
         try:
             seen = Watched(browser, watch.wait_for_line("watching at "))

@@ -37,9 +37,9 @@ def keys(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def rig(tmp_path_factory):
-    """A mock and a bridge that drives it."""
+    """A mock and a bridge that drives it; a test leaves the rover standing, and no lease."""
     with LiveRun(tmp_path_factory.mktemp("rig")) as rig:
         yield rig
 

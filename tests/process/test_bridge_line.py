@@ -35,6 +35,7 @@ def open_line(server):
     yield open_it
     for line in lines:
         line.close()
+        line._thread.join(5.0)  # a busy machine ends it later than `close` waits
         assert not line._thread.is_alive()
 
 

@@ -14,7 +14,7 @@ import pytest
 from kit.bridge_bench import Driver, wait_for
 from kit.ros2_world import BURGER
 from kit.ros_cdr import TwistStamped, odometry
-from kit.zenoh_session import open_session
+from kit.zenoh_session import open_router
 
 from bridge.inbox import Inbox, RobotMessage
 from bridge.ros2.address import parse_ros_address
@@ -101,14 +101,9 @@ class RobotNetwork(ClosedAtExit):
 
     def __init__(self, form, *connect):
         self.form, self.commands, self.tokens = form, [], {}
-        self.port = free_port("127.0.0.1")
-        settings = {
-            "listen/endpoints": [f"tcp/127.0.0.1:{self.port}"],
-            "connect/endpoints": list(connect),
-            "scouting/delay": 0,
-            "connect/retry": {"period_init_ms": 50, "period_max_ms": 50},
-        }
-        self.session = open_session("router", settings)
+        retry = {"connect/retry": {"period_init_ms": 50, "period_max_ms": 50}}
+        self.session, locator = open_router(**{"connect/endpoints": list(connect)}, **retry)
+        self.base = form.format(locator.removeprefix("tcp/"))
         rmw = form == RMW_ZENOH
         # As rmw_zenoh's design has them: domain, topic, type and the hash of the type's definition.
         self.odom_key = f"0/odom/nav_msgs::msg::dds_::Odometry_/{ODOMETRY_HASH}" if rmw else "odom"
@@ -135,10 +130,6 @@ class RobotNetwork(ClosedAtExit):
             attachment = struct.pack("<qqB16s", self._sent, time.time_ns(), 16, b"r" * 16)
             rmw = self.form == RMW_ZENOH
             self.session.put(self.odom_key, odometry(time.time()), attachment=attachment if rmw else None)
-
-    @property
-    def base(self):
-        return self.form.format(f"127.0.0.1:{self.port}")
 
     def close(self):
         self._closing.set()
@@ -200,10 +191,9 @@ def test_nothing_at_the_robots_address_is_one_line_for_a_user_without_a_home_too
     monkeypatch.delenv("XDG_STATE_HOME", raising=False)
     monkeypatch.setattr(os, "getuid", lambda: 54321)
     monkeypatch.setitem(CLIENT, "connect/timeout_ms", 100)
-    port = free_port("127.0.0.1")
-    base = ["--base", f"ros2/tcp/127.0.0.1:{port}", "--model", "turtlebot4", "--listen", "tcp/127.0.0.1:0"]
+    base = ["--base", "ros2/tcp/127.0.0.1:1", "--model", "turtlebot4", "--listen", "tcp/127.0.0.1:0"]
     assert cli.run(["bridge", *base]) == 3
-    assert f"tcp/127.0.0.1:{port}: no Zenoh router answers there" in capsys.readouterr().err
+    assert "tcp/127.0.0.1:1: no Zenoh router answers there" in capsys.readouterr().err
 
 
 @pytest.mark.long

@@ -8,7 +8,7 @@ import re
 import pytest
 import zenoh
 from kit.bridge_bench import Driver, wait_for
-from kit.zenoh_session import open_session
+from kit.zenoh_session import open_router
 
 from bridge.pioneer import base_connection
 from bridge.zenoh.credentials import access_control
@@ -160,10 +160,8 @@ def test_drivers_certificate_is_not_valid_for_listening(keys):
         tls = read(keys / f"{end}.json5")["transport"]["link"]["tls"]
         for name in ("certificate", "private_key"):
             tls[f"listen_{name}_base64"] = tls[f"{verb}_{name}_base64"]
-        settings = {"transport/link/tls": tls, "adminspace/enabled": True}
-        with open_session("router", {"listen/endpoints": ["tls/127.0.0.1:0"], **settings}) as impostor:
-            (reply,) = impostor.get(f"@/{impostor.info.zid()}/router", timeout=1.0)
-            locator = json.loads(reply.ok.payload.to_string())["locators"][0]
+        impostor, locator = open_router("tls", **{"transport/link/tls": tls})
+        with impostor:
             return not refused(locator, keys / "driver.json5")
 
     assert listens("bridge", "listen")

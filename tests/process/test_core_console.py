@@ -136,7 +136,7 @@ def test_control_characters_are_shown_as_escape_sequences(text, shown):
 
 @pytest.mark.parametrize(
     ("stdout", "arguments"),
-    [("full", ["urdf"]), ("closed", ["urdf"]), ("gone", ["urdf"]), ("full", ["urdf", "--json"])],
+    [("full", ["urdf", "--json"]), ("closed", ["urdf"]), ("gone", ["urdf"])],
 )
 def test_result_that_cannot_be_written_is_exit_2_and_one_line(arguments, stdout):
     reader, gone = os.pipe()

@@ -53,15 +53,6 @@ def is_running(pid):
         return False
 
 
-@pytest.mark.long  # tests/unit/learn/test_agents.py holds the same without processes
-@pytest.mark.parametrize(("command", "iterations"), [(TRAIN, "150"), (ROBUST, "4")])
-def test_number_of_processes_changes_nothing(command, iterations, tmp_path):
-    for count in ("1", "2"):
-        out = ["--out", str(tmp_path / count), "--processes", count]
-        assert run([*command, "--iterations", iterations, *out]) == 0
-    assert content(tmp_path / "1") == content(tmp_path / "2")
-
-
 @pytest.mark.parametrize(
     ("command", "moment"),
     [

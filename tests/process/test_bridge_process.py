@@ -6,12 +6,16 @@ import signal
 import socket
 import struct
 import time
+from contextlib import closing
 
+import numpy as np
 import pytest
 from kit.bridge_bench import MACHINE_S, PERIOD_S, STOP_S, Driver, braking_s, wait_for
 
 from bridge.pioneer import base_connection
+from bridge.pioneer.transport import open_transport
 from rover_ncp import cli
+from rover_ncp.core.errors import NoRobot
 from rover_ncp.core.geometry import Velocity
 from sim.live.live_run import LiveRun
 from sim.live.processes import Process
@@ -61,6 +65,9 @@ def test_rover_drives_stops_in_time_and_stops_again_at_ctrl_c(tmp_path):
         assert rig.truth.stood_after(sent_ns) < STOP_S + braking_s(0.1) + MACHINE_S
 
         driver.start()
+        base = open_transport(f"tcp/{rig.base}")
+        with closing(base), pytest.raises(NoRobot, match="one client at a time"):
+            base.read(2.0)
         # A command that is still on its way when the bridge stops is not counted.
         wait_for(lambda: driver.gate.accepted == driver.sent)
         interrupted_ns = time.monotonic_ns()
@@ -74,6 +81,13 @@ def test_rover_drives_stops_in_time_and_stops_again_at_ctrl_c(tmp_path):
     assert result["bytes_from_base"] == mock["bytes_out"] > 0
     assert result["accepted"] == driver.sent
     assert (result["dropped"], result["stops"], result["reconnects"]) == ({}, {"silence": 1}, 0)
+    assert mock["unknown_commands"] == mock["bad_arguments"] == mock["bad_checksums"] == 0
+    assert (mock["connections"], mock["touched"]) == (1, False)
+    states = rig.truth.read()
+    assert states[-1].pose.x == pytest.approx(mock["pose"]["x"], abs=1e-5)
+    assert np.abs(np.diff([state.clock_ns for state in states]) - 10_000_000).max() <= 1
+    wall_ns = states[-1].wall_ns - states[0].wall_ns
+    assert wall_ns == pytest.approx(states[-1].clock_ns - states[0].clock_ns, abs=5e7)
     # The driver's name neither clears the screen nor forges a line.
     lines = (tmp_path / "bridge.log").read_text().splitlines()
     assert [line for line in lines if line.startswith("ready ")] == lines[1:2]

@@ -103,12 +103,22 @@ def test_errors_become_one_line_an_exit_code_and_one_json_object(raised, code, c
     assert fields["error"] in err
 
 
-def test_a_bug_is_a_traceback_not_a_user_error(run_command):
+@pytest.mark.parametrize("bug", [ZeroDivisionError, EOFError])  # a damaged file's end is no interruption
+def test_a_bug_is_a_traceback_not_a_user_error(bug, run_command):
     def fail():
-        raise ZeroDivisionError
+        raise bug
 
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(bug):
         run_command(fail)
+
+
+def test_error_that_a_library_makes_of_an_interruption_is_one(monkeypatch, run_command, capsys):
+    def fail():
+        raise ValueError("literal validator: KeyboardInterrupt")
+
+    monkeypatch.setattr(cli.Interruption, "raised", True)
+    assert run_command(fail) == 130
+    assert capsys.readouterr().err == "rover-ncp: interrupted\n"
 
 
 @pytest.mark.parametrize(("returned", "code"), [(1, 1), (None, 0)])
@@ -142,7 +152,7 @@ NEEDS = {
         "eval parking",
         "mock --listen nowhere",
         "explain no.mcap",
-        "paper report",
+        "paper replay --task none",
     ],
     "report,train": ["park --course no.yaml"],
 }

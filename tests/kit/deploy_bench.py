@@ -36,6 +36,7 @@ class Bridge(VirtualRig):
         self._held = [
             self.session.declare_subscriber("cmd_vel", self._command),
             self.session.declare_queryable("rover/motors", self._answer),
+            self.session.declare_queryable("rover/stop", self._stop),
         ]
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
@@ -69,6 +70,10 @@ class Bridge(VirtualRig):
             query.reply("rover/motors", reply)
             if not request.enable:
                 self.released.set()
+
+    def _stop(self, query):
+        with query, self._lock:
+            query.reply("rover/stop", self.query("rover/stop", query.payload.to_bytes()))
 
     def vanish(self):
         self._token.undeclare()

@@ -4,7 +4,6 @@ import json
 import resource
 import signal
 import socket
-import struct
 import time
 from contextlib import closing
 
@@ -21,7 +20,6 @@ from sim.live.live_run import LiveRun
 from sim.live.processes import Process
 from sim.live.truth import TruthReader
 
-PLAIN_TWIST = b"\0\1\0\0" + struct.pack("<6d", 0.15, 0, 0, 0, 0, 0)
 FORGED = "ready zenoh=tcp/192.0.2.1:7447 base=tcp/192.0.2.1:8101"
 
 
@@ -116,28 +114,6 @@ def test_a_restarted_base_is_found_again_and_stands_until_a_driver_asks(tmp_path
         done = rig.bridge.stop()
         assert (done.code, done.result["reconnects"]) == (0, 1)
         assert rig.truth.stood_after(sent_ns) < STOP_S + braking_s(0.15) + MACHINE_S
-
-
-def test_options_set_limits_namespace_and_plain_commands(tmp_path):
-    limits = tmp_path / "limits.yaml"
-    limits.write_text("v_max: 0.1\nlease_s: 0.5\n")
-    options = ["--namespace", "/lab/bot1", "--limits", str(limits), "--accept-ros"]
-    with LiveRun(tmp_path, bridge=options) as rig, Driver(rig.robot, "lab/bot1") as driver:
-
-        def drives():
-            driver.command(PLAIN_TWIST)
-            return driver.odom is not None and driver.odom.velocity.v > 0.09
-
-        wait_for(drives)
-        assert driver.out.v == 0.1
-        assert driver.gate.driver_name == "ros"
-        assert driver.motors().reason == "another-driver"
-        reply = wait_for(lambda: (reply := driver.motors()).granted and reply)
-        assert (reply.limits["v"], reply.lease_s) == (0.1, 0.5)
-        rig.bridge.send_signal(signal.SIGHUP)
-        done = rig.bridge.wait(5.0)
-    assert done.code == 0
-    assert set(done.result["limited"]) == {"speed"}
 
 
 def test_no_robot_is_exit_3(fails, free_endpoint):

@@ -1,5 +1,6 @@
 """The bridge's topics in the forms of both Zenoh integrations; ROS nodes made of plain Zenoh."""
 
+import signal
 import struct
 import time
 from contextlib import contextmanager
@@ -164,20 +165,30 @@ class RosDriver(ClosedAtExit):
         self.session.close()
 
 
-def test_a_ros_node_drives_while_its_commands_are_fresh(domain_5, tmp_path):
-    options = ["--ros", "rmw-zenoh", "--accept-ros", "--namespace", "/bot1"]
+def test_a_ros_node_drives_while_its_commands_are_fresh_within_the_limits(domain_5, tmp_path):
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("v_max: 0.1\nlease_s: 0.5\n")
+    options = ["--ros", "rmw-zenoh", "--accept-ros", "--namespace", "/bot1", "--limits", str(limits)]
     with LiveRun(tmp_path, bridge=options) as rig, RosDriver(rig.robot) as ros:
         with Driver(rig.robot, "bot1") as watching:
             deadline = time.monotonic() + 5.0
-            while ros.speed < 0.14:
+            while ros.speed < 0.09:
                 assert time.monotonic() < deadline
                 ros.send(0.15)
                 time.sleep(PERIOD_S)
+            assert watching.out.v == 0.1
             assert watching.gate.driver_name == "ros"
+            assert watching.motors().reason == "another-driver"
             for _ in range(3):
                 ros.send(0.15, age_s=0.5)
             wait_for(lambda: watching.gate.dropped.get("stale") == 3)
+            reply = wait_for(lambda: (reply := watching.motors()).granted and reply)
+            assert (reply.limits["v"], reply.lease_s) == (0.1, 0.5)
         sequences = [Attachment.unpack(sample.attachment.to_bytes()).sequence for sample in ros.odom]
         assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
         message = decode(spec("odom").type, ros.odom[-1].payload.to_bytes())
         assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
+        rig.bridge.send_signal(signal.SIGHUP)
+        done = rig.bridge.wait(5.0)
+    assert done.code == 0
+    assert set(done.result["limited"]) == {"speed"}

@@ -75,12 +75,17 @@ def _robot_clock(step_s: float) -> Row:
     return Row(key, "base", words, act, ended="lease-lapsed", **more)
 
 
+def start_bridge(scene: Scene) -> None:
+    """Start a bridge in place of one that ended."""
+    scene.rig.start_bridge()
+
+
 SILENT_CLOSE_ROW = Row(
     "silent-close",
     "base",
     "`close` of its driver sends nothing, and the bridge ends",
     _end_with_silent_close,
-    lambda scene: scene.rig.start_bridge(),
+    start_bridge,
     only=SCRIPTED,
 )
 # The tests of rows without an act are their own: they need limits, a gyro, a localiser or a check.

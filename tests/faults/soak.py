@@ -189,7 +189,7 @@ def _measured(rig: Rig, row: Row, driver: str, record: Path, moments: np.random.
 
 
 def _complete(record: Path, received_ns: Sequence[int], measured: Measured) -> Completeness:
-    killed, losing = measured.stopped_by == "killed", measured.row.losing
+    killed, losing = measured.stopped_by == "killed", measured.row.layer in {"deploy", "link", "bridge"}
     try:
         return check_recording(record, received_ns, measured.began_ns, killed=killed, losing=losing)
     except RoverNcpError:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from signal import SIGCONT, SIGINT, SIGKILL, SIGSTOP, SIGUSR1
 from typing import Any
 
-from faults.going_on import CLOCK_ROWS, OWN_ROWS, ROS2_ROWS, SILENT_CLOSE_ROW, silence
+from faults.going_on import CLOCK_ROWS, OWN_ROWS, ROS2_ROWS, SILENT_CLOSE_ROW, silence, start_bridge
 from faults.hang import CLOCK_STEPS_S, HANG_S
 from faults.outlet import GONE, PIPE, TERMINAL, OutletProcess
 from faults.rig import SPEED_M_S, Scene, Unsafe
@@ -167,14 +167,6 @@ def _flood(scene: Scene) -> int:
     return silent_ns
 
 
-def _start_bridge(scene: Scene) -> None:
-    scene.rig.start_bridge()
-
-
-def _release_stop(scene: Scene) -> None:
-    scene.rig.watcher.stop(release=True)
-
-
 def _request_stop(scene: Scene) -> None:
     if not scene.rig.watcher.stop():
         raise Unsafe("the bridge does not answer rover/stop")
@@ -296,7 +288,7 @@ _ROWS = (
     *CLOCK_ROWS,
     Row("bridge-stopped", "bridge", "stopped (SIGSTOP)", _signal_bridge(SIGSTOP), _resume_bridge),
     Row("bridge-hung", "bridge", _HUNG, lambda scene: _hang(scene.rig.bridge), _outlast_hang),
-    Row("bridge-killed", "bridge", "killed (SIGKILL)", _signal_bridge(SIGKILL), _start_bridge),
+    Row("bridge-killed", "bridge", "killed (SIGKILL)", _signal_bridge(SIGKILL), start_bridge),
 )
 _OUTLETS = {
     TERMINAL: "the bridge's terminal stopped (Ctrl-S)",
@@ -305,7 +297,14 @@ _OUTLETS = {
 }
 _WITH_OUTLET = (
     *(_BUMPER, _STALL, _STOP_BUTTON),
-    Row("stop-query", "", "`rover/stop`", _request_stop, _release_stop, "stopped"),
+    Row(
+        "stop-query",
+        "",
+        "`rover/stop`",
+        _request_stop,
+        lambda scene: scene.rig.watcher.stop(release=True),
+        "stopped",
+    ),
     Row("silence", "", "no more commands", silence, ended=_LAPSED, requests_lease=False),
 )
 

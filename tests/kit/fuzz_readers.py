@@ -36,6 +36,7 @@ from deploy.drive.records import (
 from deploy.replay import replay
 from deploy.view.recorded_drive import read_drive
 from kit.bnn_text import circuit_to_bnn
+from kit.ros2_world import Line
 from rover_ncp.circuit.bnn import circuit_from_bnn
 from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml, policy_to_yaml
 from rover_ncp.core.config import dump_yaml, parse_yaml
@@ -188,21 +189,6 @@ def _jsons():
     return [lease.dump_json(request), lease.dump_json(status), lease.CommandTag(1, 2, 3).pack()]
 
 
-class _NoLine:
-    """The session with a ROS 2 robot; what is sent is lost."""
-
-    endpoint, zid, source = "tcp/robot:7447", "ours", None
-
-    def topic(self, name):
-        return name
-
-    def publish(self, payload):
-        pass
-
-    def close(self):
-        pass
-
-
 def _robot(data):
     """A ROS 2 robot whose topics send anything, before and after good odometry; its tokens are anything."""
     words = data.decode(errors="replace")
@@ -210,7 +196,7 @@ def _robot(data):
     burger = load_description("turtlebot3-burger")
     switches = burger.topics.model_copy(update={"stop": "stop", "hazards": "hazards"})
     robot = burger.model_copy(update={"topics": switches})
-    base = Ros2Base(_NoLine(), robot, unsafe=False)
+    base = Ros2Base(Line(), robot, unsafe=False)
     for token in tokens:
         if token is not None:
             base.receive(TokenSeen(token, True), 0.0)

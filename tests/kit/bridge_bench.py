@@ -24,11 +24,6 @@ def client(locator, lease_s=1.0, config=None):
     return zenoh.open(settings)
 
 
-def zenoh_address(bridge):
-    """Wait until the process of a bridge is ready; return where drivers find it."""
-    return dict(part.split("=", 1) for part in bridge.wait_for_line("ready ").split())["zenoh"]
-
-
 class Driver(DriverClient, ClosedAtExit):
     """A driver with a Zenoh session; it receives all that others publish on ``keys``.
 

@@ -20,6 +20,8 @@ from sim.live.live_run import LiveRun
 from sim.live.processes import Process
 from sim.live.truth import TruthReader
 
+RECOVERY_S = 5.0
+"""The base is there again at the latest so long after it answers again."""
 FORGED = "ready zenoh=tcp/192.0.2.1:7447 base=tcp/192.0.2.1:8101"
 
 
@@ -114,6 +116,24 @@ def test_a_restarted_base_is_found_again_and_stands_until_a_driver_asks(tmp_path
         done = rig.bridge.stop()
         assert (done.code, done.result["reconnects"]) == (0, 1)
         assert rig.truth.stood_after(sent_ns) < STOP_S + braking_s(0.15) + MACHINE_S
+
+
+@pytest.mark.long
+def test_a_base_that_stops_for_a_while_is_there_again_soon_after_and_the_log_says_so_once(tmp_path):
+    with LiveRun(tmp_path) as rig, Driver(rig.robot) as driver:
+        driver.start()
+        rig.mock.send_signal(signal.SIGSTOP)
+        try:
+            wait_for(lambda: driver.gate.held == "no-base")
+            time.sleep(9.5)
+            assert driver.motors().reason == "no-base"  # the loop goes on while its thread opens lines
+        finally:
+            rig.mock.send_signal(signal.SIGCONT)
+        wait_for(lambda: driver.gate.held != "no-base", RECOVERY_S)
+        log = (tmp_path / "bridge.log").read_text().splitlines()
+        (line,) = [line for line in log if "reopens" in line]
+        assert line.startswith(f"tcp/{rig.base}: no packet from the base since it was lost; ")
+        driver.start()
 
 
 def test_no_robot_is_exit_3(fails, free_endpoint):

@@ -4,6 +4,7 @@ import signal
 import struct
 import time
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
 import zenoh.ext
@@ -13,6 +14,7 @@ from kit.zenoh_session import open_session
 from bridge.inbox import CommandMessage, Inbox
 from bridge.ros2.discovery import Convention
 from bridge.ros2.rmw import Attachment, gid
+from bridge.ros2.ros_node import read_command
 from bridge.zenoh.link import ZenohLink
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.key_table import KEYS, Kind, Role, spec
@@ -113,6 +115,20 @@ def test_age_of_a_ros_nodes_command_is_in_its_attachment(domain_5):
     # What rmw_zenoh would not take is a command that cannot be read: a tag of ours buys nothing here.
     unreadable = CommandMessage(b"", None, None)
     assert [what for _, what in arrived] == [CommandMessage(twist, None, 123_456_789), unreadable, unreadable]
+
+
+def test_a_huge_command_reaches_the_loop_as_no_more_than_one_that_is_too_long(domain_5):
+    with Link5(Convention.ROS2DDS) as bridge:
+        # A driver's own settings would drop what cannot leave at once.
+        with open_session("client", {"connect/endpoints": [bridge.link.locator]}) as peer:
+            publisher = peer.declare_publisher("bot1/cmd_vel")
+            wait_for(lambda: publisher.matching_status.matching)
+            publisher.put(bytes(400_000), attachment=bytes(400_000))
+            (_, arrival), *_ = wait_for(lambda: bridge.inbox.take(0.1))
+        assert (len(arrival.payload), len(arrival.attachment)) == (513, 41)
+    attachment = zenoh.ZBytes(Attachment(1, 5, bytes(16)).pack())
+    command = read_command(SimpleNamespace(payload=zenoh.ZBytes(bytes(900_000)), attachment=attachment))
+    assert (len(command.payload), command.sent_ns) == (513, 5)
 
 
 def test_ros_nodes_find_each_other_through_the_bridge(domain_5):

@@ -20,18 +20,15 @@ from bridge.inbox import Inbox, RobotMessage
 from bridge.ros2.address import parse_ros_address
 from bridge.ros2.base import command
 from bridge.ros2.connection import RosConnection
-from bridge.ros2.discovery import Announced, Convention
+from bridge.ros2.discovery import Announced
 from rover_ncp import cli
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import ClosedAtExit
-from rover_ncp.wire.messages import ODOMETRY, TWIST_STAMPED
+from rover_ncp.wire.messages import TWIST_STAMPED
 from rover_ncp.wire.zenoh import CLIENT
 from sim.live.live_run import RMW_ZENOH, ROS2DDS, LiveRun
 from sim.live.processes import Process
-from sim.pioneer.ros2_robot import Ros2Robot
-from sim.pioneer.ros2_server import Ros2Server, free_port
-from sim.world.described import described_rover
-from sim.world.pymunk_rover import Ground, PymunkRover
+from sim.pioneer.ros2_server import free_port
 
 # Published in each message package of ROS 2 Jazzy (REP-2011).
 ODOMETRY_HASH = "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"
@@ -73,27 +70,6 @@ def connected(base):
             return messages, tokens
 
         yield connection, look
-
-
-@FORMS
-def test_the_bridge_and_the_mock_find_each_other(form):
-    rover = PymunkRover(described_rover(BURGER), Ground(()))
-    mock = Ros2Robot(BURGER, rover, start_s=time.monotonic())
-    convention = Convention.RMW_ZENOH if form == RMW_ZENOH else Convention.ROS2DDS
-    stop = threading.Event()
-    with closing(Ros2Server("127.0.0.1", 0, mock, convention=convention)) as server:
-        serving = threading.Thread(target=server.serve, args=(stop.is_set,), daemon=True)
-        serving.start()
-        try:
-            with connected(form.format(f"127.0.0.1:{server.port}")) as (connection, look):
-                wait_for(lambda: {"odom", "imu", "scan"} <= set(look()[0]))
-                forward = command(BURGER.topics, Velocity(0.1, 0.0), time.time_ns())
-                wait_for(lambda: connection.publish(forward) or (look() and rover.velocity.v > 0.01))
-                shown = {(found.topic, found.published, found.ros_type) for found in look()[1]}
-                assert {("odom", True, ODOMETRY), ("cmd_vel", False, TWIST_STAMPED)} <= shown
-        finally:
-            stop.set()
-            serving.join()
 
 
 class RobotNetwork(ClosedAtExit):

@@ -1,4 +1,4 @@
-"""A bridge with the keys of ``rover-ncp keys``: each row of the access rules, over TLS between processes."""
+"""A bridge with the keys of ``rover-ncp keys``: its access rules, and that Zenoh obeys them over TLS."""
 
 import base64
 import functools
@@ -68,47 +68,13 @@ def test_viewer_receives_everything_and_cannot_drive(secured, keys):
             assert [reply for reply in replies if reply.ok] == []
         viewer.heard_again("rover/gate")
         after = viewer.gate
-    assert (after.accepted, after.dropped, after.lease, after.stop_reason) == (
-        before.accepted,
-        before.dropped,
-        before.lease,
-        "",
-    )
-
-
-def test_viewer_is_refused_a_stop(secured, keys):
+    assert (after.accepted, after.dropped, after.lease) == (before.accepted, before.dropped, before.lease)
+    assert after.stop_reason == ""
     with Viewer(BridgeAddress(secured.robot, "", keys / "viewer.json5"), lambda message: None) as viewer:
         wait_for(lambda: viewer.bridge_alive)
         assert viewer.may_stop is False
         with pytest.raises(NotAuthorised, match="not authorised to stop"):
             viewer.stop()
-
-
-def test_localiser_can_publish_the_pose_only(secured, keys):
-    with (
-        User(secured.robot, config=keys / "driver.json5") as driver,
-        User(secured.robot, config=keys / "localiser.json5") as localiser,
-    ):
-        poses, others = [], []
-        own = [
-            driver.session.declare_subscriber("pose", lambda sample: poses.append(sample.payload.to_bytes())),
-            driver.session.declare_subscriber("rover/status", others.append),
-        ]
-        wait_for(lambda: driver.may_drive and "rover/gate" in driver.seen)
-        wait_for(lambda: localiser.session.put("pose", b"here") or poses)
-        assert set(poses) == {b"here"}
-        before = driver.gate
-        with pytest.raises(FormatError, match="0 answers"):
-            localiser.motors()
-        localiser.send()
-        localiser.session.put("rover/status", b"forged")
-        poses.clear()
-        wait_for(lambda: localiser.session.put("pose", b"there") or b"there" in poses)
-        driver.heard_again("rover/gate")
-        assert not others
-        assert (driver.gate.accepted, driver.gate.dropped) == (before.accepted, before.dropped)
-        for subscriber in own:
-            subscriber.undeclare()
 
 
 def test_no_client_can_publish_or_answer_for_the_bridge(secured, keys):

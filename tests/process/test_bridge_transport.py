@@ -100,11 +100,7 @@ def test_refused_connection_is_no_robot_with_the_reason():
     [
         *("", "tcp", "tcp/", "tcp/host:0", "tcp/host:99999", "tcp/host:a", "tcp/host:80#x=1", "udp/host"),
         *("serial/", "serial//dev/ttyUSB0#baud=9600", "serial//dev/ttyUSB0#baudrate=fast", "/dev/ttyUSB0"),
-        *(
-            "serial/socket://127.0.0.1:8101",
-            "serial/rfc2217://127.0.0.1:8101#baudrate=9600",
-            "serial/loop://",
-        ),
+        *("serial/socket://127.0.0.1:8101", "serial/rfc2217://127.0.0.1:8101", "serial/loop://"),
     ],
 )
 def test_an_endpoint_of_another_form_is_a_usage_error(endpoint):

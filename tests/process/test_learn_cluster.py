@@ -5,8 +5,7 @@ import signal
 
 import pytest
 from kit.dask_cluster import Cluster, start
-from kit.folders import content
-from kit.paths import DATA
+from kit.paths import DATA, content
 
 from rover_ncp.cli import run
 from sim.live.processes import wait_for

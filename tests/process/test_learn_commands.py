@@ -11,8 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from kit.folders import content
-from kit.paths import DATA
+from kit.paths import DATA, content
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run

@@ -20,6 +20,7 @@ from sim.live.live_run import LiveRun
 from sim.live.processes import Process
 from sim.live.truth import TruthReader
 
+NO_ROBOT = "tcp/127.0.0.1:1"
 RECOVERY_S = 5.0
 """The base is there again at the latest so long after it answers again."""
 FORGED = "ready zenoh=tcp/192.0.2.1:7447 base=tcp/192.0.2.1:8101"
@@ -39,14 +40,6 @@ def fails(capsys, monkeypatch):
         return code, result["error"]
 
     return run
-
-
-@pytest.fixture
-def free_endpoint():
-    """An endpoint where nothing listens."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
-    return endpoint  # noqa: RET504  # the port is free only after the block
 
 
 def test_rover_drives_stops_in_time_and_stops_again_at_ctrl_c(tmp_path):
@@ -136,8 +129,8 @@ def test_a_base_that_stops_for_a_while_is_there_again_soon_after_and_the_log_say
         driver.start()
 
 
-def test_no_robot_is_exit_3(fails, free_endpoint):
-    assert fails(free_endpoint) == (3, f"{free_endpoint}: connection refused: nothing listens there")
+def test_no_robot_is_exit_3(fails):
+    assert fails(NO_ROBOT) == (3, f"{NO_ROBOT}: connection refused: nothing listens there")
 
 
 def test_a_port_in_use_is_exit_2_and_the_robot_is_left_alone(fails):
@@ -151,15 +144,15 @@ def test_a_port_in_use_is_exit_2_and_the_robot_is_left_alone(fails):
     assert line == f"--listen {listen}: another process listens there already"
 
 
-def test_a_zenoh_configuration_says_where_to_listen(free_endpoint, tmp_path, capsys):
+def test_a_zenoh_configuration_says_where_to_listen(tmp_path, capsys):
     config = tmp_path / "zenoh.json5"
     config.write_text('{ listen: { endpoints: ["tcp/192.0.2.1:9"] } }')
-    arguments = ["bridge", "--base", free_endpoint, "--zenoh-config", str(config)]
+    arguments = ["bridge", "--base", NO_ROBOT, "--zenoh-config", str(config)]
     assert cli.run([*arguments, "--insecure"]) == 2
     assert "--listen tcp/192.0.2.1:9: cannot listen there" in capsys.readouterr().err
 
 
-def test_bridge_that_may_open_too_few_files_is_refused(fails, free_endpoint, monkeypatch):
+def test_bridge_that_may_open_too_few_files_is_refused(fails, monkeypatch):
     monkeypatch.setattr(resource, "getrlimit", lambda kind: (60, 60))
-    code, line = fails(free_endpoint)
+    code, line = fails(NO_ROBOT)
     assert (code, line.partition(",")[0]) == (2, "this process may open 60 files")

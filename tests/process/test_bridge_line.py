@@ -13,6 +13,7 @@ from bridge.pioneer import transport
 from bridge.pioneer.base_connection import BaseConnection, Broken, Opened, Received, first_connection
 from bridge.pioneer.transport import TcpTransport
 from rover_ncp.core.errors import NoRobot
+from sim.live.processes import wait_for
 
 
 @pytest.fixture
@@ -41,12 +42,7 @@ def open_line(server):
 
 def next_of(inbox, kind):
     """Take arrivals until one of that kind comes."""
-    deadline = time.monotonic() + 5.0
-    while time.monotonic() < deadline:
-        for _, arrival in inbox.take(0.1):
-            if isinstance(arrival, kind):
-                return arrival
-    raise AssertionError(f"no {kind.__name__}")
+    return wait_for(lambda: next((each for _, each in inbox.take(0.1) if isinstance(each, kind)), None))
 
 
 @pytest.fixture

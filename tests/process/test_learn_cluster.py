@@ -4,8 +4,8 @@ import json
 import signal
 
 import pytest
-from kit.dask_cluster import Cluster, start_rover_ncp
 from kit.paths import DATA, content
+from kit.training_processes import Cluster, start_rover_ncp
 
 from rover_ncp.cli import run
 from sim.live.processes import wait_for

@@ -10,8 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from kit.dask_cluster import start_rover_ncp
 from kit.paths import DATA, content
+from kit.training_processes import is_running, start_rover_ncp
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
@@ -29,13 +29,6 @@ def children(pid):
         return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
     except FileNotFoundError:
         return []
-
-
-def is_running(pid):
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except (FileNotFoundError, ProcessLookupError):
-        return False
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A Dask scheduler on loopback with worker processes, for tests."""
+"""Processes that train: commands whose records name no commit, and a Dask cluster on loopback."""
 
 import json
 import os
@@ -26,6 +26,14 @@ def start(*arguments: str, output: int = subprocess.DEVNULL) -> subprocess.Popen
 
 def start_rover_ncp(*arguments: str, output: int = subprocess.DEVNULL) -> subprocess.Popen[str]:
     return start("-c", "from rover_ncp.entry import main; main()", *arguments, output=output)
+
+
+def is_running(pid: int) -> bool:
+    """Whether a process has not ended; one that nobody waited for yet has."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
 
 
 class Cluster:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import zenoh
+from kit.paths import DATA
 
 from faults.going_on import SILENT_CLOSE_ROW
 from faults.losses import Completeness, Usage, check_recording, leaks, usage
@@ -22,17 +23,14 @@ from faults.measure import Measured, measure
 from faults.rig import Rig
 from faults.row import CIRCUIT, Row
 from faults.table import MATRIX
-from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import RoverNcpError
-from rover_ncp.core.files import write_atomic
 from rover_ncp.core.streams import Domain, random_stream
-from rover_ncp.course.course import load_course
 from sim.live.processes import compile_driver, wait_for
 
 LAST = "bridge-killed"
 ROUND_S, LAST_S = 15.0, 25.0
 """The usual upper bound of a round, and that of the last round with the end of the soak."""
-START_SIGNAL_S = 0.2
+COURSE = DATA / "prompt_course.yaml"
 QUIET_S = 1.0
 STILL_S = 2.0
 """How long the rover must stand at the end."""
@@ -120,14 +118,13 @@ def soak(
     Recordings, logs and the mock's truth go to ``folder``. Raises RoverNcpError when the processes do not
     start or the rover cannot be driven at the end.
     """
-    course = _prompt_course(folder)
     compile_driver()  # else the compilation would delay the first round
     order, moments = (random_stream(seed, domain) for domain in (Domain.SOAK_ORDER, Domain.SOAK_MOMENTS))
     soaked, began_s = Soaked(), time.monotonic()
     # One bridge runs from beginning to end, and its clock stamps what recordings are compared with.
     rows = [row for row in rows if row.act and row.layer != "clock" and row is not SILENT_CLOSE_ROW]
     last = [row for row in rows if row.key == LAST]
-    with Rig(folder / "log", course) as rig:
+    with Rig(folder / "log", COURSE) as rig:
 
         def inject(row: Row, driver: str) -> None:
             soaked.load = max(soaked.load, os.getloadavg()[0])
@@ -162,14 +159,6 @@ def soak(
     reached = {each.row for each in soaked.rounds}
     soaked.not_reached = [row for row in rows if row not in reached]
     return soaked
-
-
-def _prompt_course(folder: Path) -> Path:
-    """Write the parking course with an early start signal."""
-    course = load_course("parking").model_copy(update={"start_signal_s": START_SIGNAL_S})
-    path = folder / "course.yaml"
-    write_atomic(path, dump_yaml(course.model_dump(mode="json")))
-    return path
 
 
 def _plan(rows: Sequence[Row], order: np.random.Generator) -> Iterator[tuple[Row, str]]:

@@ -33,15 +33,12 @@ NAN_S, NAN_PERIOD_S = 1.0, 0.01
 # Injections of faults, and their removal.
 
 
-def _tell_line(command: str) -> Act:
-    return lambda scene: scene.rig.line.tell(command).t_ns
+def _tell(process: str, line: str) -> Act:
+    """Return a fault that the rig's ``mock``, ``line`` or ``link`` causes."""
+    return lambda scene: getattr(scene.rig, process).tell(line).t_ns
 
 
-def _tell_link(command: str) -> Act:
-    return lambda scene: scene.rig.link.tell(command).t_ns
-
-
-_hold, _release = _tell_link("hold"), _tell_link("release")
+_hold, _release = _tell("link", "hold"), _tell("link", "release")
 
 
 def _signal_driver(number: int) -> Act:
@@ -200,7 +197,7 @@ def _until_free(scene: Scene) -> None:
 
 
 def _base(key: str, fault: str, line: str, ended: str = "", **more: Any) -> Row:
-    return Row(key, "base", fault, lambda scene: scene.rig.mock.tell(line).t_ns, ended=ended, **more)
+    return Row(key, "base", fault, _tell("mock", line), ended=ended, **more)
 
 
 def _deploy(key: str, fault: str, act: Act, mend: Act = lambda scene: None) -> Row:
@@ -242,11 +239,11 @@ _ROWS = (
         "line-reset",
         "line",
         "to the base cut by a TCP reset",
-        _tell_line("reset"),
+        _tell("line", "reset"),
         ended=_NO_BASE,
         requests_lease=False,
     ),
-    Row("line-pulled", "line", _PULLED, _tell_line("hold_both_ways"), _tell_line("release"), _NO_BASE),
+    Row("line-pulled", "line", _PULLED, _tell("line", "hold_both_ways"), _tell("line", "release"), _NO_BASE),
     _deploy("deploy-killed", "killed (SIGKILL)", _signal_driver(SIGKILL)),
     _deploy("deploy-stopped", "stopped (SIGSTOP)", _signal_driver(SIGSTOP), _signal_driver(SIGCONT)),
     _deploy("deploy-hung", _HUNG, lambda scene: _hang(scene.process), _signal_driver(SIGKILL)),
@@ -259,12 +256,12 @@ _ROWS = (
         lease_s=LONG_LEASE_S,
         ended=_LAPSED,
     ),
-    _link("link-cut", "cut", _tell_link("cut"), _release_without_lease, only=""),
+    _link("link-cut", "cut", _tell("link", "cut"), _release_without_lease, only=""),
     # The driver sends only commands: a late request for the lease would make stale commands look fresh.
     _link(
         "link-slow",
         "slow: 1 kB/s, commands later and later",
-        _tell_link("throttle 1000"),
+        _tell("link", "throttle 1000"),
         _release_slow_link,
         requests_lease=False,
     ),

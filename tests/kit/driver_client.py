@@ -88,5 +88,5 @@ class DriverClient:
             self.drive(PERIOD_S, v, omega)
             return self.odom is not None and abs(self.odom.velocity.v - v) <= 0.02
 
-        self.bridge.wait_for(drives, 5.0)
+        self.bridge.wait_for(drives)
         return self

@@ -13,17 +13,13 @@ their drivers could receive. All rows need about ten minutes; a short soak lists
 import argparse
 import shutil
 import sys
+from functools import partial
 from pathlib import Path
 
-from faults.soak import Round, soak
+from faults.soak import soak
 
 OUT = Path("runs/soak")
 """Recordings, logs and the table; those of an earlier soak are deleted."""
-
-
-def say(done: Round) -> None:
-    """Print each fault as it is measured."""
-    print(done, flush=True)
 
 
 if __name__ == "__main__":
@@ -32,7 +28,7 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=0, help="of the order, the drivers and the moments")
     given = parser.parse_args()
     shutil.rmtree(OUT, ignore_errors=True)
-    soaked = soak(given.minutes * 60.0, given.seed, OUT, say)
+    soaked = soak(given.minutes * 60.0, given.seed, OUT, partial(print, flush=True))
     page, failed = OUT / "soak.md", soaked.failed()
     page.write_text("\n".join(soaked.table()) + "\n")
     print(

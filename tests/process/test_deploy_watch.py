@@ -1,4 +1,4 @@
-"""The live page: its Stop button among real processes, and while updates are slow."""
+"""The live page: its Stop button and its end as a process, and while updates are slow."""
 
 import contextlib
 import json

@@ -17,7 +17,7 @@ from rover_ncp.wire.protocol import CommandTag, MotorsReply, Signed, dump_json
 @pytest.fixture
 def driver(rig):
     with Driver(rig.robot) as driver:
-        driver.wait_for(lambda: driver.odom is not None and driver.gate.lease == 0)
+        driver.wait_for(lambda: {"odom", "rover/gate"} <= driver.seen.keys() and driver.gate.lease == 0)
         yield driver
         # It lapses: a query could still go to a peer of the test, which is gone.
         driver.wait_for(lambda: driver.gate.lease == 0)

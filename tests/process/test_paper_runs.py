@@ -3,8 +3,8 @@
 import json
 
 import pytest
-from kit.dask_cluster import Cluster
 from kit.json_fields import assert_on_page
+from kit.training_processes import Cluster
 
 from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
 from rover_ncp.cli import run
@@ -42,7 +42,7 @@ def test_the_same_run_gives_the_same_bits_and_replays(car):
     [
         ("cart-pole", "random", 30.0),  # an untuned agent falls after some 20 steps
         pytest.param("cart-pole", "lstm", 30.0, marks=pytest.mark.long),
-        ("roboschool", "circuit", 30.0),
+        pytest.param("roboschool", "circuit", 30.0, marks=pytest.mark.long),
         ("roboschool", "mlp", 1000.0),  # on MuJoCo's pole too
     ],
 )

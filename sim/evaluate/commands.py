@@ -84,6 +84,12 @@ class EvalOptions:
             show_default=False,
         ),
     ] = None
+    images: Annotated[
+        bool,
+        typer.Option(
+            "--images", help="With --to: render the camera's pictures and localise by them (extra tag)."
+        ),
+    ] = False
     sensors: Annotated[
         Sensors | None,
         typer.Option(
@@ -191,7 +197,7 @@ def evaluate(options: EvalOptions) -> int:
     --to docks at a place with a camera on the robot that sees tags there, by a noise model (docs/place.md).
     Docked is judged by the true pose.
 
-        rover-ncp eval dock --stack --to docs/examples/place.yaml --trials 100 --body mujoco --randomize varied
+        rover-ncp eval dock --stack --to docs/examples/place.yaml --trials 100 --body mujoco
 
     Ends with 1 if a single trial was driven and did not park, else with 0.
     """
@@ -201,13 +207,14 @@ def evaluate(options: EvalOptions) -> int:
     if not options.stack:
         if options.body is Body.MUJOCO:
             raise UsageError("--body mujoco needs --stack: plain simulation is pymunk's")
-        for name in ("to", "sensors", "identify", "processes"):
+        for name in ("to", "images", "sensors", "identify", "processes"):
             if getattr(options, name):
                 raise UsageError(f"--{name} needs --stack")
     if options.identify and options.profile is not None:
         raise UsageError("--identify and --profile do not go together: both tell the driver of the robot")
     if options.to is not None:
         return _dock(options, options.to)
+    reject("needs --to", images=options.images)
     random = (options.trials, options.randomize, options.random_courses, options.profile)
     if random == (None,) * 4 and not options.stack and len(options.courses) == 1:
         return _drive_once(options)
@@ -291,6 +298,7 @@ def _dock(options: EvalOptions, name: str) -> int:
     from rover_ncp.robot.description import load_description
     from sim.evaluate.docking_runs import docking_words, evaluate_docking
     from sim.stack.docking import DockTrials
+    from sim.stack.tag_camera import DockCamera, TagCamera
     from sim.world.described import ranges_for
 
     given = {"course": options.course, "identify": options.identify, "profile": options.profile}
@@ -299,6 +307,11 @@ def _dock(options: EvalOptions, name: str) -> int:
     ranges = ranges_for(options.randomization, None, options.body, robot)
     gyro, _ = _sensors(options.sensors or (None if robot else Sensors.GYRO), robot)
     place, output = load_place(name), Output(options.json)
+    camera: DockCamera = TagCamera()
+    if options.images:
+        from sim.stack.rendered_camera import RenderedCamera
+
+        camera = RenderedCamera()
     trials = DockTrials(
         load_policy("course"),
         load_policy(options.policy),
@@ -307,6 +320,7 @@ def _dock(options: EvalOptions, name: str) -> int:
         options.seed,
         gyro=gyro,
         robot=robot,
+        camera=camera,
     )
     about = {"randomize": options.randomization or ranges.name, "model": options.model}
     about["body"] = options.body.value

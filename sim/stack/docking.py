@@ -25,7 +25,7 @@ from rover_ncp.robot.description import RobotDescription, load_description
 from rover_ncp.robot.profile import RoverProfile
 from sim.pioneer.trial import BaseTrial, draw_rover
 from sim.stack.lines import simulated_base
-from sim.stack.tag_camera import TagCamera, TagLocaliser
+from sim.stack.tag_camera import DockCamera, TagCamera
 from sim.stack.trials import drive_whole
 from sim.stack.virtual import SilentPublisher, VirtualBridge, VirtualLink
 from sim.world.randomization import Randomization
@@ -61,7 +61,7 @@ class DockTrials:
     seed: int
     gyro: bool = True
     robot: RobotDescription | None = None
-    camera: TagCamera = field(default_factory=TagCamera)
+    camera: DockCamera = field(default_factory=TagCamera)
 
     @cached_property
     def description(self) -> RobotDescription:
@@ -103,8 +103,7 @@ class DockTrials:
         base = simulated_base(self.description, rover, BaseTrial(trials), gyro=self.gyro, seed=base_seed)
         bridge = VirtualBridge(base)
         link = VirtualLink(bridge, None)
-        base.observe = TagLocaliser(
-            self.camera,
+        base.observe = self.camera.localiser(
             rover,
             self.place.goal,
             random_stream(self.seed, Domain.CAMERA, number),

@@ -10,6 +10,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,33 @@ from rover_ncp.core.geometry import Pose, compose, relative, wrap_angle
 from rover_ncp.wire.messages import pose_with_covariance
 from sim.stack.lines import NS, WALL_NS
 from sim.world.rover import Rover
+
+
+class PoseSource(Protocol):
+    """What sends the poses of one rover."""
+
+    def observe(self, now: float) -> None:
+        """Measure if it is due at ``now`` s, and deliver what has arrived."""
+
+
+class DockCamera(Protocol):
+    """A camera that sees tags at a place: by a noise model (`TagCamera`), or in rendered pictures."""
+
+    @property
+    def tags_ahead_m(self) -> float:
+        """How far the tags are ahead of a docked base's middle."""
+
+    def localiser(
+        self,
+        rover: Rover,
+        place: Pose,
+        stream: np.random.Generator,
+        send: Callable[[bytes, int], None],
+        *,
+        frame: str,
+        backward: bool,
+    ) -> PoseSource:
+        """Return the localiser of one rover; ``stream`` draws noise, ``send`` gets a message and its moment."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +67,19 @@ class TagCamera:
     """0.9° in 95 % of images at 3 m: measured with AprilTag 3 on two tags 0.3 m apart, on rendered images."""
     lost: float = 0.05
     """Share of images without a pose."""
+
+    def localiser(
+        self,
+        rover: Rover,
+        place: Pose,
+        stream: np.random.Generator,
+        send: Callable[[bytes, int], None],
+        *,
+        frame: str,
+        backward: bool,
+    ) -> "TagLocaliser":
+        """Return the localiser of one rover."""
+        return TagLocaliser(self, rover, place, stream, send, frame=frame, backward=backward)
 
 
 FULL_M = 3.0

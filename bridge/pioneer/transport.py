@@ -64,8 +64,7 @@ class Transport(ABC):
     def fileno(self) -> int:
         """Return the descriptor, which never waits."""
 
-    @abstractmethod
-    def set_baudrate(self, baudrate: int) -> None:
+    def set_baudrate(self, baudrate: int) -> None:  # noqa: B027
         """Run at another rate from now on, if the line has one. Raises NoRobot when the line is gone."""
 
     @abstractmethod
@@ -142,11 +141,7 @@ class TcpTransport(Transport):
         """When a write last found that number grown, or no byte outstanding."""
 
     def fileno(self) -> int:
-        """See Transport."""
         return self._socket.fileno()
-
-    def set_baudrate(self, baudrate: int) -> None:
-        """See Transport: this line has no rate."""
 
     def _stuck(self) -> bool:
         """Return whether bytes are outstanding and the far end has acknowledged none for `BACKLOG_S`.
@@ -166,7 +161,6 @@ class TcpTransport(Transport):
         return int.from_bytes(fcntl.ioctl(self._socket, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
 
     def close(self) -> None:
-        """See Transport."""
         with suppress(OSError, ValueError):
             self._socket.shutdown(socket.SHUT_WR)
             # Closing over unread bytes would reset the connection and might take our last command with it.
@@ -179,7 +173,6 @@ class TcpTransport(Transport):
             self._socket.close()
 
     def abort(self) -> None:
-        """See Transport."""
         with suppress(OSError):
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, ABORT)
         with suppress(OSError):
@@ -200,7 +193,6 @@ class SerialTransport(Transport):
         self.baudrate = baudrate
 
     def set_baudrate(self, baudrate: int) -> None:
-        """See Transport."""
         try:
             self._port.baudrate = baudrate
         except _ERRORS as error:
@@ -208,20 +200,17 @@ class SerialTransport(Transport):
         self.baudrate = baudrate
 
     def fileno(self) -> int:
-        """See Transport."""
         return int(self._port.fileno())
 
     def _stuck(self) -> bool:
         return bool(self._port.out_waiting * BITS_PER_BYTE / self._port.baudrate > BACKLOG_S)
 
     def close(self) -> None:
-        """See Transport."""
         # The system sends what was written; waiting for it here could wait for ever on a dead port.
         with suppress(OSError):
             self._port.close()
 
     def abort(self) -> None:
-        """See Transport."""
         with suppress(*_ERRORS):
             self._port.reset_output_buffer()
         self.close()

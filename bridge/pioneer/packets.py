@@ -45,11 +45,8 @@ class Flag(IntFlag):
     MOTORS = 1 << 0
     SONAR_1 = 1 << 1
     SONAR_2 = 1 << 2
-    SONAR_3 = 1 << 3
-    SONAR_4 = 1 << 4
     STOP_BUTTON = 1 << 5
     E_STALL = 1 << 6
-    CHARGER = 1 << 10
 
 
 def _wire(format_: str, default: Any = None) -> Any:

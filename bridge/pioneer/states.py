@@ -142,24 +142,23 @@ TABLE: dict[SessionState, dict[Input, Entry]] = {
         Input.SIP: (SessionState.READY, "be_ready"),
         Input.EXPIRED: (SessionState.READY, "switch_back"),
     },
-    SessionState.READY: {
+    SessionState.READY: _OPEN
+    | {
         Input.SIP: (SessionState.READY, "publish"),
         Input.CONFIG: (None, "configure"),
         Input.EXPIRED: (SessionState.LOST, "lose"),
         Input.RESET: (SessionState.LISTENING, "lose_to_reset"),
         # Only a base that waits for a client echoes: it took our PULSE for SYNC0.
         Input.ECHO0: (SessionState.LISTENING, "lose_to_reset"),
-        Input.CLOSE: (SessionState.IDLE, "leave"),
         Input.LINK_DOWN: (SessionState.IDLE, "lose_line"),
     },
-    SessionState.LOST: {
+    SessionState.LOST: _OPEN
+    | {
         Input.SIP: (SessionState.READY, "recover"),
         # The line may hold old setpoints back. The base, halted by its watchdog, would obey them later.
         Input.EXPIRED: (SessionState.IDLE, "replace_line"),
         Input.RESET: (SessionState.LISTENING, "listen"),
         Input.ECHO0: (SessionState.LISTENING, "listen"),
-        Input.CLOSE: (SessionState.IDLE, "leave"),
-        Input.LINK_DOWN: (SessionState.IDLE, "nothing"),
     },
 }
 """state: {input: (next state or None, action)}; the session's method ``_do_ACTION`` is what is done."""

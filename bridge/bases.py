@@ -133,9 +133,13 @@ def open_base(
     """
     if chosen.entry_point is not None:
         assert chosen.description is not None  # choose_base checks it
-        open_other = _load(chosen.entry_point)
         try:
-            base = open_other(chosen.address.partition("/")[2], chosen.description, inbox.put)
+            opens: OpenBase = chosen.entry_point.load()
+        except Exception as error:
+            found = chosen.entry_point
+            raise UsageError(f"base {found.name} ({found.value}) cannot be loaded: {error}") from error
+        try:
+            base = opens(chosen.address.partition("/")[2], chosen.description, inbox.put)
         except RoverNcpError:
             raise
         except Exception as error:
@@ -150,11 +154,3 @@ def open_base(
     link.watch_robot_side(f"{LOOP_KEY}/{line.nonce}", lambda there: inbox.put(LoopSeen(there)))
     ros2 = Ros2Base(line, chosen.description, unsafe=no_base_watchdog)
     return line, ros2, ros2.note
-
-
-def _load(found: EntryPoint) -> OpenBase:
-    try:
-        loaded: OpenBase = found.load()
-    except Exception as error:
-        raise UsageError(f"base {found.name} ({found.value}) cannot be loaded: {error}") from error
-    return loaded

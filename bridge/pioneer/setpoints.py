@@ -16,16 +16,12 @@ from rover_ncp.core.geometry import STANDSTILL, Velocity
 
 PULSE_S, REFRESH_S = 0.5, 0.2
 """Period of PULSE while the motors are off (the watchdog waits 2 s), of the setpoints while they are on."""
-
 VERIFY_S, ENABLE_TRIES = 0.3, 3
 """A request that the SIPs do not show after this time is repeated; the motors' ENABLE 1 so many times."""
-
 STANDING = 0.002
 """Dead band in m/s and rad/s: commands within both ask for a standing rover. It is the allowed mean error."""
-
 HOLD_S, MAX_HOLD_S = 0.05, 0.25
 """Least duration of a turn setpoint, unless the command changes, and the longest that is accounted for."""
-
 _EARLY_S = 0.002
 """Tolerance for a loop at 20 Hz that runs a little early; without it half of its ticks would be lost."""
 

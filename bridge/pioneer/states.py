@@ -51,7 +51,6 @@ class Input(Enum):
 
 LOSS_S = 0.5
 """Without a SIP for this long a base counts as lost (design, safety requirement 1)."""
-
 PATIENCE_S = {
     SessionState.IDLE: math.inf,
     SessionState.LISTENING: 0.25,  # an open session speaks each 0.1 s
@@ -66,7 +65,6 @@ PATIENCE_S = {
     SessionState.FASTER: 0.9,  # as long as ARIA waits for a packet
 }
 """How long a state lasts by itself, in seconds."""
-
 Entry: TypeAlias = tuple[SessionState | None, str]
 
 _ENDING: dict[Input, Entry] = {

@@ -24,27 +24,21 @@ from rover_ncp.wire.address import parse_address
 
 DEFAULT_PORT = 8101
 """TCP port of a base in ARIA, p2os and AMRISim."""
-
 DEFAULT_BAUD = 9600
 """The base's FLASH default."""
-
 CONNECT_TIMEOUT_S = 5.0
 BACKLOG_S = 0.5
 """A line is broken if bytes wait for longer than this in it: later commands would only arrive late."""
 BITS_PER_BYTE = 10
 """On a serial line: start bit, 8 data bits, stop bit."""
-
 LINGER_S = 0.3
 """How long closing waits for the base to hang up too."""
-
 ABORT = struct.pack("ii", 1, 0)
 """SO_LINGER: close by a reset, and drop undelivered bytes."""
-
 CHUNK_BYTES = 4096
 
 _ERRORS = (OSError, ValueError, TypeError)
 """Errors of sockets and of pyserial, whose SerialException is an OSError."""
-
 _FORM = "expected tcp/HOST[:8101] or serial//dev/ttyUSB0[#baudrate=9600]"
 
 

@@ -152,11 +152,14 @@ class Ros2Base:
         self._measurement: TimeoutMeasurement | None = None
 
     def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:
-        events, notices = list[BaseEvent](), list[BaseEvent]()
+        events, changes = list[BaseEvent](), list[BaseEvent]()
         match arrival:
             case RobotMessage():
                 events = self._message(arrival)
-                notices = self._clock_notices(arrival.topic, self._odometer.set_back_s)
+                back_s = self._odometer.set_back_s if arrival.topic == self._topics.odom else 0.0
+                if 0.0 < back_s <= CLOCK_BACK_S:  # beyond it, it is a restart
+                    topic = self._line.topic(arrival.topic)
+                    changes.append(Notice(f"the clock that stamps {topic} was set back by {back_s:.2f} s"))
             case TokenSeen(token, there):
                 if not there:
                     self._tokens.pop(token, None)
@@ -164,7 +167,7 @@ class Ros2Base:
                     self._tokens[token] = None
             case LoopSeen(there):
                 self._loop = there
-        changes = [*notices, *self._watch(now)]
+        changes += self._watch(now)
         return [*changes, *events] if self._ready else changes
 
     def drive(self, setpoint: Setpoint, now: float) -> Sequence[BaseEvent]:
@@ -299,11 +302,6 @@ class Ros2Base:
         who = " or ".join(others) or "a publisher without a name"
         self._contradictions[f"{who} publishes {where} too"] = now
         self._odometer.counters["foreign"] += 1
-
-    def _clock_notices(self, topic: str, back_s: float) -> list[BaseEvent]:
-        if topic != self._topics.odom or not 0.0 < back_s <= CLOCK_BACK_S:  # beyond it, it is a restart
-            return []
-        return [Notice(f"the clock that stamps {self._line.topic(topic)} was set back by {back_s:.2f} s")]
 
     def _announced(self, topic: str, published: bool) -> list[Announced]:
         """Return what others announce of a topic."""

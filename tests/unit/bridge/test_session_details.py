@@ -85,24 +85,19 @@ def test_new_line_does_not_complete_half_a_packet_of_the_last_one():
     assert bench.session.state is SessionState.SYNC1
 
 
-def test_bytes_for_a_base_that_was_reset_are_dropped():
+@pytest.mark.parametrize(
+    "end",
+    [
+        lambda bench: bench.hear(RESET),
+        lambda bench: bench.session.link_down("unplugged", bench.now),
+        lambda bench: (bench.session.close(bench.now), bench.connect()),
+    ],
+    ids=["reset", "line is gone", "next session"],
+)
+def test_bytes_for_a_session_that_ended_are_dropped(end):
     bench = Bench().go_to(SessionState.READY)
     bench.session.enable(True)
-    bench.hear(RESET)
-    assert bench.sent() == []
-
-
-def test_bytes_for_a_line_that_is_gone_are_dropped():
-    bench = Bench().go_to(SessionState.READY)
-    bench.session.enable(True)
-    bench.session.link_down("unplugged", bench.now)
-    assert bench.sent() == []
-
-
-def test_bytes_for_a_closed_session_do_not_open_the_next_one():
-    bench = Bench().go_to(SessionState.READY)
-    bench.session.close(bench.now)
-    bench.connect()
+    end(bench)
     assert bench.sent() == []
 
 
@@ -122,12 +117,6 @@ def test_only_a_ready_base_gets_requests(state):
     bench.session.emergency_stop()
     bench.session.reset_odometry()
     assert bench.sent() == []
-
-
-def test_odometry_reset_goes_out_at_once():
-    bench = Bench().go_to(SessionState.READY)
-    bench.session.reset_odometry()
-    assert bench.commands() == [Command.SETO]
 
 
 def test_report_counts_from_its_arrival():
@@ -174,17 +163,14 @@ def test_base_without_configuration_is_ready_after_exactly_one_second():
     assert bench.commands() == [Command.CONFIG]  # a second after the last time
 
 
-def test_base_is_ready_when_its_configuration_follows_its_report():
-    bench = Bench().go_to(SessionState.CONFIGURING)
-    bench.hear(sip())
-    assert bench.session.state is SessionState.CONFIGURING
-    bench.hear(CONFIG)
-    assert bench.session.state is SessionState.READY
-
-
-def test_base_that_restarts_must_send_its_configuration_again():
-    bench = Bench().go_to(SessionState.READY)
-    bench.hear(RESET + ECHO0 + ECHO1 + NAMES + sip())
+@pytest.mark.parametrize(
+    ("state", "report"),
+    [(SessionState.CONFIGURING, sip()), (SessionState.READY, RESET + ECHO0 + ECHO1 + NAMES + sip())],
+    ids=["first", "after a restart"],
+)
+def test_base_is_ready_when_its_configuration_follows_its_report(state, report):
+    bench = Bench().go_to(state)
+    bench.hear(report)
     assert bench.session.state is SessionState.CONFIGURING
     bench.hear(CONFIG)
     assert bench.session.state is SessionState.READY

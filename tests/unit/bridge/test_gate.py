@@ -81,23 +81,6 @@ def test_renewal_permits_no_new_contact():
     assert gate.state.lease is None
 
 
-@pytest.mark.parametrize("steps", [{"x": 0.001}, {"y": 0.001}, {"theta": 0.0015}])
-def test_one_changed_count_is_no_frozen_odometry(steps):
-    gate = Gate().driving()
-    for k in range(1, 40):
-        pose = {name: (k // 2) * step for name, step in steps.items()}
-        gate.at(0.1 * k, BaseReport(v=0.09, omega=0.19, **pose))
-        assert gate.drive(0.1 * k).held is None
-
-
-def test_frozen_distance_uses_the_slower_of_two_reports():
-    gate = Gate().driving()
-    for k in range(1, 40):
-        fast = 0.3 * (k % 2)
-        gate.at(0.1 * k, BaseReport(v=fast, omega=fast))
-        assert gate.drive(0.1 * k).held is None
-
-
 MEANS = LIMITS.model_copy(update={"speed_mean_s": 1.0})
 
 

@@ -6,6 +6,7 @@ from collections import deque
 
 import pytest
 from kit.gate_bench import BOX, LIMITS, Gate
+from pydantic import ValidationError
 
 from bridge.base import BaseReport
 from bridge.gate.limits import Fence, Limits
@@ -37,18 +38,15 @@ def held(base, velocity, age_s=0.0, fence=BOX):
     ],
 )
 def test_arc_of_the_stop_stays_inside(velocity, room):
-    def held(base, command):
-        return leaves(LANE, base, command, 0.0, BRAKE)
-
     for y, v, omega in ((1.0, *velocity), (-1.0, velocity.v, -velocity.omega)):
         inside, outside = y * (0.999 - room), y * (1.001 - room)
-        assert not held(BaseReport(y=inside), Velocity(v, omega))
-        assert held(BaseReport(y=outside), Velocity(v, omega))
+        assert not held(BaseReport(y=inside), Velocity(v, omega), fence=LANE)
+        assert held(BaseReport(y=outside), Velocity(v, omega), fence=LANE)
         # As long as the rover still turns, the command to drive straight on is not enough.
-        assert not held(BaseReport(y=inside, omega=omega), Velocity(v, 0.0))
-        assert held(BaseReport(y=outside, omega=omega), Velocity(v, 0.0))
+        assert not held(BaseReport(y=inside, omega=omega), Velocity(v, 0.0), fence=LANE)
+        assert held(BaseReport(y=outside, omega=omega), Velocity(v, 0.0), fence=LANE)
         if abs(v) < 1.0:
-            assert not held(BaseReport(y=outside), Velocity(v, -omega))
+            assert not held(BaseReport(y=outside), Velocity(v, -omega), fence=LANE)
 
 
 def test_straight_stop_counts_also_on_a_curve_away_from_the_fence():
@@ -235,3 +233,34 @@ def test_driving_with_noise_and_with_late_and_lost_reports_is_no_jump(seed):
         pose = (value + dice.gauss(0.0, 0.005) for value in (x, y, theta))
         gate.at(arrival, BaseReport(*pose, v + dice.gauss(0.0, 0.02), omega + dice.gauss(0.0, 0.02)))
         assert not gate.state.odometry_restarted
+
+
+# Limits: no setting undoes the first safety requirement
+
+
+STOP_S = 0.5
+
+
+def test_fence_measures_the_distance_of_points_outside():
+    fence = Fence(x_min=-1.0, x_max=2.0, y_min=-1.0, y_max=1.0)
+    assert fence.outside(0.0, 0.0) == 0.0
+    assert fence.outside(2.0, 1.0) == 0.0
+    assert fence.outside(2.5, 0.0) == 0.5
+    assert fence.outside(-1.25, 0.0) == 0.25
+    assert fence.outside(0.0, 1.5) == 0.5
+    assert fence.outside(3.0, -3.0) == 2.0
+
+
+@pytest.mark.parametrize("sides", [(1.0, 1.0, 0.0, 1.0), (2.0, 1.0, 0.0, 1.0), (0.0, 1.0, 1.0, 1.0)])
+def test_a_fence_without_an_inside_is_refused(sides):
+    x_min, x_max, y_min, y_max = sides
+    with pytest.raises(ValidationError, match="a fence needs"):
+        Fence(x_min=x_min, x_max=x_max, y_min=y_min, y_max=y_max)
+
+
+@pytest.mark.parametrize("name", ["command_timeout_s", "stale_s", "odometry_s"])
+def test_no_timeout_may_be_as_long_as_the_requirement(name):
+    with pytest.raises(ValidationError):
+        Limits(**{name: STOP_S})
+    with pytest.raises(ValidationError):
+        Limits(**{name: 0.0})

@@ -111,26 +111,16 @@ CLEAN, DAMAGED = LinkHealth(False, {"bad_checksums": 0}), LinkHealth(True, {"bad
 
 
 def levels(base, gate=None, health=CLEAN):
-    data = ros.diagnostics(
-        base,
-        gate or GateState(held=None),
-        health,
-        reconnects=2,
-        hardware="p3at",
-        stamp_ns=STAMP,
-    )
+    gate = gate or GateState(held=None)
+    data = ros.diagnostics(base, gate, health, reconnects=2, hardware="p3at", stamp_ns=STAMP)
     message = decode(spec("diagnostics").type, data)
     assert {status.hardware_id for status in message.status} == {"p3at"}
     return {status.name.split(": ")[1]: (status.level, status.message) for status in message.status}
 
 
 def test_diagnostics_of_a_healthy_bridge():
-    healthy = replace(STATE, bumpers=(0, 0))
-    assert levels(healthy) == {
-        "link to the base": (0, "clean"),
-        "base": (0, "fine"),
-        "gate": (0, "open"),
-    }
+    healthy = {"link to the base": (0, "clean"), "base": (0, "fine"), "gate": (0, "open")}
+    assert levels(replace(STATE, bumpers=(0, 0))) == healthy
 
 
 def test_diagnostics_name_the_problems():
@@ -140,13 +130,7 @@ def test_diagnostics_name_the_problems():
     assert found["gate"] == (1, "silence")
     assert levels(None)["base"] == (2, "not connected")
     assert levels(STATE, GateState(held=Reason.NO_LEASE, lease_over=Reason.STALL))["gate"] == (1, "stall")
-
-
-def test_diagnostics_show_damaged_packets():
-    assert levels(STATE, health=DAMAGED)["link to the base"] == (
-        1,
-        "packets were damaged",
-    )
+    assert levels(STATE, health=DAMAGED)["link to the base"] == (1, "packets were damaged")
 
 
 # Covariances of odometry and gyro: those of the description, and never 0

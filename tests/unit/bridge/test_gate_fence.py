@@ -11,7 +11,6 @@ from pydantic import ValidationError
 from bridge.base import BaseReport
 from bridge.gate.limits import Fence, Limits
 from bridge.gate.motion import leaves
-from bridge.gate.state import Reason
 from rover_ncp.core.geometry import STANDSTILL, Velocity
 
 LANE = Fence(x_min=-9.0, x_max=9.0, y_min=-1.0, y_max=1.0)
@@ -156,65 +155,6 @@ def test_rover_at_speed_whose_command_changes_stays_inside(v, omega):
 
     assert drive_along(0.97, 0.0, command) <= 1.0
     assert drive_along(0.4, 0.2, command) <= 1.0
-
-
-# Odometry that begins anew
-
-
-def jumped(base, before=None, elapsed_s=0.1, limits=FENCED):
-    """Whether the fence is lost by a report after another one."""
-    gate = Gate(limits)
-    gate.at(1.0, before or BaseReport())
-    gate.at(1.0 + elapsed_s, base)
-    lost = gate.enable(1.0 + elapsed_s).refusal is Reason.FENCE_LOST
-    gate.at(1.2 + elapsed_s, base)
-    assert (gate.enable(1.2 + elapsed_s).refusal is Reason.FENCE_LOST) is lost
-    return lost
-
-
-@pytest.mark.parametrize(
-    ("pose", "speeds", "elapsed_s", "lost"),
-    [
-        ((0.9, 0.0, 0.0), (0.0, 0.0), 0.1, True),
-        ((0.0, -0.9, 0.0), (0.0, 0.0), 0.1, True),
-        ((0.0, 0.0, 1.5), (0.0, 0.0), 0.1, True),
-        ((0.0, 0.0, -1.5), (0.3, 0.3), 0.1, True),
-        ((0.9, 0.0, 0.0), (0.3, 0.0), 0.1, True),
-        ((0.9, 0.0, 0.0), (1e308, 1e308), 0.1, True),
-        ((0.9, 0.0, 0.0), (math.nan, math.nan), 0.1, True),
-        ((1e308, 0.0, 0.0), (0.3, 0.0), 0.1, True),
-        ((0.0, 0.0, 1e308), (0.0, 0.0), 0.1, True),
-        # A command may get it to 0.1 m/s and 0.4 rad/s in 0.1 s.
-        ((0.089, 0.0, 0.0), (0.0, 0.0), 0.1, False),
-        ((0.091, 0.0, 0.0), (0.0, 0.0), 0.1, True),
-        ((0.0, 0.0, -0.259), (0.0, 0.0), 0.1, False),
-        ((0.0, 0.0, -0.261), (0.0, 0.0), 0.1, True),
-        # The limits bound that.
-        ((0.319, 0.0, 0.0), (0.0, 0.0), 0.6, False),
-        ((0.321, 0.0, 0.0), (0.0, 0.0), 0.6, True),
-        ((0.0, 0.0, 0.639), (0.0, 0.0), 0.6, False),
-        ((0.0, 0.0, 0.641), (0.0, 0.0), 0.6, True),
-        # A speed that is reported counts, up to 1.2 m/s and 3 rad/s.
-        ((-0.249, 0.0, 0.0), (-0.5, 0.0), 0.1, False),
-        ((-0.251, 0.0, 0.0), (-0.5, 0.0), 0.1, True),
-        ((0.529, 0.0, 0.0), (50.0, 0.0), 0.1, False),
-        ((0.0, 0.0, 1.299), (0.0, 50.0), 0.1, False),
-        ((0.0, 0.0, 1.301), (0.0, 50.0), 0.1, True),
-        # A heading need not be wrapped.
-        ((0.0, 0.0, math.tau), (0.0, 0.0), 0.1, False),
-    ],
-)
-def test_fence_is_lost_when_a_pose_jumps_without_a_gap(pose, speeds, elapsed_s, lost):
-    assert jumped(BaseReport(*pose, *speeds), None, elapsed_s) is lost
-    assert jumped(BaseReport(), BaseReport(*pose, *speeds), elapsed_s) is lost
-    assert not jumped(BaseReport(*pose, *speeds), None, elapsed_s, Limits())
-
-
-@pytest.mark.parametrize(("pose", "speed", "noise"), [("x", "v", 0.05), ("theta", "omega", 0.1)])
-def test_pose_jumps_beyond_exactly_this_motion(pose, speed, noise):
-    way = noise + 0.7 * (0.5 + 0.3)
-    assert not jumped(BaseReport(**{pose: way, speed: 0.7}), elapsed_s=0.5)
-    assert jumped(BaseReport(**{pose: math.nextafter(way, 1.0), speed: 0.7}), elapsed_s=0.5)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -14,7 +14,6 @@ from bridge.gate.state import (
     Enable,
     GateEvent,
     GateState,
-    Lease,
     Reason,
     Release,
     ReleaseStop,
@@ -106,14 +105,11 @@ class Answers:
         if verdict.refusal is not None:
             return _refusal(verdict.refusal, gate)
         assert verdict.lease is not None  # it was granted
-        return self._grant(verdict.lease, new=verdict.lease.secret == secret, now=now)
-
-    def _grant(self, lease: Lease, new: bool, now: float) -> MotorsReply:
         limits = self._limits
         return MotorsReply(
             granted=True,
-            lease=lease.number,
-            key=lease.secret.hex() if new and lease.secret is not None else "",
+            lease=verdict.lease.number,
+            key=secret.hex() if verdict.lease.secret == secret else "",
             lease_s=limits.lease_s,
             received_ns=round(now * 1e9),
             limits={

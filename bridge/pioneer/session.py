@@ -182,7 +182,10 @@ class Session:
         if state is not None:
             self.state = state
             self._deadline = self._now + PATIENCE_S[state]
-        getattr(self, "_do_" + action)()
+        if isinstance(action, Command):
+            self._send(action)
+        elif action is not None:
+            getattr(self, "_do_" + action)()
 
     def _drain(self) -> list[SessionEvent]:
         events, self._events = self._events, []
@@ -213,9 +216,6 @@ class Session:
 
     # Actions.
 
-    def _do_nothing(self) -> None:
-        pass
-
     def _do_listen(self) -> None:
         self._setpoints.clear()
         self._out.clear()
@@ -227,12 +227,6 @@ class Session:
     def _do_sync0(self) -> None:
         self._tries += 1
         self._send(Command.PULSE)
-
-    def _do_sync1(self) -> None:
-        self._send(Command.OPEN)
-
-    def _do_sync2(self) -> None:
-        self._send(Command.CLOSE)
 
     def _do_try_again(self) -> None:
         self._silent_tries += 1
@@ -378,9 +372,6 @@ class Session:
         self._setpoints.clear()
         self._send_zeros()
         self._send(Command.ENABLE, 0)
-        self._send(Command.CLOSE)
-
-    def _do_say_close(self) -> None:
         self._send(Command.CLOSE)
 
     def _send_zeros(self) -> None:

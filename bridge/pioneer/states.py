@@ -13,6 +13,8 @@ import math
 from enum import Enum
 from typing import TypeAlias
 
+from bridge.pioneer.arcos import Command
+
 
 class SessionState(Enum):
     """The state of a connection to a base."""
@@ -65,51 +67,51 @@ PATIENCE_S = {
     SessionState.FASTER: 0.9,  # as long as ARIA waits for a packet
 }
 """How long a state lasts by itself, in seconds."""
-Entry: TypeAlias = tuple[SessionState | None, str]
+Entry: TypeAlias = tuple[SessionState | None, Command | str | None]
 
 _ENDING: dict[Input, Entry] = {
-    Input.CLOSE: (SessionState.IDLE, "say_close"),
-    Input.LINK_DOWN: (SessionState.IDLE, "nothing"),
+    Input.CLOSE: (SessionState.IDLE, Command.CLOSE),
+    Input.LINK_DOWN: (SessionState.IDLE, None),
 }
 _SYNCING: dict[Input, Entry] = _ENDING | {
     Input.SIP: (SessionState.HANGING_UP, "hang_up"),
-    Input.RESET: (SessionState.LISTENING, "nothing"),
+    Input.RESET: (SessionState.LISTENING, None),
     Input.EXPIRED: (SessionState.LISTENING, "try_again"),
     Input.GAVE_UP: (SessionState.IDLE, "give_up"),
 }
 _OPEN: dict[Input, Entry] = {
-    Input.RESET: (SessionState.LISTENING, "nothing"),
+    Input.RESET: (SessionState.LISTENING, None),
     Input.CLOSE: (SessionState.IDLE, "leave"),
-    Input.LINK_DOWN: (SessionState.IDLE, "nothing"),
+    Input.LINK_DOWN: (SessionState.IDLE, None),
 }
 # The wrong echo starts over. A late echo of an earlier try is ignored.
-_WRONG: Entry = (SessionState.LISTENING, "nothing")
+_WRONG: Entry = (SessionState.LISTENING, None)
 
 TABLE: dict[SessionState, dict[Input, Entry]] = {
     SessionState.IDLE: {Input.CONNECT: (SessionState.LISTENING, "listen")},
     SessionState.LISTENING: {
         Input.SIP: (SessionState.HANGING_UP, "hang_up"),
-        Input.RESET: (SessionState.LISTENING, "nothing"),
+        Input.RESET: (SessionState.LISTENING, None),
         # A late echo still shows which packet the base expects next.
-        Input.ECHO0: (SessionState.SYNC1, "sync1"),
-        Input.ECHO1: (SessionState.SYNC2, "sync2"),
+        Input.ECHO0: (SessionState.SYNC1, Command.OPEN),
+        Input.ECHO1: (SessionState.SYNC2, Command.CLOSE),
         Input.NAMES: (SessionState.CONFIGURING, "open"),
         Input.STRANGER: (SessionState.IDLE, "refuse"),
         Input.EXPIRED: (SessionState.SYNC0, "sync0"),
         Input.GAVE_UP: (SessionState.IDLE, "give_up"),
-        Input.CLOSE: (SessionState.IDLE, "nothing"),
-        Input.LINK_DOWN: (SessionState.IDLE, "nothing"),
+        Input.CLOSE: (SessionState.IDLE, None),
+        Input.LINK_DOWN: (SessionState.IDLE, None),
     },
     SessionState.SYNC0: _SYNCING
     | {
-        Input.ECHO0: (SessionState.SYNC1, "sync1"),
+        Input.ECHO0: (SessionState.SYNC1, Command.OPEN),
         Input.ECHO1: _WRONG,
         Input.NAMES: _WRONG,
         Input.STRANGER: _WRONG,
     },
     SessionState.SYNC1: _SYNCING
     | {
-        Input.ECHO1: (SessionState.SYNC2, "sync2"),
+        Input.ECHO1: (SessionState.SYNC2, Command.CLOSE),
         Input.NAMES: _WRONG,
         Input.STRANGER: _WRONG,
     },
@@ -121,7 +123,7 @@ TABLE: dict[SessionState, dict[Input, Entry]] = {
     },
     SessionState.HANGING_UP: _ENDING
     | {
-        Input.RESET: (SessionState.LISTENING, "nothing"),
+        Input.RESET: (SessionState.LISTENING, None),
         Input.EXPIRED: (SessionState.SYNC0, "sync0"),
         Input.GAVE_UP: (SessionState.IDLE, "give_up"),
     },
@@ -132,7 +134,7 @@ TABLE: dict[SessionState, dict[Input, Entry]] = {
         Input.EXPIRED: (SessionState.CONFIGURING, "ask_again"),
         Input.SETTLED: (SessionState.READY, "be_ready"),
         Input.SLOW: (SessionState.ASKING_FASTER, "ask_faster"),
-        Input.GAVE_UP: (SessionState.LISTENING, "nothing"),
+        Input.GAVE_UP: (SessionState.LISTENING, None),
     },
     SessionState.ASKING_FASTER: _OPEN | {Input.EXPIRED: (SessionState.FASTER, "switch")},
     SessionState.FASTER: _OPEN
@@ -159,4 +161,4 @@ TABLE: dict[SessionState, dict[Input, Entry]] = {
         Input.ECHO0: (SessionState.LISTENING, "listen"),
     },
 }
-"""state: {input: (next state or None, action)}; the session's method ``_do_ACTION`` is what is done."""
+"""state: {input: (next state or None, action)}; the action is a command, or the session's ``_do_ACTION``."""

@@ -153,19 +153,14 @@ class Answers:
 
     def _reset(self, gate: GateState) -> ResetReply:
         if gate.base is None:
-            return ResetReply(ok=False, reason=describe(Reason.NO_BASE, gate))
-        if gate.lease is not None:
-            return ResetReply(
-                ok=False,
-                reason="a driver holds the lease: its pose would jump; reset odometry after the drive",
-            )
-        if self._limits.fence is not None:
-            return ResetReply(
-                ok=False,
-                reason="the fence would move with odom: put the rover where both are to begin, and restart "
-                "the bridge",
-            )
-        problem = self._base.reset_odometry()
+            problem = describe(Reason.NO_BASE, gate)
+        elif gate.lease is not None:
+            problem = "a driver holds the lease: its pose would jump; reset odometry after the drive"
+        elif self._limits.fence is not None:
+            start = "put the rover where both are to begin, and restart the bridge"
+            problem = f"the fence would move with odom: {start}"
+        else:
+            problem = self._base.reset_odometry()
         return ResetReply(ok=not problem, reason=problem)
 
 

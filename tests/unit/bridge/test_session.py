@@ -18,19 +18,6 @@ from bridge.pioneer.states import PATIENCE_S, SessionState
 from rover_ncp.core.geometry import Velocity
 
 
-def test_a_silent_line_is_given_up_after_a_few_seconds_and_close_is_tried():
-    bench = Bench().connect()
-    commands = []
-    while bench.session.state is not SessionState.IDLE and bench.now < 110:
-        bench.wait(0.05)
-        commands += bench.commands()
-    assert 4.0 < bench.now - 100 < 7.0
-    assert commands.count(Command.PULSE) == 6
-    assert commands[:3] == [Command.PULSE, Command.PULSE, Command.CLOSE]
-    (failed,) = bench.events
-    assert "no answer" in failed.reason
-
-
 def test_invalid_bytes_give_another_reason_than_silence():
     bench = Bench().connect()
     while bench.session.state is not SessionState.IDLE:

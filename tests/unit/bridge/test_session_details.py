@@ -12,12 +12,15 @@ from bridge.pioneer.states import PATIENCE_S, SessionState
 
 def silent(bench):
     """Let a base say nothing until the session gives up; return the rates and the number of handshakes."""
-    handshakes = 0
+    commands, began_s = [], bench.now
     while not any(isinstance(event, Failed) for event in bench.events):
         bench.wait(0.05)
-        handshakes += bench.commands().count(Command.PULSE)
+        commands += bench.commands()
+    assert commands[:3] == [Command.PULSE, Command.PULSE, Command.CLOSE]
     rates = [event.baudrate for event in bench.events if isinstance(event, BaudChanged)]
+    handshakes = commands.count(Command.PULSE)
     assert bench.events[-1].reason == f"no answer to {handshakes} handshakes"
+    assert 0.9 * handshakes < bench.now - began_s < 1.2 * handshakes
     return rates, handshakes
 
 

@@ -1,6 +1,7 @@
 """The rules at the top of session.py and setpoints.py, and robots that do not answer as expected."""
 
 import math
+import re
 from itertools import cycle, pairwise
 
 import pytest
@@ -17,33 +18,26 @@ from bridge.pioneer.setpoints import MotionLimits
 from bridge.pioneer.states import PATIENCE_S, SessionState
 from rover_ncp.core.geometry import Velocity
 
-
-def test_invalid_bytes_give_another_reason_than_silence():
-    bench = Bench().connect()
-    while bench.session.state is not SessionState.IDLE:
-        bench.wait(0.05)
-        bench.hear(b"\x80\xfe\x00\xfa\xfbz")
-    (failed,) = bench.events
-    assert "baud" in failed.reason
-    assert "not one valid packet" in failed.reason
+INVALID = b"\x80\xfe\x00\xfa\xfbz"
 
 
 @pytest.mark.parametrize(
-    ("stream", "period_s"),
+    ("stream", "period_s", "reason"),
     [
-        (sip(), 0.05),
-        (encode_frame(0xFF), 0.02),  # a base that is always being reset
-        (encode_frame(0), 0.5),  # each byte of the right answer, too slowly
+        (INVALID, 0.05, "or the baud rate is wrong: .* bytes, not one valid packet"),
+        (sip(), 0.05, "no handshake was completed within 15 s"),
+        (encode_frame(0xFF), 0.02, "no handshake was completed within 15 s"),  # always being reset
+        (encode_frame(0), 0.5, "no handshake was completed within 15 s"),  # the right bytes, too slowly
     ],
 )
-def test_base_that_never_completes_the_handshake_is_given_up(stream, period_s):
+def test_base_that_never_completes_the_handshake_is_given_up(stream, period_s, reason):
     bench = Bench().connect()
     pieces = cycle([stream] if period_s == 0.05 else [bytes([byte]) for byte in stream])
     while bench.session.state is not SessionState.IDLE and bench.now < 200:
         bench.wait(period_s)
         bench.hear(next(pieces))
     (failed,) = bench.events
-    assert "no handshake was completed within 15 s" in failed.reason
+    assert re.search(reason, failed.reason)
 
 
 def test_a_late_second_echo_does_not_start_over():

@@ -1,4 +1,4 @@
-"""A ROS 2 robot as a `Base`: Odometry in, Twist out. Pure; the sessions are in `line.py`.
+"""A ROS 2 robot as a `Base`: Odometry in, Twist out. Pure; the sessions are in `connection.py`.
 
 Rules of this file:
 

@@ -124,7 +124,7 @@ BUILDS = [(name, real) for name in ("course", "parking") for real in ((), (FLOAT
 
 
 @pytest.mark.parametrize(("name", "real"), BUILDS)
-def test_its_check_passes_and_finds_another_circuit(name, real, tmp_path):
+def test_check_of_a_build_passes_and_finds_another_circuit(name, real, tmp_path):
     policy = load_policy(name)
     layout = policy.layout()
     other = policy.with_parameters(np.clip(policy.parameters() * 1.01, layout.lower, layout.upper))
@@ -136,7 +136,7 @@ def test_its_check_passes_and_finds_another_circuit(name, real, tmp_path):
 
 @pytest.mark.parametrize(("name", "real"), BUILDS)
 @pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++")
-def test_it_has_no_static_memory_needs_only_libm_and_runs_in_a_cpp_program(name, real, tmp_path):
+def test_build_has_no_static_memory_needs_only_libm_and_runs_in_a_cpp_program(name, real, tmp_path):
     files = exported(load_policy(name), "c", name, load_course("parking"))
     sources = {file: text for file, text in files.items() if not file.endswith("_check.c")}
     built = compile_c(sources, tmp_path, "policy.o", "-r", *real)

@@ -38,10 +38,8 @@ def odom(number):
 
 
 def status(number):
-    stamp = T0 + number * 100_000_000
-    return Recorded(
-        "rover/status", "std_msgs/msg/String", text(f"{number}"), stamp + 2_000_000, stamp, number
-    )
+    stamp, data = T0 + number * 100_000_000, text(f"{number}")
+    return Recorded("rover/status", "std_msgs/msg/String", data, stamp + 2_000_000, stamp, number)
 
 
 @pytest.fixture(scope="module")
@@ -295,7 +293,7 @@ def test_messages_kept_in_memory_have_a_limit_that_is_named(written, monkeypatch
 
 def test_memory_of_recovery_does_not_grow_with_the_recording(tmp_path):
     peaks, message = [], odom(0)
-    for count in (1_000, 3_000):
+    for count in (2_000, 4_000):
         path = tmp_path / f"{count}.mcap"
         with RecordingWriter(path) as writer:
             for number in range(count):

@@ -109,12 +109,6 @@ def _fail(message: str, kind: str, code: int, as_json: bool) -> int:
     return code
 
 
-def _file_error(error: OSError) -> FileError:
-    """Return a system error as a FileError, such as the use of a deleted folder."""
-    place = f"{error.filename}: " if error.filename else ""
-    return FileError(f"{place}{error.strerror or error}")
-
-
 def _failed(error: Exception, as_json: bool) -> int:
     """Report a user's mistake and return its exit code; raise any other error, which is a bug."""
     if isinstance(error, _WrongCommandLine):
@@ -125,8 +119,9 @@ def _failed(error: Exception, as_json: bool) -> int:
         library = (error.name or "").split(".")[0]
         if library in _EXTRAS:
             error = MissingExtra(library, _EXTRAS[library])
-    if isinstance(error, OSError):
-        error = _file_error(error)
+    if isinstance(error, OSError):  # such as the use of a deleted folder
+        place = f"{error.filename}: " if error.filename else ""
+        error = FileError(f"{place}{error.strerror or error}")
     if isinstance(error, RoverNcpError):
         return _fail(str(error), type(error).__name__, error.exit_code, as_json)
     raise error

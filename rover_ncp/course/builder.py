@@ -157,7 +157,7 @@ def _from_csv(path: Path) -> PoseList:
             for row in reader
         ]
     except csv.Error as error:
-        raise FileError(f"{path}: line {reader.line_num}: no CSV: {error}") from error
+        raise FileError(f"{path}: line {reader.reader.line_num}: no CSV: {error}") from error
     if len(places) < 2:
         raise FileError(f"{path}: a course needs two poses at least, got {len(places)}")
     return _listed(path, places)

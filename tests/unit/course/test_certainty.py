@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from rover_ncp.core.geometry import Pose
-from rover_ncp.course.certainty import SURE, probability_within
-from rover_ncp.course.course import Failure, Parked, load_course
+from rover_ncp.course.course import SURE, Failure, Parked, load_course, probability_within
 
 SURE_HEADING, STD_ERROR = 1e-12, 0.004
 COURSE = load_course("parking")

@@ -186,12 +186,11 @@ def test_bad_policy_is_one_line_with_the_path_of_each_value(edits, problems, tmp
 
 
 def test_a_missing_or_empty_file(tmp_path):
-    for load in (load_policy, load_circuit):
-        with pytest.raises(FileError, match=r"nowhere\.yaml: no such file"):
-            load(tmp_path / "nowhere.yaml")
-        for name in ("empty.bnn", "empty.yaml"):
+    for name, problem in {"none.yaml": "no such file", "a.bnn": "is empty", "a.yaml": "is empty"}.items():
+        if name != "none.yaml":
             (tmp_path / name).write_text(" \n")
-            with pytest.raises(FileError, match=f"{name}: the file is empty"):
+        for load in (load_policy, load_circuit):
+            with pytest.raises(FileError, match=f"{name}: .*{problem}"):
                 load(tmp_path / name)
     shipped = ", ".join(sorted(path.stem for path in CIRCUITS.iterdir()))
     assert "parking, tap_withdrawal" in shipped

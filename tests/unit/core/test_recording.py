@@ -68,38 +68,33 @@ def test_written_messages_are_read(written):
 
 
 def test_recovery_keeps_messages_of_other_software_as_bytes(tmp_path):
-    path = tmp_path / "other.mcap"
+    path, schema = tmp_path / "other.mcap", ("lab/Pose", "jsonschema", b'{"type": "object"}')
+    told = [
+        ("/pose", "json", schema, {"lab": "7"}, b'{"x": 1}'),
+        ("/raw", "", None, {}, b"\0\1\2"),
+        ("/pose", "cbor", None, {}, b"\xa0"),  # a second channel of the same topic
+    ]
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start(profile="ros1", library="another")
-        poses = writer.register_schema("lab/Pose", "jsonschema", b'{"type": "object"}')
-        told = [
-            (writer.register_channel("/pose", "json", poses, {"lab": "7"}), b'{"x": 1}'),
-            (writer.register_channel("/raw", "", 0, {}), b"\0\1\2"),
-            (writer.register_channel("/pose", "cbor", 0, {}), b"\xa0"),  # a second one on the same topic
-        ]
-        for number, (channel, data) in enumerate(told * 3):
-            writer.add_message(channel, T0 + number, data, T0 + number, number)
+        for number in range(9):
+            topic, encoding, schema, metadata, data = told[number % 3]
+            if number < 3:
+                known = writer.register_schema(*schema) if schema else 0
+                writer.register_channel(topic, encoding, known, metadata)
+            writer.add_message(number % 3 + 1, T0 + number, data, T0 + number, number)
         writer.finish()
     whole = path.read_bytes()
+    path.write_bytes(whole[: whole.rindex(b"lab/Pose") - 40])  # the index and the footer are lost
+    assert not read_recording(path).complete
+    rewrite(read_recording(path), path)
     with path.open("rb") as file:
-        expected = [
-            (schema, channel.topic, message.data)
-            for schema, channel, message in make_reader(file).iter_messages()
-        ]
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(whole[: whole.rindex(b"lab/Pose") - 40])  # the index and the footer are lost
-    assert not read_recording(cut).complete
-    rewrite(read_recording(cut), cut)
-    with cut.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         assert reader.get_header().profile == "ros1"
-        found = list(reader.iter_messages())
-    assert [(s and (s.name, s.encoding, s.data), c.topic, m.data) for s, c, m in found] == [
-        (s and (s.name, s.encoding, s.data), topic, data) for s, topic, data in expected
-    ]
-    assert [channel.message_encoding for _, channel, _ in found] == ["json", "", "cbor"] * 3
-    assert found[0][1].metadata == {"lab": "7"}
+        assert [
+            (c.topic, c.message_encoding, s and (s.name, s.encoding, s.data), c.metadata, m.data)
+            for s, c, m in reader.iter_messages()
+        ] == told * 3
 
 
 def test_other_readers_understand_it(written):

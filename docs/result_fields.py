@@ -27,7 +27,7 @@ RESULTS = {
     "paper report": "sim.paper.command_results:ReportResult",
     "mock": "sim.pioneer.run:PioneerMockResult sim.pioneer.run:Ros2MockResult",
     "bridge": "bridge.app:BridgeResult",
-    "export": "rover_ncp.export.export:Exported",
+    "export": "rover_ncp.export.commands:Exported",
     "urdf": "bridge.ros2.urdf:UrdfResult",
     "deploy": "deploy.drive.result:DriveResult",
     "teleop": "deploy.teleop:TeleopResult",

@@ -25,23 +25,11 @@ GROUP = "rover_ncp.commands"
 
 # Which extra brings a library that a command found missing.
 _EXTRAS = {
-    "numba": "drive",
-    "filterpy": "drive",
-    "scipy": "drive",
-    "pymunk": "train",
-    "cmaes": "train",
-    "psutil": "train",
-    "gymnasium": "train",
-    "matplotlib": "train",
+    **dict.fromkeys(("numba", "filterpy", "scipy"), "drive"),
+    **dict.fromkeys(("pymunk", "cmaes", "psutil", "gymnasium", "matplotlib"), "train"),
     "mujoco": "mujoco",
-    "imageio": "paper",
-    "stable_baselines3": "paper",
-    "torch": "paper",
-    "jinja2": "report",
-    "plotly": "report",
-    "starlette": "report",
-    "uvicorn": "report",
-    "websockets": "report",
+    **dict.fromkeys(("imageio", "stable_baselines3", "torch"), "paper"),
+    **dict.fromkeys(("jinja2", "plotly", "starlette", "uvicorn", "websockets"), "report"),
     "cryptography": "keys",
     "distributed": "cluster",
 }

@@ -16,15 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.circuit import RESTING_MV, Circuit, ParameterKind, SynapseKind
+from rover_ncp.circuit.circuit import RESTING_MV, Circuit, FloatArray, IntArray, ParameterKind, SynapseKind
 from rover_ncp.circuit.motors import MotorMap
 from rover_ncp.circuit.policy import ParameterLayout, Policy
 from rover_ncp.circuit.sensing import SensorMap
 from rover_ncp.kernels.jit import kernel
 from rover_ncp.kernels.vectors import WIDTH, RowArray, aligned_zeros
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 LOG2_E = 1.4426950408889634
 
@@ -183,7 +180,7 @@ def allocate_lanes(program: Program, policy: Policy, count: int) -> LaneParamete
     """
     blocks, count_integrated = -(-count // WIDTH), len(program.integrated.neuron)
 
-    def rows(number: int, blocks: int = blocks) -> NDArray[np.float64]:
+    def rows(number: int, blocks: int = blocks) -> FloatArray:
         return aligned_zeros(blocks, number, WIDTH)
 
     lanes = LaneParameters(
@@ -211,7 +208,7 @@ def allocate_lanes(program: Program, policy: Policy, count: int) -> LaneParamete
     return lanes
 
 
-def resting_potentials(policy: Policy, count: int) -> NDArray[np.float64]:
+def resting_potentials(policy: Policy, count: int) -> FloatArray:
     """Return the potentials (n, count) in mV at the start of a run."""
     potentials = aligned_zeros(policy.circuit.size, count)
     potentials[:] = RESTING_MV

@@ -10,7 +10,6 @@ from enum import StrEnum
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rover_ncp.core.config import ResultModel
 from rover_ncp.core.files import DEFAULT_ROBOT
@@ -20,14 +19,13 @@ from rover_ncp.course.reference import (
     OMEGA_MAX,
     V_MAX,
     Deviation,
+    FloatArray,
     Reference,
     chord,
     deviations,
     plan_reference,
 )
 from rover_ncp.robot.description import RobotDescription, load_description
-
-FloatArray = NDArray[np.float64]
 
 GOAL_SHARE = 0.25
 SIDEWAYS = 0.5

@@ -10,15 +10,10 @@ from importlib import resources
 from string import Template
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rover_ncp.circuit import solver
-from rover_ncp.circuit.circuit import MIDPOINT_MV, RESTING_MV
+from rover_ncp.circuit.circuit import MIDPOINT_MV, RESTING_MV, FloatArray
 from rover_ncp.circuit.compiled import Chemical, Gaps, allocate_lanes, make_program
 from rover_ncp.circuit.policy import Policy
-
-FloatArray = NDArray[np.float64]
 
 _FLOAT_DEGREE = 7
 """The next term of the exponential is below 6e-9 of it, a tenth of a float's last bit."""

@@ -3,11 +3,25 @@
 import re
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from pydantic import BaseModel, Field
 
 from rover_ncp.core.console import Json, Output, reject
+
+if TYPE_CHECKING:
+    from rover_ncp.circuit.policy import Policy
+    from rover_ncp.course.course import Course
+
+
+class Exported(BaseModel):
+    """Result of the command ``export``."""
+
+    policy: str = Field(description="its name or file")
+    to: str = Field(description="the format")
+    name: str = Field(description="with which the names of the files begin")
+    files: list[str] = Field(description="the files that were written")
 
 
 class Target(StrEnum):
@@ -42,19 +56,40 @@ def export(
 
     To yaml: NAME.yaml, the policy file, to begin one of your own with (train --circuit NAME.yaml).
     """
-    from rover_ncp.circuit.policy_file import load_policy
+    from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
     from rover_ncp.core.files import require_writable, write_atomic
     from rover_ncp.course.course import load_course
-    from rover_ncp.export.export import Exported, exported
 
     if to is Target.YAML:
         reject("--to yaml needs no course", course=course)
     name = re.sub(r"[^a-z0-9]+", "_", Path(policy).stem.lower()).strip("_")[:64]
     name = name if name[:1].isalpha() else f"policy_{name}".rstrip("_")
     require_writable(out / name)
-    files = exported(load_policy(policy), to, name, load_course(course or "parking"))
+    loaded = load_policy(policy)
+    if to is Target.YAML:
+        files = {f"{name}.yaml": policy_to_yaml(loaded)}
+    else:
+        files = c_files(loaded, name, load_course(course or "parking"))
     for file, content in files.items():
         write_atomic(out / file, content)
     paths = [str(out / file) for file in files]
     result = Exported(policy=policy, to=to, name=name, files=paths)
     Output(json).result(result.model_dump(), "\n".join(paths))
+
+
+def c_files(policy: "Policy", name: str, course: "Course") -> dict[str, str]:
+    """Return the text of each C file."""
+    from importlib.metadata import version
+
+    from rover_ncp.course.reference import plan_reference
+    from rover_ncp.course.signals import needs_reference
+    from rover_ncp.export.circuit_c import circuit_files
+    from rover_ncp.export.course_c import course_files
+    from rover_ncp.export.vectors import check_file, drives, make_vectors
+
+    reference = plan_reference(course) if needs_reference(policy.sensing.inputs) else None
+    made_by = version("rover-ncp")
+    files = circuit_files(policy, name, made_by)
+    if drives(policy):
+        files |= course_files(policy, course, reference, name, made_by)
+    return files | {f"{name}_check.c": check_file(make_vectors(policy, course, reference), name)}

@@ -23,7 +23,7 @@ from rover_ncp.course.course import TICK_S, load_course
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.signals import SIGNALS, signals
 from rover_ncp.export.circuit_c import circuit_files
-from rover_ncp.export.export import exported
+from rover_ncp.export.commands import c_files
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
 LIBRARY = "p.so", "-shared", "-fPIC"
@@ -34,7 +34,7 @@ FLOAT = "-DROVER_NCP_FLOAT"
 def shipped(request, tmp_path_factory):
     """A shipped policy, its name, and the library of its sources for a course."""
     policy = load_policy(request.param)
-    files = exported(policy, "c", request.param, load_course("parking"))
+    files = c_files(policy, request.param, load_course("parking"))
     return policy, request.param, compile_c(files, tmp_path_factory.mktemp(request.param), *LIBRARY)
 
 
@@ -91,7 +91,7 @@ def test_an_observation_that_is_not_finite_gives_no_command_and_leaves_the_state
 )
 def test_the_course_shows_what_a_policy_sees_in_the_simulator(name, course, tmp_path):
     policy, known = load_policy(name), load_course(course)
-    library = compile_c(exported(policy, "c", name, known), tmp_path, *LIBRARY)
+    library = compile_c(c_files(policy, name, known), tmp_path, *LIBRARY)
     c = CCourse(policy, library, name)
     reference = plan_reference(known) if name == "course" else None
     chosen = [SIGNALS.index(signal) for signal in policy.sensing.inputs]
@@ -128,7 +128,7 @@ def test_check_of_a_build_passes_and_finds_another_circuit(name, real, tmp_path)
     policy = load_policy(name)
     layout = policy.layout()
     other = policy.with_parameters(np.clip(policy.parameters() * 1.01, layout.lower, layout.upper))
-    files = exported(policy, "c", name, load_course("parking"))
+    files = c_files(policy, name, load_course("parking"))
     for changed, code in (({}, 0), (circuit_files(other, name, "test"), 1)):
         check = compile_c(files | changed, tmp_path / str(code), "check", *real)
         assert subprocess.run([check], capture_output=True, timeout=10, check=False).returncode == code
@@ -137,7 +137,7 @@ def test_check_of_a_build_passes_and_finds_another_circuit(name, real, tmp_path)
 @pytest.mark.parametrize(("name", "real"), BUILDS)
 @pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++")
 def test_build_has_no_static_memory_needs_only_libm_and_runs_in_a_cpp_program(name, real, tmp_path):
-    files = exported(load_policy(name), "c", name, load_course("parking"))
+    files = c_files(load_policy(name), name, load_course("parking"))
     sources = {file: text for file, text in files.items() if not file.endswith("_check.c")}
     built = compile_c(sources, tmp_path, "policy.o", "-r", *real)
     done = subprocess.run(["nm", built], capture_output=True, text=True, timeout=10, check=True)

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml, parse_yaml
 from rover_ncp.core.errors import ConfigError, FileError
-from rover_ncp.core.files import resolve, write_atomic
+from rover_ncp.core.files import resolve, shipped_names, write_atomic
 
 
 class Wheel(StrictModel):
@@ -145,7 +145,9 @@ def test_names_resolve_to_shipped_files_and_paths_to_themselves(tmp_path):
     own = tmp_path / "parking.yaml"
     own.write_text("x")
     assert resolve("courses", own) == own
-    with pytest.raises(FileError, match="none of the shipped courses"):
+    with pytest.raises(
+        FileError, match=rf"none of the shipped courses \({', '.join(shipped_names('courses'))}\)"
+    ):
         resolve("courses", "no-such-course")
     with pytest.raises(FileError, match="no such file"):
         resolve("courses", tmp_path / "none.yaml")

@@ -6,10 +6,9 @@ import pytest
 import yaml
 
 from bridge.bases import choose_base, gate_limits
-from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.setpoints import MotionLimits
 from bridge.ros2.urdf import urdf
-from rover_ncp.core.errors import ConfigError, FileError, UsageError
+from rover_ncp.core.errors import ConfigError, UsageError
 from rover_ncp.core.files import resolve, shipped_names
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.protocol import BaseReply, parse_json
@@ -17,8 +16,6 @@ from sim.pioneer.firmware import Firmware
 from sim.stack.virtual import VirtualBridge
 from sim.world.described import described_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
-
-SHIPPED = shipped_names("robots")
 
 
 def figures(data, path=""):
@@ -31,12 +28,7 @@ def figures(data, path=""):
         yield path
 
 
-def test_the_models_of_the_issue_are_shipped():
-    wanted = ["husky-a200", "jackal-j100", *ROBOTS, "turtlebot3-burger", "turtlebot4"]
-    assert sorted(wanted) == SHIPPED
-
-
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", shipped_names("robots"))
 def test_each_figure_has_a_source_and_a_date(name):
     data = yaml.safe_load(resolve("robots", name).read_text())
     of = [path for source in load_description(name).sources for path in source.of]
@@ -83,11 +75,6 @@ def test_bad_files_are_refused(tmp_path, monkeypatch, text, expected):
     Path("bad.yaml").write_text(text)
     with pytest.raises(ConfigError, match=expected):
         load_description("bad.yaml")
-
-
-def test_an_unknown_name_shows_the_shipped_ones():
-    with pytest.raises(FileError, match=r"none of the shipped robots .*husky-a200"):
-        load_description("husky")
 
 
 @pytest.mark.parametrize(

@@ -20,12 +20,6 @@ def parking() -> Course:
 TIMES = [0.1 * k for k in range(321)]
 
 
-def test_the_papers_course_has_its_checkpoints(parking):
-    assert len(parking.checkpoints) == 22
-    assert parking.ticks == 320
-    assert parking.goal == Pose(0.781439, 0.571493, 0.0)
-
-
 def test_a_file_of_another_kind_is_one_line_with_its_keys(tmp_path):
     poses = tmp_path / "poses.yaml"
     poses.write_text("poses:\n- {x: 0, y: 0, theta: 0}\n- {x: 1, y: 0, theta: 0}\n")

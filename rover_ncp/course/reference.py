@@ -103,7 +103,9 @@ def plan_reference(course: Course) -> Reference:
     from scipy.optimize import least_squares
 
     fit = _Fit(course)
-    backward = v_max if _goes_backward(course, fit.start) else 0.0
+    poses = [fit.start, *(point.pose for point in course.checkpoints)]
+    goes_backward = any(chord(a, b)[0] < -_BACKWARD_M for a, b in pairwise(poses))
+    backward = v_max if goes_backward else 0.0
     v, omega = np.zeros(fit.knots), np.zeros(fit.knots)
     if fit.free.any():
         count = np.count_nonzero(fit.free)
@@ -129,12 +131,6 @@ def deviations(course: Course, reference: Reference) -> list[Deviation]:
             Deviation(point.t, distance(pose, point.pose), abs(wrap_angle(pose.theta - point.theta)))
         )
     return found
-
-
-def _goes_backward(course: Course, start: Pose) -> bool:
-    """Whether a chord between neighbouring poses points against the mean of their headings."""
-    poses = [start, *(point.pose for point in course.checkpoints)]
-    return any(chord(a, b)[0] < -_BACKWARD_M for a, b in pairwise(poses))
 
 
 def chord(a: Pose, b: Pose) -> tuple[float, float, float]:

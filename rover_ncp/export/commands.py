@@ -3,16 +3,12 @@
 import re
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from pydantic import BaseModel, Field
 
 from rover_ncp.core.console import Json, Output, reject
-
-if TYPE_CHECKING:
-    from rover_ncp.circuit.policy import Policy
-    from rover_ncp.course.course import Course
 
 
 class Exported(BaseModel):
@@ -59,6 +55,7 @@ def export(
     from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
     from rover_ncp.core.files import require_writable, write_atomic
     from rover_ncp.course.course import load_course
+    from rover_ncp.export.vectors import c_files
 
     if to is Target.YAML:
         reject("--to yaml needs no course", course=course)
@@ -75,21 +72,3 @@ def export(
     paths = [str(out / file) for file in files]
     result = Exported(policy=policy, to=to, name=name, files=paths)
     Output(json).result(result.model_dump(), "\n".join(paths))
-
-
-def c_files(policy: "Policy", name: str, course: "Course") -> dict[str, str]:
-    """Return the text of each C file."""
-    from importlib.metadata import version
-
-    from rover_ncp.course.reference import plan_reference
-    from rover_ncp.course.signals import needs_reference
-    from rover_ncp.export.circuit_c import circuit_files
-    from rover_ncp.export.course_c import course_files
-    from rover_ncp.export.vectors import check_file, drives, make_vectors
-
-    reference = plan_reference(course) if needs_reference(policy.sensing.inputs) else None
-    made_by = version("rover-ncp")
-    files = circuit_files(policy, name, made_by)
-    if drives(policy):
-        files |= course_files(policy, course, reference, name, made_by)
-    return files | {f"{name}_check.c": check_file(make_vectors(policy, course, reference), name)}

@@ -23,7 +23,7 @@ from rover_ncp.course.course import TICK_S, load_course
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.signals import SIGNALS, signals
 from rover_ncp.export.circuit_c import circuit_files
-from rover_ncp.export.commands import c_files
+from rover_ncp.export.vectors import c_files
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
 LIBRARY = "p.so", "-shared", "-fPIC"

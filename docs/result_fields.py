@@ -27,7 +27,7 @@ RESULTS = {
     "paper report": "sim.paper.command_results:ReportResult",
     "mock": "sim.pioneer.run:PioneerMockResult sim.pioneer.run:Ros2MockResult",
     "bridge": "bridge.node:BridgeResult",
-    "export": "rover_ncp.export.export:Exported",
+    "export": "rover_ncp.export.commands:Exported",
     "tag print": "deploy.tag.localiser:TagPrintResult",
     "tag calibrate": "deploy.tag.localiser:TagCalibration",
     "tag run": "deploy.tag.localiser:TagRunResult",

@@ -92,7 +92,7 @@ def train(workers, plan, agents, iterations, after_round=lambda _: False):
 
 @pytest.mark.parametrize("strategy", ["published", "algorithm1"])
 @given(data=st.data())
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=settings().max_examples // 8)
 def test_company_order_and_pauses_change_nothing(strategy, data):
     together = advance(toy_plan(strategy), begin(5), 130)
     agents = begin(5)

@@ -13,7 +13,7 @@ from rover_ncp.cli import run
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.course.course import load_course
 from sim.learn.engine.evaluator import Evaluator
-from sim.learn.progress import TrainProgress
+from rich.progress import Progress
 
 COURSE = DATA / "short_course.yaml"
 TRAIN = ["train", "--course", str(COURSE), "--processes", "1"]
@@ -115,7 +115,7 @@ def test_moved_folder_of_a_run_is_an_error(kind, tmp_path, capsys, monkeypatch):
         if folder.exists():
             folder.rename(moved)
 
-    monkeypatch.setattr(TrainProgress, "show", move)
+    monkeypatch.setattr(Progress, "update", move)
     courses = ["--random-courses", "0"] if "--randomize" in kind else []
     assert run([*TRAIN, "--iterations", "60", *kind, *courses, "--out", str(folder)]) == 2
     said = capsys.readouterr().err

@@ -51,7 +51,7 @@ def test_candidates_stay_in_bounds_and_the_caller_owns_them(name: str) -> None:
 
 @every
 @given(cuts=st.sets(st.integers(1, 399), min_size=1, max_size=6), ahead=st.integers(1, 9))
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=settings().max_examples // 8)
 def test_pauses_portions_and_json_change_nothing(name: str, cuts: set[int], ahead: int) -> None:
     whole, search = begin(name), begin(name)
     advance(whole, 400, ahead=1)

@@ -163,9 +163,8 @@ def test_outcomes_do_not_depend_on_the_batch_size(monkeypatch):
     policy, courses = course_policy(load_circuit("tracking")), unseen_courses(3, 3)
 
     def found():
-        return evaluate.evaluate(
-            circuit_driver(policy), courses, load_randomization("full"), trials=8, seed=5
-        )
+        full = load_randomization("full")
+        return evaluate.drive_trials(circuit_driver(policy), courses, full, trials=8, seed=5)
 
     whole = found()
     monkeypatch.setattr(evaluate, "_BATCH", 4)  # so that the second part begins on the second course

@@ -1,44 +1,47 @@
 """Commands of this package; heavy libraries load only when one runs."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from bridge.ros2.discovery import Convention
-from rover_ncp.core.console import MAX_SEED, Json, Overwrite, reject
+from rover_ncp.core.console import MAX_SEED, Json, Overwrite, command, reject
 from rover_ncp.core.files import DEFAULT_ROBOT
 from sim.pioneer.faults import FAULTS
-from sim.world.bodies import BODY_WORDS, PRESET_WORDS, PRESETS, Body
+from sim.world.bodies import BODY_WORDS, PRESET_WORDS, Body
 
 
-def mock(
-    *,
-    listen: Annotated[
-        str, typer.Option(help="HOST:PORT to wait on; port 0 takes a free one.")
-    ] = "127.0.0.1:8101",
+@dataclass(frozen=True, kw_only=True)
+class MockOptions:
+    """Options of ``mock``."""
+
+    listen: Annotated[str, typer.Option(help="HOST:PORT to wait on; port 0 takes a free one.")] = (
+        "127.0.0.1:8101"
+    )
     model: Annotated[
         str,
         typer.Option(help="p3at, p3at-sh, p3dx or p3dx-sh; with --ros2 a description: a name or file."),
-    ] = DEFAULT_ROBOT,
+    ] = DEFAULT_ROBOT
     ros2: Annotated[
         bool, typer.Option("--ros2", help="Simulate a ROS 2 robot, whose topics are on Zenoh.")
-    ] = False,
+    ] = False
     ros: Annotated[
         Convention | None,
         typer.Option(
             help="With --ros2: the form of its topics on Zenoh; the domain is ROS_DOMAIN_ID.",
             show_default="ros2dds",
         ),
-    ] = None,
-    namespace: Annotated[str, typer.Option(help="With --ros2: prefix of its topics.")] = "",
+    ] = None
+    namespace: Annotated[str, typer.Option(help="With --ros2: prefix of its topics.")] = ""
     course: Annotated[
         str | None, typer.Option(help="Put this course's obstacles around the rover: a name or a file.")
-    ] = None,
+    ] = None
     truth: Annotated[
         Path | None, typer.Option(help="Write the rover's true pose to this CSV file, 100 times a second.")
-    ] = None,
-    overwrite: Overwrite = False,
+    ] = None
+    overwrite: Overwrite = False
     fault: Annotated[
         list[str] | None,
         typer.Option(
@@ -46,34 +49,37 @@ def mock(
             f"the motors are first enabled. Names: {', '.join(FAULTS)}. '-' reads more faults from "
             "standard input, one a line; their seconds count from when the line is read."
         ),
-    ] = None,
-    body: Annotated[Body, typer.Option(help=BODY_WORDS)] = Body.PYMUNK,
+    ] = None
+    body: Annotated[Body, typer.Option(help=BODY_WORDS)] = Body.PYMUNK
     randomize: Annotated[
         str | None,
         typer.Option(
             help=f"Simulate a randomised robot: {PRESET_WORDS}.",
             show_default="none; nominal",
         ),
-    ] = None,
+    ] = None
     trial: Annotated[
         int,
         typer.Option(min=0, max=MAX_SEED, help="Number of the random trial, as in 'eval --trials'."),
-    ] = 0,
+    ] = 0
     profile: Annotated[
         Path | None,
         typer.Option(
             help="Simulate this robot: a rover profile, as 'identify' writes it.", show_default=False
         ),
-    ] = None,
+    ] = None
     seed: Annotated[
         int,
         typer.Option(
             min=0, max=MAX_SEED, help="Seed of the trial and of the packets that random faults damage."
         ),
-    ] = 0,
-    gyro: Annotated[bool, typer.Option("--gyro", help="Give the base a gyro that its client reads.")] = False,
-    json: Json = False,
-) -> None:
+    ] = 0
+    gyro: Annotated[bool, typer.Option("--gyro", help="Give the base a gyro that its client reads.")] = False
+    json: Json = False
+
+
+@command
+def mock(options: MockOptions) -> None:
     """Simulate a Pioneer: its firmware on a simulated rover, over TCP, in real time; or a ROS 2 robot.
 
     Every program that drives a Pioneer can drive the mock: rover-ncp bridge, ARIA, Player, Soar. The rover
@@ -87,30 +93,12 @@ def mock(
 
     --body mujoco simulates four wheels with friction, weight and motors, on level or sloped ground.
     """
-    from rover_ncp.robot.description import load_description
     from sim.pioneer.run import run_mock
-    from sim.world.described import ranges_for
 
-    if ros2:
-        reject("a ROS 2 robot's gyro is in its description", gyro=gyro)
+    if options.ros2:
+        reject("a ROS 2 robot's gyro is in its description", gyro=options.gyro)
     else:
-        reject("needs --ros2", ros=ros, namespace=namespace)
-    if truth is None:
-        reject("needs --truth", overwrite=overwrite)
-    robot = load_description(model)
-    run_mock(
-        listen=listen,
-        model=model,
-        robot=robot,
-        ros2=(ros or Convention.ROS2DDS) if ros2 else None,
-        namespace=namespace,
-        course=course,
-        truth=truth,
-        overwrite=overwrite,
-        faults=fault or [],
-        seed=seed,
-        ranges=ranges_for(PRESETS[body][0] if randomize is None else randomize, profile, body, robot),
-        trial=trial,
-        gyro=gyro,
-        as_json=json,
-    )
+        reject("needs --ros2", ros=options.ros, namespace=options.namespace)
+    if options.truth is None:
+        reject("needs --truth", overwrite=options.overwrite)
+    run_mock(options)

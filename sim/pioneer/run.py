@@ -3,9 +3,7 @@
 import io
 import os
 import time
-from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, Field
@@ -19,7 +17,8 @@ from rover_ncp.core.files import require_creatable
 from rover_ncp.core.process import Interrupts
 from rover_ncp.core.streams import Domain, integer_seed
 from rover_ncp.course.course import load_course
-from rover_ncp.robot.description import RobotDescription
+from rover_ncp.robot.description import load_description
+from sim.pioneer.commands import MockOptions
 from sim.pioneer.faults import Faults, parse_fault
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import config_of
@@ -28,7 +27,8 @@ from sim.pioneer.ros2_robot import Ros2Robot
 from sim.pioneer.ros2_server import Ros2Server
 from sim.pioneer.server import Server, parse_listen
 from sim.pioneer.trial import BaseTrial, draw_rover
-from sim.world.randomization import Randomization
+from sim.world.bodies import PRESETS
+from sim.world.described import ranges_for
 
 FROM_STDIN = "-"
 """In place of a fault: read more faults from standard input."""
@@ -71,54 +71,47 @@ class Ros2MockResult(MockResult):
     ignored: int = Field(description="commands that were not applied, with --ros2")
 
 
-def run_mock(
-    *,
-    listen: str,
-    model: str,
-    robot: RobotDescription,
-    ros2: Convention | None,
-    namespace: str,
-    course: str | None,
-    truth: Path | None,
-    overwrite: bool,
-    faults: Sequence[str],
-    seed: int,
-    ranges: Randomization,
-    trial: int,
-    gyro: bool,
-    as_json: bool,
-) -> None:
-    """See ``commands.mock``; ``ros2`` is the form of a ROS 2 robot's topics.
-
-    Raises RoverNcpError before anything listens.
-    """
-    output = Output(as_json, controls=True)
-    host, port = parse_listen(listen)
-    if ros2 is None and robot.arcos is None:
+def run_mock(options: MockOptions) -> None:
+    """Serve until a signal arrives, and print the result. Raises RoverNcpError before anything listens."""
+    output = Output(options.json, controls=True)
+    model, seed, trial, truth = options.model, options.seed, options.trial, options.truth
+    robot = load_description(model)
+    preset = PRESETS[options.body][0] if options.randomize is None else options.randomize
+    ranges = ranges_for(preset, options.profile, options.body, robot)
+    host, port = parse_listen(options.listen)
+    if not options.ros2 and robot.arcos is None:
         raise UsageError(f"--model {model}: expected one of {', '.join(ROBOTS)}, or --ros2")
-    if ros2 is not None and robot.topics is None:
+    if options.ros2 and robot.topics is None:
         raise UsageError(f"--model {model}: the description has no topics, which a ROS 2 robot needs")
+    faults = options.fault or []
     fault_seed = integer_seed(seed, Domain.MOCK_FAULTS, trial)
     base_seed = integer_seed(seed, Domain.BASE_SENSORS, trial)
     injected = Faults([parse_fault(text) for text in faults if text != FROM_STDIN], fault_seed)
     # Unbuffered, so that the server's selector sees every line that is left to read.
     fault_lines = io.FileIO(0, closefd=False) if FROM_STDIN in faults else None
-    known = load_course(course) if course else None
-    rover, trials = draw_rover(ranges, robot, known, seed=seed, number=trial)
+    course = load_course(options.course) if options.course else None
+    rover, trials = draw_rover(ranges, robot, course, seed=seed, number=trial)
     base_trial, now = BaseTrial(trials), time.monotonic()
     if truth is not None:
-        require_creatable(truth, overwrite=overwrite)
+        require_creatable(truth, overwrite=options.overwrite)
     server: Server | Ros2Server
-    if ros2 is None:
-        flash = replace(config_of(robot), has_gyro=int(gyro))
+    if not options.ros2:
+        flash = replace(config_of(robot), has_gyro=int(options.gyro))
         firmware = Firmware(robot, rover, injected, now, config=flash, trial=base_trial, gyro_seed=base_seed)
         server = Server(host, port, firmware)
     else:
         epoch_s, domain = time.time() - now, domain_id(os.environ)
         ros2_robot = Ros2Robot(robot, rover, injected, now, epoch_s=epoch_s, trial=base_trial, seed=base_seed)
-        server = Ros2Server(host, port, ros2_robot, convention=ros2, domain=domain, namespace=namespace)
+        server = Ros2Server(
+            host,
+            port,
+            ros2_robot,
+            convention=options.ros or Convention.ROS2DDS,
+            domain=domain,
+            namespace=options.namespace,
+        )
     try:
-        server.truth = TruthFile(truth, overwrite=overwrite) if truth else None
+        server.truth = TruthFile(truth, overwrite=options.overwrite) if truth else None
         with Interrupts() as interrupts:
             output.announce(f"listening on {server.host}:{server.port}")
             server.serve(lambda: interrupts.raised, fault_lines)
@@ -136,25 +129,20 @@ def run_mock(
     }
     result: PioneerMockResult | Ros2MockResult
     if isinstance(server, Server):
-        result = _of_pioneer(server, fields)
+        firmware, decoder = server.firmware, server.firmware.decoder
+        result = PioneerMockResult(
+            **fields,
+            connections=server.connections,
+            packets=decoder.packets,
+            bad_checksums=decoder.bad_checksums,
+            skipped_bytes=decoder.skipped_bytes,
+            unknown_commands=sum(firmware.unknown.values()),
+            bad_arguments=sum(firmware.bad_arguments.values()),
+        )
         came = f"{result.connections} connections, {result.packets} packets"
     else:
         result = Ros2MockResult(**fields, ignored=server.robot.ignored)
         came = f"{result.bytes_in} bytes of commands"
     output.result(
         result.model_dump(), f"{came}; the rover stands at x={x:.3f} m, y={y:.3f} m, theta={theta:.3f} rad"
-    )
-
-
-def _of_pioneer(server: Server, fields: dict[str, Any]) -> PioneerMockResult:
-    """Return the result with the counters of a Pioneer's line."""
-    firmware = server.firmware
-    return PioneerMockResult(
-        **fields,
-        connections=server.connections,
-        packets=firmware.decoder.packets,
-        bad_checksums=firmware.decoder.bad_checksums,
-        skipped_bytes=firmware.decoder.skipped_bytes,
-        unknown_commands=sum(firmware.unknown.values()),
-        bad_arguments=sum(firmware.bad_arguments.values()),
     )

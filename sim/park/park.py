@@ -29,7 +29,7 @@ from rover_ncp.recording.recording import read_recording, rewrite
 from rover_ncp.robot.description import load_description
 from sim.learn.agents import Snapshot
 from sim.learn.engine.rollout import rollout
-from sim.learn.progress import TrainProgress
+from sim.learn.progress import train_progress
 from sim.learn.record import TrainSettings, course_of
 from sim.learn.train import train
 from sim.live.live_run import PIONEER, ROS2DDS, LiveRun
@@ -181,11 +181,11 @@ def _train(
     settings = TrainSettings(course=course, model=described, seed=seed, agents=AGENTS, iterations=ITERATIONS)
     _clear(folder, overwrite=overwrite)
     output.say("training twelve agents until the best one parks in simulation")
-    with TrainProgress(ITERATIONS) as progress:
+    with train_progress(ITERATIONS) as show:
         result = train(
             settings,
             folder,
-            on_progress=progress.show,
+            on_progress=show,
             stop_when=_stop_rule(course_of(settings), settings.rover),
         )
     training = ParkTraining(

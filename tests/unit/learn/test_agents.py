@@ -75,18 +75,12 @@ def advance(plan, agents, iterations):
 
 
 def as_data(agents):
-    """Return what is saved of agents or snapshots, which can be compared."""
-    if isinstance(agents, Snapshot):
-        return as_data(agents.agents)
-    return [
-        as_data(agent)
-        if isinstance(agent, Snapshot)
-        else (agent.number, dump_state(agent.search), agent.improvements)
-        for agent in agents
-    ]
+    """Return what is saved of agents, which can be compared."""
+    return [(agent.number, dump_state(agent.search), agent.improvements) for agent in agents]
 
 
 def train(workers, plan, agents, iterations, after_round=lambda _: False):
+    """Return the snapshot at the end."""
     return run_rounds(workers, plan, Snapshot(tuple(agents)), iterations, after_round)
 
 
@@ -176,7 +170,8 @@ def test_processes_and_lengths_of_calls_give_the_same_rounds(call_iterations, mo
     for count in (1, 2, 3):
         with Inline() if count == 1 else ProcessPool(count) as workers:
             train(workers, plan, begin(4), 220, lambda last, n=count: seen.setdefault(n, []).append(last))
-    assert as_data(seen[1]) == as_data(seen[2]) == as_data(seen[3])
+    rounds = [[as_data(snapshot.agents) for snapshot in seen[count]] for count in (1, 2, 3)]
+    assert rounds[0] == rounds[1] == rounds[2]
     assert [snapshot.iterations for snapshot in seen[1]] == [0, 100, 200, 220]
     assert not multiprocessing.active_children()
 
@@ -203,13 +198,13 @@ def test_a_run_that_is_stopped_early_can_continue():
     workers.count = 2
     stopped = train(workers, plan, begin(3), 20_000, lambda snapshot: snapshot.iterations >= 200)
     assert stopped.iterations == 200
-    assert as_data(train(workers, plan, stopped.agents, 400)) == as_data(whole)
+    assert as_data(train(workers, plan, stopped.agents, 400).agents) == as_data(whole.agents)
 
 
 def test_agents_that_are_ahead_wait_for_the_others():
     whole, early, later = (train(Inline(), toy_plan(), begin(3), until) for until in (300, 100, 200))
     mixed = [early.agents[0], later.agents[1], AgentState(2)]
-    assert as_data(train(Inline(), toy_plan(), mixed, 300)) == as_data(whole)
+    assert as_data(train(Inline(), toy_plan(), mixed, 300).agents) == as_data(whole.agents)
 
 
 def test_a_snapshot_has_best_median_and_total():

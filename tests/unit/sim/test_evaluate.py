@@ -179,8 +179,11 @@ def test_a_law_drives_once_and_in_trials(law, capsys):
     assert run(["eval", law, "--trials", "1", "--randomize", "none", "--json"]) == 0
     trial = json.loads(capsys.readouterr().out)
     assert trial["error_m"]["max"] == pytest.approx(once["error_m"], abs=1e-9)
-    assert sim_api.rollout(law).verdict.parked
-    assert sim_api.evaluate(law, trials=2).success_rate == 1.0
+
+
+def test_api_takes_a_law():
+    assert sim_api.rollout("smooth").verdict.parked
+    assert sim_api.evaluate("smooth", trials=2).success_rate == 1.0
 
 
 def test_a_law_is_no_circuit_for_a_task(capsys):

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kit.bnn_text import circuit_to_bnn
+from kit.paths import DATA
 
 from rover_ncp.circuit.policy import course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, save_policy
@@ -21,6 +22,7 @@ from sim.learn.engine.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.randomization import draw_trials, load_randomization
 
+ARC = str(DATA / "arc_course.yaml")
 STAY = """\
 format: 1
 name: stay
@@ -118,10 +120,10 @@ def test_bad_input_is_one_line_and_exit_code_2(files, capsys, arguments, expecte
 def test_trials_are_counted_as_each_alone_is_judged(files, capsys):
     policy = course_policy(load_circuit("tracking"))
     save_policy(Path("tracker.yaml"), policy)
-    arguments = ["--trials", "12", "--seed", "4", "--randomize", "harsh", "--json"]
+    arguments = ["--course", ARC, "--trials", "12", "--seed", "4", "--randomize", "harsh", "--json"]
     assert run(["eval", "tracker.yaml", *arguments]) == 0
     fields = json.loads(capsys.readouterr().out)
-    model, course = default_rover(), load_course("parking")
+    model, course = default_rover(), load_course(ARC)
     trials = draw_trials(load_randomization("harsh"), model, 4, count=12, ticks=course.ticks)
     reference = plan_reference(course)
     verdicts = [

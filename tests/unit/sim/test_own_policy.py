@@ -19,6 +19,7 @@ from sim.evaluate.evaluate import drive_trials
 from sim.learn.engine.driver import function_driver, load_driver
 from sim.stack.trials import Stack
 from sim.world.env import ENV_ID
+from sim.world.random_course import mirrored
 from sim.world.randomization import load_randomization
 
 SHORT = str(DATA / "short_course.yaml")
@@ -83,11 +84,8 @@ class Circuit:
 
 
 def test_a_function_is_judged_on_the_trials_of_a_circuit():
-    own, courses, full = (
-        Circuit(),
-        [load_course("parking"), load_course("mirrored")],
-        load_randomization("full"),
-    )
+    own, arc, full = Circuit(), load_course(DATA / "arc_course.yaml"), load_randomization("full")
+    courses = [arc, mirrored(arc)]
     given = {"courses": courses, "ranges": full, "trials": 3, "seed": 5}
     found = drive_trials(function_driver(own), **given)
     for one, other in zip(found, drive_trials(load_driver("course"), **given), strict=True):

@@ -130,7 +130,7 @@ def rollout(policy: "Policy | str | Path", course: "Course | str | Path" = "park
 
 
 def explain(source: str | Path, course: str | None = None) -> "Explanation":
-    """Explain a policy or a recording, as ``rover-ncp explain``; its ``fields()`` are plain values."""
+    """Explain a policy or a recording, as ``rover-ncp explain``; its ``result()`` has plain values."""
     from sim.explain.explain import explain as run
 
     return run(str(source), course)

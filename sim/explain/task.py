@@ -13,7 +13,14 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.streams import Domain, episode_seeds
 from rover_ncp.course.course import load_course
-from sim.explain.explain import Explanation, Progress, command_line, explain_drive, explain_run
+from sim.explain.explain import (
+    Explanation,
+    Progress,
+    Simulated,
+    command_line,
+    explain_drive,
+    explain_run,
+)
 from sim.explain.what_if import Outcome
 from sim.learn.engine.environment import EnvironmentEvaluator
 from sim.paper.interpretation import BenchmarkEpisodes, best_circuit, trained
@@ -58,7 +65,12 @@ def explain_task(
 
     return explain_run(
         Trace(policy, times, np.zeros((count + 1, 3)), play.outputs, play.potentials),
-        Outcome(float(returns.mean())),
+        Simulated(
+            total=float(returns.mean()),
+            returns=tuple(returns.tolist()),
+            enough=episodes.enough,
+            parked=None,
+        ),
         simulate,
         lambda rows: episodes.returns(rows, seeds).mean(axis=1),
         on_progress,
@@ -67,8 +79,6 @@ def explain_task(
         course=None,
         task=task,
         verdict=None,
-        returns=tuple(returns.tolist()),
-        enough=episodes.enough,
     )
 
 

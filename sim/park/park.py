@@ -85,6 +85,9 @@ class ParkResult(NotTrained):
     bytes_from_base: int | None = Field(description="over the bridge's line")
 
 
+_FROM_DEPLOY = ("verdict", "probability", "estimate_error_m", "estimate_error_rad", "ticks", "overruns")
+
+
 def run_park(
     output: Output, *, policy: str | None, course: str, model: str, seed: int, out: Path, overwrite: bool
 ) -> int:
@@ -145,12 +148,7 @@ def run_park(
         train=training,
         true_error_m=verdict.error_m,
         true_error_rad=verdict.error_rad,
-        verdict=done.result["verdict"],
-        probability=done.result["probability"],
-        estimate_error_m=done.result["estimate_error_m"],
-        estimate_error_rad=done.result["estimate_error_rad"],
-        ticks=done.result["ticks"],
-        overruns=done.result["overruns"],
+        **{name: done.result[name] for name in _FROM_DEPLOY},
         recording=str(recording),
         picture=str(picture),
         report=str(report),

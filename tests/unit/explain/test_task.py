@@ -57,7 +57,7 @@ def test_a_knock_out_is_the_mean_return_of_the_same_episodes(folder, monkeypatch
         lame.parameters(), episode_seeds(0, Domain.EXPLAINED_EPISODES, 2)
     )
     assert by_name["LEFT"].total == pytest.approx(returns.mean())
-    assert by_name["LEFT"].change == pytest.approx(returns.mean() - np.mean(found.returns))
+    assert by_name["LEFT"].change == pytest.approx(returns.mean() - np.mean(found.simulated.returns))
 
 
 def test_a_stored_circuit_of_the_paper_plays_as_it_is_scored():

@@ -49,8 +49,7 @@ def test_command_explains_a_policy_on_an_environment(folder, capsys):
 
 def test_a_knock_out_is_the_mean_return_of_the_same_episodes(folder, monkeypatch):
     monkeypatch.setattr("sim.explain.task.EPISODES", 2)
-    found, again = (explain_task("wall.yaml", "wall:FollowWall-v0") for _ in range(2))
-    assert found.result() == again.result()
+    found = explain_task("wall.yaml", "wall:FollowWall-v0")
     by_name = {row.name: row for row in found.knock_outs}
     lame = without_neuron(found.policy, "LEFT")
     returns = EnvironmentEvaluator("wall:FollowWall-v0", lame).returns(

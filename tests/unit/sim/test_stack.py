@@ -67,11 +67,11 @@ def test_trials_park_and_what_went_over_the_line_is_counted(parking):
 
 def test_driver_that_knows_the_dead_band_parks_and_another_does_not():
     ranges = load_randomization("none").model_copy(
-        update={"dead_band_m_s": (0.05, 0.05), "dead_band_rad_s": (0.2, 0.2)}
+        update={"dead_band_m_s": (0.05, 0.05), "dead_band_rad_s": (0.3, 0.3)}
     )
-    band = RoverProfile(name="band", dead_band_v=0.05, dead_band_omega=0.2)
-    assert not stack(ranges, course="parking").drive(0).parked
-    assert stack(ranges.model_copy(update={"rover": band}), course="parking").drive(0).parked
+    band = RoverProfile(name="band", dead_band_v=0.05, dead_band_omega=0.3)
+    assert not stack(ranges, course=ARC).drive(0).parked
+    assert stack(ranges.model_copy(update={"rover": band}), course=ARC).drive(0).parked
 
 
 def test_drivers_beliefs_are_compared_with_the_truth(parking):

@@ -18,10 +18,10 @@ from rover_ncp.core.process import Interrupts
 from rover_ncp.core.streams import Domain, integer_seed
 from rover_ncp.course.course import load_course
 from rover_ncp.robot.description import load_description
-from sim.pioneer.commands import MockOptions
 from sim.pioneer.faults import Faults, parse_fault
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import config_of
+from sim.pioneer.options import MockOptions
 from sim.pioneer.real_time import TruthFile
 from sim.pioneer.ros2_robot import Ros2Robot
 from sim.pioneer.ros2_server import Ros2Server

@@ -39,11 +39,6 @@ class Drive:
     """Where the recording is cut off or damaged; empty if it is whole."""
 
     @property
-    def complete(self) -> bool:
-        """Whether the recording is whole."""
-        return not self.damage
-
-    @property
     def outline(self) -> FloatArray:
         """The outline of the robot that the driver's settings describe, or of a Pioneer 3-AT."""
         described = self.settings.get("described")
@@ -86,7 +81,7 @@ def summarise(drive: Drive) -> Summary:
     verdict, rows = next(iter(verdicts.values())), list(facts(drive.timeline, verdicts))
     if drive.settings.get("dry_run"):
         rows.append(("Dry run", "no command was sent"))
-    if not drive.complete:
+    if drive.damage:
         rows.append(("Recording", f"{drive.damage}; the page shows what precedes it"))
     reason, status = verdict.reason, drive.timeline.status
     if verdict.words is Parked.UNCERTAIN and status is not None:

@@ -34,6 +34,7 @@ class Domain(Enum):
     EXPORT_VECTORS = (15,)
     NETWORK_START = (16,)
     STUDY = (17,)
+    PICTURES = (18,)
 
 
 def stream_seed(seed: int, domain: Domain, index: int = 0) -> np.random.SeedSequence:

@@ -1,6 +1,7 @@
 """Commands of this package; heavy libraries load only when one runs."""
 
 from rover_ncp.core.console import command, reject
+from rover_ncp.core.errors import UsageError
 from sim.pioneer.options import MockOptions
 
 
@@ -17,6 +18,9 @@ def mock(options: MockOptions) -> None:
     With --randomize the mock has the errors of one random trial: its delays, gains, noise and start, lost
     commands and a push, for as long as the --course lasts. They begin when the motors are first enabled.
 
+    --camera renders what a camera sees of the tags from the true pose, ten times a second, in a process of
+    its own; 'tag run --camera http://127.0.0.1:8102/' reads it.
+
     --body mujoco simulates four wheels with friction, weight and motors, on level or sloped ground.
     """
     from sim.pioneer.run import run_mock
@@ -27,4 +31,8 @@ def mock(options: MockOptions) -> None:
         reject("needs --ros2", ros=options.ros, namespace=options.namespace)
     if options.truth is None:
         reject("needs --truth", overwrite=options.overwrite)
+    if options.camera is None:
+        reject("needs --camera", tags=options.tags, camera_listen=options.camera_listen)
+    elif options.tags is None:
+        raise UsageError("--camera: needs --tags")
     run_mock(options)

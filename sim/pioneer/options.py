@@ -74,5 +74,16 @@ class MockOptions:
             min=0, max=MAX_SEED, help="Seed of the trial and of the packets that random faults damage."
         ),
     ] = 0
+    camera: Annotated[
+        Path | None,
+        typer.Option(help="Serve pictures of this camera (YAML, see 'tag') as MJPEG.", show_default=False),
+    ] = None
+    tags: Annotated[
+        Path | None, typer.Option(help="With --camera: the tags that it sees (YAML).", show_default=False)
+    ] = None
+    camera_listen: Annotated[
+        str | None,
+        typer.Option(help="With --camera: where its stream is served.", show_default="127.0.0.1:8102"),
+    ] = None
     gyro: Annotated[bool, typer.Option("--gyro", help="Give the base a gyro that its client reads.")] = False
     json: Json = False

@@ -26,7 +26,7 @@ RESULTS = {
     "paper replay": "sim.paper.command_results:ReplayResult",
     "paper report": "sim.paper.command_results:ReportResult",
     "mock": "sim.pioneer.run:PioneerMockResult sim.pioneer.run:Ros2MockResult",
-    "bridge": "bridge.app:BridgeResult",
+    "bridge": "bridge.node:BridgeResult",
     "export": "rover_ncp.export.export:Exported",
     "tag print": "deploy.tag.localiser:TagPrintResult",
     "tag calibrate": "deploy.tag.localiser:TagCalibration",

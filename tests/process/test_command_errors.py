@@ -18,6 +18,7 @@ ROBOT = "--robot tcp/127.0.0.1:1"
 BASE = "--base tcp/127.0.0.1:1"
 SHORT = DATA / "short_course.yaml"
 
+CAMERA, TAGS = (ROOT / "docs/examples" / name for name in ("camera.yaml", "tags.yaml"))
 # The line of a command in which {} is an option and its value, or an argument, if only that one is wrong.
 LINES = {
     "bridge": f"bridge {BASE} {{}}",
@@ -37,12 +38,19 @@ LINES = {
     "identify": f"identify {ROBOT} {{}}",
     "identify --out": "identify drive.mcap {}",
     "identify recording": "identify {}",
+    "mock --camera": f"mock {{}} --tags {TAGS}",
+    "mock --tags": f"mock --camera {CAMERA} {{}}",
     "paper": "paper run --task parking --agent circuit --seed 0 --again --budget quick {}",
     "paper --circuit": "paper run --task parking --seed 0 {}",
     "paper --curves": "paper report {}",
     "park --out": "park --policy parking {}",
     "recover --out": "recover drive.mcap {}",
     "report --out": "report drive.mcap {}",
+    "tag calibrate": f"tag calibrate --camera none --camera-file {CAMERA} --map {TAGS} {ROBOT} {{}}",
+    "tag calibrate --camera-file": "tag calibrate --camera none {}",
+    "tag calibrate --camera-info": "tag calibrate --camera none --camera-file new.yaml {}",
+    "tag print --out": "tag print {}.pdf",
+    "tag run": f"tag run --camera none --camera-file {CAMERA} --map {TAGS} {ROBOT} {{}}",
     "train --profile": "train --randomize mild {}",
     "watch": f"watch {ROBOT} --port 0 {{}}",
 }
@@ -54,8 +62,12 @@ def rows():
     """Yield a command line for each option and argument that takes a file."""
     group = get_command(_app())
     context = group.make_context("rover-ncp", [], resilient_parsing=True)
-    for name in set(group.list_commands(context)) - {"teleop"}:  # it wants a terminal first
-        for option in group.get_command(context, name).params:
+    commands = {name: group.get_command(context, name) for name in group.list_commands(context)}
+    parts = {f"tag {name}": command for name, command in commands["tag"].commands.items()}
+    for name, command in {**commands, **parts}.items():
+        if name == "teleop":  # it wants a terminal first
+            continue
+        for option in command.params:
             record = option.get_help_record(context)
             if record and ("<path>" in record[0] or option.name in NAMES):
                 line = LINES.get(f"{name} {option.opts[0]}", LINES.get(name, f"{name} {{}}"))

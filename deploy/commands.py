@@ -24,12 +24,9 @@ Record = Annotated[Path | None, typer.Option(help="Record the drive to this MCAP
 def deploy(
     *,
     robot: Robot,
-    policy: Annotated[
-        str, typer.Option(help="Policy by name, or by file (YAML, or a published .bnn circuit).")
-    ] = "course",
+    policy: Annotated[str, typer.Option(help="Policy by name or file (YAML, or a .bnn circuit).")] = "course",
     course: Annotated[
-        str | None,
-        typer.Option(help="Course by name or file: goal, start signal, time.", show_default="parking"),
+        str | None, typer.Option(help="Course by name or file.", show_default="parking")
     ] = None,
     to: Annotated[
         str | None,
@@ -64,27 +61,17 @@ def deploy(
         typer.Option(min=0.1, help="End after so many seconds, if the course would last longer."),
     ] = None,
     dry_run: Annotated[
-        bool,
-        typer.Option("--dry-run", help="Dry run: send no commands and do not request the motors."),
+        bool, typer.Option("--dry-run", help="Send no commands and do not request the motors.")
     ] = False,
     pose: Annotated[
         Literal["auto", "required", "none"],
-        typer.Option(
-            help="External poses on the key 'pose': use them if they come, wait for them before the start, "
-            "or ignore them."
-        ),
+        typer.Option(help="External poses on 'pose': use them if they come, wait for them, or ignore them."),
     ] = "auto",
     require_certainty: Annotated[
-        bool,
-        typer.Option("--require-certainty", help="Exit 1 if the rover is 'parked, uncertain'."),
+        bool, typer.Option("--require-certainty", help="Exit 1 if the rover is 'parked, uncertain'.")
     ] = False,
     profile: Annotated[
-        Path | None,
-        typer.Option(
-            help="The robot's profile, as 'identify' writes it: the drive compensates its gains and uses its "
-            "odometry's noise.",
-            show_default=False,
-        ),
+        Path | None, typer.Option(help="The robot's profile, as 'identify' writes it.", show_default=False)
     ] = None,
     namespace: Namespace = "",
     zenoh_config: ZenohConfig = None,
@@ -282,17 +269,14 @@ def identify(
     robot: Annotated[
         str | None,
         typer.Option(
-            help="Drive this robot: where its bridge listens, PROTOCOL/HOST[:PORT], tcp/192.168.1.20.",
-            show_default=False,
+            help="Drive this robot: where its bridge listens, PROTOCOL/HOST[:PORT].", show_default=False
         ),
     ] = None,
     model: Model = None,
     out: Annotated[Path, typer.Option(help="The rover profile to write (YAML).")] = Path("rover.yaml"),
     fence: Annotated[
         float | None,
-        typer.Option(
-            min=0.1, max=5.0, help="How far from its start the rover may come, m.", show_default="0.8"
-        ),
+        typer.Option(min=0.1, max=5.0, help="How far it may come from its start, m.", show_default="0.8"),
     ] = None,
     record: Record = None,
     overwrite: Overwrite = False,

@@ -56,7 +56,6 @@ class _Observed(NamedTuple):
     values: tuple[float, ...]
     """The signals of the environment."""
     pose: Pose
-    """The estimate."""
 
 
 class _Handover(FunctionRunner):

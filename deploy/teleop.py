@@ -18,7 +18,6 @@ import termios
 import time
 from collections.abc import Callable
 from importlib.metadata import version
-from types import TracebackType
 from typing import Self
 
 from pydantic import Field
@@ -86,9 +85,7 @@ class Terminal:
         self._send(BRACKETED_PASTE)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         # A closed terminal cannot be restored. A stuck one is not waited for.
         self._send(NO_BRACKETED_PASTE)
         with contextlib.suppress(termios.error):

@@ -16,6 +16,7 @@ from result_fields import RESULTS, models_in, noted, result_fields
 
 from bridge.gate.limits import Limits
 from deploy.place.place import Place
+from deploy.tag.tag_map import CameraFile, TagMap
 from rover_ncp import cli
 from rover_ncp.circuit import policy_file
 from rover_ncp.course import signals
@@ -37,6 +38,8 @@ MODELS: dict[str, tuple[str, type[BaseModel]]] = {
     "robot": ("Robot description", RobotDescription),
     "rover": ("Robot profile", RoverProfile),
     "limits": ("Limits of the gate", Limits),
+    "tags": ("Tags", TagMap),
+    "camera": ("Camera", CameraFile),
 }
 """By the name of the example in ``examples/``."""
 UNITS = {"rad_m": "rad/m", "rad_s": "rad/s", "per_s": "1/s", "us": "µs", "hz": "Hz", "mb": "MB"}

@@ -44,6 +44,8 @@ _EXTRAS = {
     "websockets": "report",
     "cryptography": "keys",
     "distributed": "cluster",
+    "apriltag": "tag",
+    "cv2": "tag",
 }
 # The order in which a newcomer meets the commands; others follow by name.
 _ORDER = ["park", "train", "eval", "mock", "bridge", "deploy", "replay"]
@@ -68,8 +70,11 @@ class _Commands(TyperGroup):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         if cmd_name not in self._points:
             return None
+        found = self._points[cmd_name].load()
+        if isinstance(found, typer.Typer):  # a command of several
+            return get_command(found)
         app = typer.Typer(add_completion=False)
-        app.command(cmd_name)(self._points[cmd_name].load())
+        app.command(cmd_name)(found)
         return get_command(app)
 
 

@@ -88,7 +88,7 @@ class Drive:
         self._used: list[SampleRef] = []
         """Samples that the estimator got since the last tick."""
         self.measurements = Measurements(link, config.pose_frame)
-        self._monitor = SafetyMonitor(link, self.measurements, interrupted, config, clock)
+        self.monitor = SafetyMonitor(link, self.measurements, interrupted, config, clock)
         self.placed = False
         """Whether external poses gave the start pose."""
         self._poses_used, self._posed_ns = 0, 0
@@ -113,11 +113,6 @@ class Drive:
         return words and f"{words}: the estimate may be wrong; keep others out with 'rover-ncp keys'"
 
     @property
-    def contact(self) -> str:
-        """The contact that the base reported during the drive, in words."""
-        return self._monitor.contact
-
-    @property
     def progress(self) -> str:
         """One line for people; another thread may read it."""
         keeper, newest = self.keeper, self.measurements.newest
@@ -126,7 +121,7 @@ class Drive:
 
     def wait(self) -> None:
         """Wait for bridge, permission and odometry. Raises as `SafetyMonitor.wait`."""
-        self._monitor.wait(drives=not self.config.dry_run)
+        self.monitor.wait(drives=not self.config.dry_run)
 
     def run(self, attachments: dict[str, int]) -> None:
         """Drive, after `wait`. ``attachments`` are the checksums of the recording's files.
@@ -148,7 +143,7 @@ class Drive:
         else:
             self.verdict = self.controller.verdict()
             if self._docking is None:
-                self.verdict = self.verdict.with_contact(self._monitor.contact)
+                self.verdict = self.verdict.with_contact(self.monitor.contact)
             ends = {Parked.YES: Phase.PARKED, Parked.UNCERTAIN: Phase.UNCERTAIN, Parked.NO: Phase.ENDED}
             words = self.verdict.words
             reason = self._why_uncertain() if words is Parked.UNCERTAIN else self.verdict.reason
@@ -159,7 +154,7 @@ class Drive:
 
     def _arm(self, attachments: dict[str, int]) -> None:
         detector = StartDetector(self._link, self.measurements, self.config, self._clock)
-        start = detector.wait(self._monitor)
+        start = detector.wait(self.monitor)
         self._enter(Phase.ARMED)
         pose, covariance = detector.pose()
         self.placed = covariance is not None
@@ -180,7 +175,7 @@ class Drive:
         self._predict_accuracy()
         if not self.config.dry_run:
             self._link.request_motors(f"policy {self.config.policy}")
-            self._monitor.granted()
+            self.monitor.granted()
         self._enter(Phase.DRIVING)
 
     def _check_start(self, pose: Pose) -> None:
@@ -256,11 +251,11 @@ class Drive:
         estimate = self.estimate = tick.estimate if tick else controller.record_estimate(index, t)
         sequence = None
         if tick is not None and not self.config.dry_run:
-            self._monitor.check_command(tick.command, estimate.velocity)
+            self.monitor.check_command(tick.command, estimate.velocity)
             self._check_poses(estimate.velocity, now_ns)
             if self._touched and not controller.over:
                 self._link.request_motors(f"policy {self.config.policy}")
-                self._monitor.granted()
+                self.monitor.granted()
             if not (self._touched and controller.over):
                 sequence = self._link.command(tick.command)
         if not predicted:
@@ -303,7 +298,7 @@ class Drive:
     def _check(self) -> None:
         """Raise SafetyStop if a safety rule is broken, KeyboardInterrupt after a termination signal."""
         try:
-            self._monitor.check()
+            self.monitor.check()
         except SafetyStop as stop:
             # The gate has stopped the rover. A docking decides in its next tick what that contact was.
             if stop.rule not in CONTACTS or self._docking is None or not self._docking.expects_contact:

@@ -12,7 +12,6 @@ from rover_ncp.core.errors import SafetyStop
 from rover_ncp.wire.protocol import REASONS, CommandTag, GateStatus, MotorsReply, Signed
 
 NOT_ACCEPTED = "not-accepted"
-"""Name of the rule."""
 ACCEPTED_S = 0.4
 """Time limit for the gate to accept a command. Checked at least every 0.1 s, so a driver stops in 0.5 s."""
 MAX_PENDING = 1000

@@ -25,7 +25,6 @@ from rover_ncp.wire.messages import (
 
 _LOGGER = logging.getLogger("rover_ncp")
 NS = 1_000_000_000
-"""Nanoseconds in a second."""
 
 Sample = OdometrySample | TurnSample | PoseSample
 SampleT = TypeVar("SampleT", OdometrySample, TurnSample, PoseSample)
@@ -87,7 +86,6 @@ class Measurements:
         self._before: dict[str, tuple[Arrival, Any]] = {}
         """The last message of each topic and its sample."""
         self.newest: Measurement[OdometrySample] | None = None
-        """The newest odometry."""
         self.taken: Counter[str] = Counter()
         self.unreadable: Counter[str] = Counter()
         self.complaints: dict[str, str] = {}

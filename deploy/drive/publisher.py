@@ -9,9 +9,6 @@ import struct
 import time
 from collections.abc import Callable, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from deploy.drive.controller import Tick
 from deploy.drive.link import Link
 from deploy.drive.records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord
@@ -52,13 +49,20 @@ class Publisher:
         self, link: Link, record: Callable[[Recorded], None], neuron_names: Sequence[str], clock: Clock = time
     ) -> None:
         self._link, self._record, self._names, self._clock = link, record, neuron_names, clock
-        self._viewers = ViewerTopics(record, neuron_names)
+        # An array of one, as that is what all viewers draw; its value is its last eight bytes.
+        self._neurons = [
+            (NEURON_TOPICS + name, neurons([0.0], [name])[: -_VALUE.size]) for name in neuron_names
+        ]
+        self._began_ns = 0
+        self._path: list[Pose] = []
 
     def start(self, record: StartRecord, odometry: Pose) -> None:
         """Record the start of the drive, where odometry stood at ``odometry``."""
-        wall_ns = self._clock.time_ns()
+        self._began_ns = wall_ns = self._clock.time_ns()
         self._record_json(START_TOPIC, dump_json(record), wall_ns)
-        self._viewers.start(wall_ns, Pose(*record.pose), odometry)
+        odom = compose(Pose(*record.pose), inverse(odometry))
+        transform = Transform(COURSE_FRAME, ODOM_FRAME, odom.x, odom.y, 0.0, odom.theta)
+        self._view(FRAMES_TOPIC, "tf2_msgs/msg/TFMessage", transforms([transform], wall_ns), wall_ns)
 
     def tick(self, record: TickRecord, estimate: Estimate, tick: Tick | None) -> None:
         """Publish the estimate, and the potentials if the circuit ran."""
@@ -67,15 +71,22 @@ class Publisher:
         self._link.publish("rover/estimate", estimate_message(estimate, wall_ns), wall_ns)
         if tick is not None:
             self._link.publish("rover/neurons", neurons(tick.potentials, self._names), wall_ns)
-        self._viewers.tick(wall_ns, estimate.pose, None if tick is None else tick.potentials)
+        self._path.append(estimate.pose)
+        data = pose_stamped(estimate.pose, wall_ns, COURSE_FRAME)
+        self._view(POSE_TOPIC, "geometry_msgs/msg/PoseStamped", data, wall_ns)
+        if tick is not None:
+            for (topic, before), potential in zip(self._neurons, tick.potentials.tolist(), strict=True):
+                self._view(topic, "std_msgs/msg/Float64MultiArray", before + _VALUE.pack(potential), wall_ns)
 
     def dock(self, result: DockResult) -> None:
         """Record how a docking ended."""
         self._record_json(DOCK_TOPIC, dump_json(result), self._clock.time_ns())
 
     def finish(self) -> None:
-        """Record the messages that need the whole drive."""
-        self._viewers.finish()
+        """Record the whole path, dated at the start, so that viewers draw it from the beginning."""
+        if self._path:
+            data = path(self._path, self._began_ns, COURSE_FRAME)
+            self._view(PATH_TOPIC, "nav_msgs/msg/Path", data, self._began_ns)
 
     def status(self, status: DriverStatus) -> None:
         """Publish the drive's status."""
@@ -85,40 +96,6 @@ class Publisher:
         data = text(json.decode())
         self._record(Recorded(topic, "std_msgs/msg/String", data, self._clock.time_ns(), wall_ns))
 
-
-class ViewerTopics:
-    """The messages of one drive for viewers of its recording."""
-
-    def __init__(self, record: Callable[[Recorded], None], neuron_names: Sequence[str]) -> None:
-        self._record = record
-        # An array of one, as that is what all of them draw; its value is its last eight bytes.
-        self._neurons = [
-            (NEURON_TOPICS + name, neurons([0.0], [name])[: -_VALUE.size]) for name in neuron_names
-        ]
-        self._began_ns = 0
-        self._path: list[Pose] = []
-
-    def start(self, wall_ns: int, pose: Pose, odometry: Pose) -> None:
-        """Begin at ``pose`` in the course, where odometry stands at ``odometry``."""
-        self._began_ns = wall_ns
-        odom = compose(pose, inverse(odometry))
-        transform = Transform(COURSE_FRAME, ODOM_FRAME, odom.x, odom.y, 0.0, odom.theta)
-        self._put(FRAMES_TOPIC, "tf2_msgs/msg/TFMessage", transforms([transform], wall_ns), wall_ns)
-
-    def tick(self, wall_ns: int, pose: Pose, potentials: NDArray[np.float64] | None) -> None:
-        """Record the pose, and the potentials if the circuit ran."""
-        self._path.append(pose)
-        data = pose_stamped(pose, wall_ns, COURSE_FRAME)
-        self._put(POSE_TOPIC, "geometry_msgs/msg/PoseStamped", data, wall_ns)
-        if potentials is not None:
-            for (topic, before), potential in zip(self._neurons, potentials.tolist(), strict=True):
-                self._put(topic, "std_msgs/msg/Float64MultiArray", before + _VALUE.pack(potential), wall_ns)
-
-    def finish(self) -> None:
-        """Record the whole path, dated at the start, so that viewers draw it from the beginning."""
-        if self._path:
-            data = path(self._path, self._began_ns, COURSE_FRAME)
-            self._put(PATH_TOPIC, "nav_msgs/msg/Path", data, self._began_ns)
-
-    def _put(self, topic: str, ros_type: str, data: bytes, wall_ns: int) -> None:
+    def _view(self, topic: str, ros_type: str, data: bytes, wall_ns: int) -> None:
+        """Record a message for viewers alone."""
         self._record(Recorded(topic, ros_type, data, wall_ns, wall_ns))

@@ -19,18 +19,15 @@ class RateReport(NamedTuple):
     """Ticks that ran on prediction, and ticks that did not run at all."""
     predicted: int
     missed: int
-    rate_hz: float
-    lateness_p50_ms: float
-    lateness_max_ms: float
-    """After the due time; negative for an early tick."""
+    tick_rate_hz: float
+    lateness_ms: dict[str, float]
+    """Median and maximum of the time after the due time; negative for an early tick."""
 
 
 class RateKeeper:
     """The schedule of control ticks; ``index`` is the next one."""
 
     def __init__(self, period_ns: int, start_ns: int) -> None:
-        if period_ns <= 0:
-            raise ValueError(f"the period must be positive, got {period_ns} ns")
         self._period, self._start = period_ns, start_ns
         self.index = 0
         self.predicted = 0
@@ -86,7 +83,6 @@ class RateKeeper:
             overruns=self.overruns,
             predicted=self.predicted,
             missed=self.missed,
-            rate_hz=(ticks - 1) * NS / span if span > 0 else 0.0,
-            lateness_p50_ms=float(np.median(late_ms)),
-            lateness_max_ms=float(late_ms.max()),
+            tick_rate_hz=(ticks - 1) * NS / span if span > 0 else 0.0,
+            lateness_ms={"p50": float(np.median(late_ms)), "max": float(late_ms.max())},
         )

@@ -131,7 +131,7 @@ class DriveResult(RecordingResult):
 
 def result_of(drive: Drive, recording: Mapping[str, Any]) -> DriveResult:
     """Return the result of a drive that is over; ``recording`` are the fields of its recording."""
-    report, verdict, config = drive.keeper.report(), drive.verdict, drive.config
+    verdict, config = drive.verdict, drive.config
     if drive.stop is not None:
         code = drive.stop.exit_code
     elif verdict is None:
@@ -139,7 +139,7 @@ def result_of(drive: Drive, recording: Mapping[str, Any]) -> DriveResult:
     else:
         fails = {Parked.NO, Parked.UNCERTAIN} if config.require_certainty else {Parked.NO}
         code = 1 if verdict.words in fails and not config.dry_run else 0
-    latencies_ms = np.array(drive.latencies_ns or [0]) / 1e6
+    p50, p99 = (np.percentile(drive.latencies_ns or [0], [50, 99]) / 1e6).tolist()
     estimator, outcomes = drive.controller.estimator, drive.controller.estimator.poses
     odometry, gyro, pose = (
         {name: getattr(drive.measurements, name)[topic] for name in ("taken", "unreadable", "doubtful")}
@@ -152,19 +152,11 @@ def result_of(drive: Drive, recording: Mapping[str, Any]) -> DriveResult:
         reason=drive.reason,
         stopped_by=drive.stop.rule if drive.stop else None,
         warning=drive.warning or None,
-        contact=drive.contact or None,
+        contact=drive.monitor.contact or None,
         predicted_error_m=drive.predicted_error_m,
         estimate_error_m=verdict.error_m if verdict else None,
         estimate_error_rad=verdict.error_rad if verdict else None,
-        ticks=report.ticks,
-        overruns=report.overruns,
-        predicted=report.predicted,
-        missed=report.missed,
-        tick_rate_hz=report.rate_hz,
-        lateness_ms=Lateness(p50=report.lateness_p50_ms, max=report.lateness_max_ms),
-        odometry_to_command_ms=Latency(
-            p50=float(np.percentile(latencies_ms, 50)), p99=float(np.percentile(latencies_ms, 99))
-        ),
+        odometry_to_command_ms=Latency(p50=p50, p99=p99),
         odometry=Odometry(**odometry, rejected=estimator.rejected),
         gyro=Odometry(**gyro, rejected=estimator.gyro_rejected),
         pose=ExternalPoses(
@@ -181,5 +173,6 @@ def result_of(drive: Drive, recording: Mapping[str, Any]) -> DriveResult:
         course=config.course,
         dry_run=config.dry_run,
         exit_code=code,
+        **drive.keeper.report()._asdict(),
         **recording,
     )

@@ -12,7 +12,7 @@ One extended Kalman filter: `motion` is its model, `history` applies the measure
 
 import copy
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -49,6 +49,7 @@ GYRO_OFF_RAD_S = 1.0
 LATE, EARLY = 1.5, 0.5
 """Odometry after a gap of more than 1.5 default gaps may be delayed, and the next one after less than 0.5."""
 GAPS = 9
+ODOMETRY, GYRO_READINGS, POSES = "odometry samples", "gyro readings", "external poses"
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,8 @@ class Estimator:
         self.fault = ""
         self.fault_rule = ""
         """The fault of the estimate, empty without one, and its safety rule."""
-        self._in_a_row = self._poses_in_a_row = self._gyro_in_a_row = 0
+        self._in_a_row: Counter[str] = Counter()
+        """Rejections in a row, by what was rejected."""
         self._gyro_counted = -math.inf
 
     def start(
@@ -169,15 +171,12 @@ class Estimator:
             outcome, turn, waited = self._history.odometry(z, self._gyro.angle(t), t)
             self._count_gyro(turn)
         if outcome is Outcome.ACCEPTED:
-            self._in_a_row = 0
+            self._in_a_row[ODOMETRY] = 0
             for waiting in waited:
                 self._count(waiting)
-            return outcome
-        self.rejected += 1
-        self._in_a_row += 1
-        if self._in_a_row >= self._settings.rejected_in_a_row:
-            words = f"{self._in_a_row} odometry samples rejected in a row (last: {outcome.value})"
-            self._fail("estimator", words)
+        else:
+            self.rejected += 1
+            self._reject(ODOMETRY, outcome, self._settings.rejected_in_a_row, "estimator")
         return outcome
 
     def gyro(self, rate: float, t: float) -> None:
@@ -258,29 +257,26 @@ class Estimator:
 
     def _count_gyro(self, outcome: Outcome | None) -> None:
         if outcome is Outcome.ACCEPTED:
-            self._gyro_in_a_row = 0
+            self._in_a_row[GYRO_READINGS] = 0
         elif outcome is not None:
             self.gyro_rejected += 1
             if self._history.t - self._gyro_counted >= TURN_S:  # at any rate of readings, n are as long
                 self._gyro_counted = self._history.t
-                self._gyro_in_a_row += 1
-            if self._gyro_in_a_row >= self._settings.gyro_rejected_in_a_row:
-                words = f"{self._gyro_in_a_row} gyro readings rejected in a row (last: {outcome.value})"
-                self._fail("gyro", words)
+                self._reject(GYRO_READINGS, outcome, self._settings.gyro_rejected_in_a_row, "gyro")
 
     def _count(self, outcome: Outcome) -> None:
         self.poses[outcome] += 1
         if outcome is Outcome.ACCEPTED:
-            self._poses_in_a_row = 0
+            self._in_a_row[POSES] = 0
         elif outcome in {Outcome.OUTLIER, Outcome.NOT_FINITE}:
-            self._poses_in_a_row += 1
-            if self._poses_in_a_row >= self._settings.poses_rejected_in_a_row:
-                words = f"{self._poses_in_a_row} external poses rejected in a row (last: {outcome.value})"
-                self._fail("external-pose", words)
+            self._reject(POSES, outcome, self._settings.poses_rejected_in_a_row, "external-pose")
 
-    def _fail(self, rule: str, words: str) -> None:
-        if not self.fault:
-            self.fault, self.fault_rule = words, rule
+    def _reject(self, what: str, outcome: Outcome, limit: int, rule: str) -> None:
+        """Count a rejection; so many in a row are the fault ``rule``."""
+        self._in_a_row[what] += 1
+        if self._in_a_row[what] >= limit and not self.fault:
+            self.fault = f"{self._in_a_row[what]} {what} rejected in a row (last: {outcome.value})"
+            self.fault_rule = rule
 
 
 def error_95_m(covariance: Array) -> float:

@@ -58,16 +58,10 @@ class OdometryErrors(NamedTuple):
 
 
 class Axis(NamedTuple):
-    """One axis: s, gain as odometry sees it, m/s² or rad/s² (true); and their standard deviations; SI."""
+    """Delay (s), gain as odometry sees it, true acceleration and deceleration (m/s² or rad/s²) of an axis."""
 
-    delay_s: float
-    gain: float
-    acceleration: float
-    deceleration: float
-    delay_std: float
-    gain_std: float
-    acceleration_std: float
-    deceleration_std: float
+    values: FloatArray
+    std: FloatArray
     residual: float
     """Root mean square over the blocks that were kept, m/s or rad/s."""
 
@@ -129,17 +123,13 @@ def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis |
     kept = ~np.isin(blocks, _outliers(residuals(x), blocks, scale))
     for _ in range(8):
         chosen = kept
-
-        def weighted(table: FloatArray, chosen: NDArray[np.bool_] = chosen) -> FloatArray:
-            found: FloatArray = (table.T * weights).T[chosen]
-            return found
-
         fit = least_squares(
-            lambda x, weighted=weighted: weighted(residuals(x)),
+            lambda x, chosen: (residuals(x) * weights)[chosen],
             x,
-            lambda x, weighted=weighted: weighted(jacobian(x)),
+            lambda x, chosen: (jacobian(x) * weights[:, None])[chosen],
             bounds=bounds,
             x_scale=steps,
+            args=(chosen,),
         )
         x = fit.x
         if (fit.active_mask[1:] != 0).any() or fit.active_mask[0] > 0:
@@ -165,7 +155,7 @@ def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis |
     deviations = units * np.sqrt(np.diag(covariance + shift @ odometry.covariance @ shift.T))
     found = np.append(x[:2], units[2:])
     residual = float(np.sqrt(np.mean(np.square(residuals(x)[chosen]))))
-    return Axis._make([*found.tolist(), *deviations.tolist(), residual])
+    return Axis(found, deviations, residual)
 
 
 def _changes(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deploy.identify.axis_fit import OdometryErrors, identify_axis
-from deploy.identify.dead_band import dead_bands
-from deploy.identify.motion_log import MotionLog
+from deploy.identify.excitation import LEVEL_S, RAMP, follows
+from deploy.identify.motion_log import FloatArray, MotionLog
 from deploy.identify.odometry_fit import Fit, fit_center, fit_distance, fit_turns, standstills_with_poses
 from rover_ncp.robot.profile import RoverProfile
 
@@ -23,47 +23,31 @@ STANDING_S = 0.35
 STEP_M, STEP_RAD = 0.001, math.tau / 4096
 """Resolution of positions and headings."""
 MIN_NOISE_SAMPLES = 20
+SETTLED_S = 0.2
+"""Time at the end of a constant command in which motion is judged for the dead band."""
 
 SCALE_STD = 0.0173
 """Standard deviation of odometry's scales without external poses: uniform within ±3 %."""
 SLIP_STD_S = 0.17
 """Standard deviation of a turn's slip about 0: uniform from 0 to 0.3 s (preset `harsh`)."""
 
-MAX_DELAY_STD_S = 0.03
-"""Largest standard deviation of a delay that is kept."""
 MAX_STD_SHARE = {
-    "gain_v": 0.03,
-    "gain_omega": 0.03,
-    "accel": 0.15,
-    "decel": 0.15,
-    "alpha": 0.15,
-    "alpha_decel": 0.15,
-    "noise_m": 0.25,
-    "noise_rad": 0.25,
-    "odometry_distance": 0.03,
+    **dict.fromkeys(("gain_v", "gain_omega", "odometry_distance"), 0.03),
     "odometry_heading": 0.1,
+    **dict.fromkeys(("accel", "decel", "alpha", "alpha_decel"), 0.15),
+    **dict.fromkeys(("noise_m", "noise_rad"), 0.25),
 }
 """Largest standard deviation that is kept, as a share of the value."""
 MAX_STD = {
-    "delay_v_s": MAX_DELAY_STD_S,
-    "delay_omega_s": MAX_DELAY_STD_S,
-    "imbalance_rad_m": 0.03,
-    "slip_s": 0.15,
+    **dict.fromkeys(("downhill_x_m", "downhill_y_m"), 0.01),
+    **dict.fromkeys(("delay_v_s", "delay_omega_s", "imbalance_rad_m"), 0.03),
+    **dict.fromkeys(("rotation_center_m", "rotation_center_left_m"), 0.03),
     "turn_asymmetry": 0.05,
-    "downhill_x_m": 0.01,
-    "downhill_y_m": 0.01,
-    "rotation_center_m": 0.03,
-    "rotation_center_left_m": 0.03,
+    "slip_s": 0.15,
 }
 """Largest standard deviation of the other values, SI."""
 
-
-_AXES = (
-    ("delay_v_s", "gain_v", "accel", "decel"),
-    ("delay_omega_s", "gain_omega", "alpha", "alpha_decel"),
-)
-
-
+_AXES = ("delay_v_s", "gain_v", "accel", "decel"), ("delay_omega_s", "gain_omega", "alpha", "alpha_decel")
 _BANDS = "dead_band_v", "dead_band_omega"
 
 
@@ -104,7 +88,8 @@ def identify(log: MotionLog, name: str) -> RoverProfile:
     for axis, keys in enumerate(_AXES):
         fitted = identify_axis(log, axis, odometry[axis])
         if fitted is not None:
-            found |= {key: _Value(fitted[i], fitted[i + 4]) for i, key in enumerate(keys)}
+            values = map(_Value, fitted.values.tolist(), fitted.std.tolist())
+            found |= dict(zip(keys, values, strict=True))
             measured[("v", "omega")[axis]] = {"residual": float(f"{fitted.residual:.3g}")}
     sure = {key: value for key, value in found.items() if _sure(key, value)}
     return RoverProfile.model_validate(
@@ -164,4 +149,39 @@ def _noise(log: MotionLog, stands: Sequence[tuple[float, float]]) -> dict[str, _
         found[key] = (
             _Value(noise, seen / noise / math.sqrt(2.0 * samples)) if noise > step / 2.0 else _Value(0.0, 0.0)
         )
+    return found
+
+
+def dead_bands(log: MotionLog) -> tuple[float | None, float | None]:
+    """Return the least speed command and the least turn command that the robot follows.
+
+    0 for a robot that follows the slowest step of a ramp; None without a ramp, or if the robot follows a
+    command but not a faster one.
+    """
+    return _dead_band(log, 0, RAMP.v), _dead_band(log, 1, RAMP.omega)
+
+
+def _dead_band(log: MotionLog, axis: int, step: float) -> float | None:
+    levels = _levels(log, axis)
+    least = min((size for size, followed in levels if followed), default=math.inf)
+    most = max((size for size, followed in levels if not followed), default=0.0)
+    if not 0.0 < least - most <= 1.01 * step:
+        return None
+    return least if most else 0.0
+
+
+def _levels(log: MotionLog, axis: int) -> list[tuple[float, bool]]:
+    """Return each lasting command on this axis alone, and whether the robot followed it."""
+    changes = np.flatnonzero(np.abs(np.diff(log.sent, axis=0)).max(axis=1) > 0.0) + 1
+    starts = np.concatenate([[0], changes])
+    ends_s: FloatArray = np.append(log.sent_s[changes], log.odometry.t[-1])
+    found = []
+    for start, end_s in zip(starts.tolist(), ends_s.tolist(), strict=True):
+        command = log.sent[start]
+        if command[axis] == 0.0 or command[1 - axis] != 0.0 or end_s - log.sent_s[start] < LEVEL_S - 0.1:
+            continue
+        late = (log.odometry.t > end_s - SETTLED_S) & (log.odometry.t <= end_s)
+        if late.any():
+            followed = follows(float(log.motion[late, axis].mean()), float(command[axis]))
+            found.append((abs(float(command[axis])), followed))
     return found

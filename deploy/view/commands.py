@@ -1,9 +1,8 @@
 """The commands ``course`` and ``report``; heavy libraries load only when one runs."""
 
 import re
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -12,37 +11,21 @@ from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
 
 
-class What(StrEnum):
-    """Actions on a course."""
-
-    NEW = "new"
-    CHECK = "check"
-
-
 def course(
-    what: Annotated[What, typer.Argument(help="new: make one. check: can it be driven?")],
+    what: Annotated[Literal["new", "check"], typer.Argument(help="new: make one. check: can it be driven?")],
     source: Annotated[
-        str,
-        typer.Argument(
-            help="new: poses (YAML, CSV) or a recorded drive (MCAP). check: a course by name or file."
-        ),
+        str, typer.Argument(help="new: poses (YAML, CSV) or a recorded drive (MCAP). check: a course.")
     ],
     *,
     out: Annotated[
         Path | None,
-        typer.Option(
-            help="new: the course's file (YAML). check: a picture (PNG or SVG).", show_default=False
-        ),
+        typer.Option(help="new: the course (YAML). check: a picture (PNG, SVG).", show_default=False),
     ] = None,
     name: Annotated[
         str | None, typer.Option(help="new: what the course is called.", show_default="the file's name")
     ] = None,
     model: Annotated[
-        str | None,
-        typer.Option(
-            help="check: the robot's description, for its speeds and outline: a name or a file.",
-            show_default=DEFAULT_ROBOT,
-        ),
+        str | None, typer.Option(help="check: the robot's description.", show_default=DEFAULT_ROBOT)
     ] = None,
     json: Json = False,
 ) -> int:
@@ -64,7 +47,7 @@ def course(
     from rover_ncp.robot.description import load_description
 
     output, pace = Output(json), ""
-    if what is What.NEW:
+    if what == "new":
         reject("is for check", model=model)
         made, found = _new(Path(source), out, name)
     else:

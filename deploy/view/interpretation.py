@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from pydantic import Field
 
+from deploy.view.trace import FloatArray
 from rover_ncp.circuit.circuit import Circuit, time_constants
 from rover_ncp.core.config import ResultModel
-
-FloatArray = NDArray[np.float64]
 
 BINS = 10
 """Bins of a histogram of Omega over -pi/2..pi/2 (supplement, figure of the slopes)."""
@@ -66,44 +66,30 @@ PUBLISHED_TIME_CONSTANTS_S: dict[str, tuple[float, float]] = {
 class Slopes(ResultModel):
     """Counts of Definition 1 over some ticks."""
 
-    sign: Sign
-    """by Definition 1 of the paper"""
-    positive: int
-    """P, the number of points with Omega > 0"""
-    negative: int
-    """Q, the number of points with Omega < 0"""
-    flat: int
-    """number of points with Omega = 0: the source changed, the destination did not"""
-    vertical: int
-    """number of vertical slopes among P + Q: the destination changed, the source did not"""
-    bins: tuple[int, ...]
-    """histogram of all Omega in equal bins over -pi/2..pi/2; Omega = 0 is counted right of the middle"""
+    sign: Sign = Field(description="by Definition 1 of the paper")
+    positive: int = Field(description="P, the number of points with Omega > 0")
+    negative: int = Field(description="Q, the number of points with Omega < 0")
+    flat: int = Field(description="points with Omega = 0: only the source changed")
+    vertical: int = Field(description="vertical slopes among P + Q: only the destination changed")
+    bins: tuple[int, ...] = Field(description="histogram of Omega over -pi/2..pi/2; 0 counts as positive")
 
 
 class Contribution(Slopes):
     """Contribution of ``source`` to ``destination`` in a run."""
 
-    source: str
-    """the neuron that acts"""
-    destination: str
-    """the neuron that it acts on"""
-    driving: Slopes
-    """without the rest at both ends of the run, where most potentials are constant"""
-    paper: Sign | None
-    """the paper's sign"""
+    source: str = Field(description="the neuron that acts")
+    destination: str = Field(description="the neuron that it acts on")
+    driving: Slopes = Field(description="without the rest at both ends of the run")
+    paper: Sign | None = Field(description="the paper's sign")
 
 
 class TimeConstant(ResultModel):
     """Range of a neuron's time constant over a run."""
 
-    neuron: str
-    """its name"""
-    lowest_s: float
-    """its smallest time constant"""
-    highest_s: float
-    """its largest time constant"""
-    paper_s: tuple[float, float] | None
-    """the paper's range"""
+    neuron: str = Field(description="its name")
+    lowest_s: float = Field(description="its smallest time constant")
+    highest_s: float = Field(description="its largest time constant")
+    paper_s: tuple[float, float] | None = Field(description="the paper's range")
 
 
 def slopes(a: ArrayLike, b: ArrayLike) -> Slopes:
@@ -113,10 +99,6 @@ def slopes(a: ArrayLike, b: ArrayLike) -> Slopes:
     potential changes are not counted.
     """
     da, db = _steps(a), _steps(b)
-    if da.shape != db.shape:
-        raise ValueError(
-            f"potentials of one run must have the same length, got {len(da)} and {len(db)} steps"
-        )
     changed = (da != 0) | (db != 0)
     da, db = da[changed], db[changed]
     # The slope of a line does not depend on the direction of travel; vertical lines keep the sign of db.
@@ -124,7 +106,7 @@ def slopes(a: ArrayLike, b: ArrayLike) -> Slopes:
     positive, negative = int(np.sum(omega > 0)), int(np.sum(omega < 0))
     histogram, _ = np.histogram(omega, BINS, (-np.pi / 2, np.pi / 2))
     return Slopes(
-        sign=_sign(positive, negative),
+        sign=sign_of(positive, negative),
         positive=positive,
         negative=negative,
         flat=len(omega) - positive - negative,
@@ -175,19 +157,17 @@ def time_constant_ranges(
 
 
 def _steps(potentials: ArrayLike) -> FloatArray:
-    values = np.asarray(potentials, np.float64)
-    if values.ndim != 1 or not np.isfinite(values).all():
-        raise ValueError("expected the potentials of one neuron as a row of finite numbers")
-    steps = np.diff(values)
+    steps = np.diff(np.asarray(potentials, np.float64))
     steps[np.abs(steps) <= STILL_MV] = 0.0
     return steps
 
 
-def _sign(positive: int, negative: int) -> Sign:
+def sign_of(positive: int, negative: int, threshold: float = THRESHOLD) -> Sign:
+    """Return the sign of counts P and Q: one must exceed the other by the factor ``threshold``."""
     if positive + negative == 0:
         return Sign.NONE
-    if positive > THRESHOLD * negative:
+    if positive > threshold * negative:
         return Sign.POSITIVE
-    if negative > THRESHOLD * positive:
+    if negative > threshold * positive:
         return Sign.ANTAGONISTIC
     return Sign.PHASE_SWITCHING

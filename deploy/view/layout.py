@@ -7,14 +7,11 @@ ordered by the mean place of their neighbours. Coordinates: x to the right, y do
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deploy.view.trace import FloatArray
 from rover_ncp.circuit.policy import Policy
-
-FloatArray = NDArray[np.float64]
 
 WIDTH, HEIGHT, ROW = 560.0, 600.0, 160.0
 RADIUS = 30.0
@@ -37,16 +34,8 @@ BENDS = (0.0, 0.08, -0.08, 0.15, -0.15, 0.25, -0.25)
 CLEARANCE = RADIUS + 6.0
 """Least distance of a curve to the centre of a neuron that is not one of its ends."""
 
-
-class Curve(NamedTuple):
-    """A quadratic curve with its control point, from the rim of one neuron to the rim of another."""
-
-    x0: float
-    y0: float
-    cx: float
-    cy: float
-    x1: float
-    y1: float
+Curve = tuple[float, ...]
+"""A quadratic curve: x and y of the rim of one neuron, of the control point, of the rim of another neuron."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +161,7 @@ def _curve(places: FloatArray, source: int, to: int, bent: bool) -> Curve:
     """
     a, b = places[source], places[to]
     if source == to:  # a loop to the right of the neuron
-        return Curve(a[0] + RADIUS, a[1] - 8.0, a[0] + 2.6 * RADIUS, a[1], a[0] + RADIUS + 5.0, a[1] + 10.0)
+        return a[0] + RADIUS, a[1] - 8.0, a[0] + 2.6 * RADIUS, a[1], a[0] + RADIUS + 5.0, a[1] + 10.0
     others = np.delete(places, [source, to], axis=0)
     t = np.linspace(0.0, 1.0, 17)[:, None]
     controls, distances = [], []
@@ -186,4 +175,4 @@ def _curve(places: FloatArray, source: int, to: int, bent: bool) -> Curve:
     control = controls[int(np.argmax(distances))]
     start = a + (RADIUS + 2.0) * (control - a) / np.hypot(*(control - a))
     end = b + (RADIUS + 7.0) * (control - b) / np.hypot(*(control - b))  # room for the arrowhead
-    return Curve(*map(float, (*start, *control, *end)))
+    return *start, *control, *end

@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup, escape
+from pydantic import Field
 
 from deploy.view.findings import Findings, analyse, number
 from deploy.view.interpretation import SYMBOLS
@@ -64,10 +65,8 @@ class Table(NamedTuple):
 class Report(ResultModel):
     """What ``rover-ncp report`` prints."""
 
-    page: str
-    """its file"""
-    bytes: int
-    """its size"""
+    page: str = Field(description="its file")
+    bytes: int = Field(description="its size")
 
 
 def write_report(recording: Path, page: Path) -> Report:

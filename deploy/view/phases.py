@@ -21,8 +21,6 @@ from rover_ncp.circuit.circuit import MIDPOINT_MV
 from rover_ncp.core.config import ResultModel
 from rover_ncp.core.geometry import Velocity, wrap_angle
 
-FloatArray = NDArray[np.float64]
-
 V, OMEGA = 0, 1
 IDLE = 0.1
 MIN_PHASE_S = 0.5
@@ -56,20 +54,14 @@ LEAK_MV = 5.0
 class Phase(ResultModel):
     """One phase: ticks ``first`` up to, not including, ``last``."""
 
-    label: str
-    """what the rover does; with --task the signs of the outputs"""
-    signs: tuple[int, ...] = Field(exclude=True)
-    """of v and omega, or of each output of a task that is no drive"""
+    label: str = Field(description="what the rover does; with --task the signs of the outputs")
+    signs: tuple[int, ...] = Field(exclude=True, description="of each output")
     first: int = Field(exclude=True)
     last: int = Field(exclude=True)
-    start_s: float
-    """time at its beginning; with --task in the time of the circuit"""
-    end_s: float
-    """time at its end"""
-    driven_m: float
-    """length of the path"""
-    turned_rad: float
-    """change of heading, left positive"""
+    start_s: float = Field(description="time at its beginning; with --task in the time of the circuit")
+    end_s: float = Field(description="time at its end")
+    driven_m: float = Field(description="length of the path")
+    turned_rad: float = Field(description="change of heading, left positive")
 
     @property
     def ticks(self) -> slice:
@@ -80,44 +72,36 @@ class Phase(ResultModel):
 class Mean(ResultModel):
     """A neuron with a mean over a phase."""
 
-    neuron: str
-    """its name"""
-    mean_mV: float
-    """mean of its potential, its pull or its swing"""
+    neuron: str = Field(description="its name")
+    mean_mV: float = Field(description="mean of its potential, its pull or its swing")
 
 
 class Change(ResultModel):
     """A pull in two phases."""
 
-    neuron: str
-    """its name"""
-    before_mV: float
-    """the pull in the phase before"""
-    now_mV: float
-    """the pull in this phase"""
+    neuron: str = Field(description="its name")
+    before_mV: float = Field(description="the pull in the phase before")
+    now_mV: float = Field(description="the pull in this phase")
 
 
 class ExplainedPhase(Phase):
     """Explanation of the rover's motion in one phase."""
 
-    motor: Mean
-    """motor neuron with the largest share in the output, and its potential"""
-    rival: Mean | None
-    """motor neuron that acts most against the output, and its potential; null if none does"""
-    behind: Mean | None = None
-    """neuron that pulls most on the motor neuron, and its potential; null if it has no synapse"""
-    by_leak: bool = True
-    """whether the leak alone determines the motor neuron's potential"""
-    opening: float | None = None
-    """mean opening of the synapse of `behind`, 0 to 1; null for a gap junction"""
-    pulls: tuple[Mean, ...] = ()
-    """pulls on the neuron behind, the strongest first; none on a sensory neuron, which its input drives"""
-    change: Change | None = None
-    """the pull that changed most since the phase before"""
-    swinging: tuple[Mean, ...] = Field(default=(), exclude=True)
-    """neurons that alternate, with their mean change from tick to tick, the widest first"""
-    sentence: str = ""
-    """all this in words"""
+    motor: Mean = Field(description="motor neuron with the largest share in the output, and its potential")
+    rival: Mean | None = Field(description="motor neuron that acts most against the output, or null")
+    behind: Mean | None = Field(
+        default=None, description="neuron that pulls most on the motor neuron, or null"
+    )
+    by_leak: bool = Field(default=True, description="whether the leak alone determines the potential")
+    opening: float | None = Field(
+        default=None, description="of the synapse of `behind`, 0 to 1; null for a gap junction"
+    )
+    pulls: tuple[Mean, ...] = Field(default=(), description="on the neuron behind, the strongest first")
+    change: Change | None = Field(default=None, description="that changed most since the phase before")
+    swinging: tuple[Mean, ...] = Field(
+        default=(), exclude=True, description="by their mean change from tick to tick"
+    )
+    sentence: str = Field(default="", description="all this in words")
 
 
 def phases(trace: Trace) -> tuple[Phase, ...]:

@@ -6,19 +6,20 @@ the meaning of each.
 
 import io
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
+from matplotlib.patheffects import withStroke
 
 from deploy.view.shapes import OUTLINE, FloatArray, at_places, placed, rectangle
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.feasibility import Drivability
 from rover_ncp.course.reference import Reference, plan_reference
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
 INK, GREY = "#1B1F24", "#6B7280"
@@ -29,10 +30,8 @@ OUTLINE_EVERY = round(2.0 / TICK_S)
 """Ticks between outlines on the path of a course."""
 
 
-def render(drawn: "Figure", kind: str) -> bytes:
+def render(drawn: Figure, kind: str) -> bytes:
     """Return a figure as a file, ``svg`` or ``png``; the same numbers give the same bytes on any machine."""
-    import matplotlib as mpl
-
     buffer = io.BytesIO()
     metadata = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
     # A fixed salt for the names of clip paths makes the bytes reproducible.
@@ -43,7 +42,7 @@ def render(drawn: "Figure", kind: str) -> bytes:
 
 def drive_picture(
     course: Course, truth: Sequence[Pose], estimate: Sequence[Pose], outline: FloatArray = OUTLINE
-) -> "Figure":
+) -> Figure:
     """Draw the true and the estimated path of a drive, and where its reference is at which time."""
     drawn, axes = _figure(course)
     _draw_reference(axes, course, plan_reference(course))
@@ -57,7 +56,7 @@ def drive_picture(
     return drawn
 
 
-def course_picture(course: Course, found: Drivability, outline: FloatArray = OUTLINE) -> "Figure":
+def course_picture(course: Course, found: Drivability, outline: FloatArray = OUTLINE) -> Figure:
     """Draw a course with its reference; crosses and causes mark checkpoints that cannot be driven."""
     drawn, axes = _figure(course)
     way = found.reference.poses
@@ -94,11 +93,8 @@ def course_picture(course: Course, found: Drivability, outline: FloatArray = OUT
     return drawn
 
 
-def _figure(course: Course) -> "tuple[Figure, Axes]":
+def _figure(course: Course) -> tuple[Figure, Axes]:
     """Return a figure with obstacles, checkpoints, and the goal with its tolerance."""
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Circle, Polygon
-
     drawn = Figure(figsize=(7.6, 6.2), layout="constrained")
     axes = drawn.add_subplot()
     axes.spines[["top", "right"]].set_visible(False)
@@ -123,7 +119,7 @@ def _figure(course: Course) -> "tuple[Figure, Axes]":
     return drawn, axes
 
 
-def _draw_reference(axes: "Axes", course: Course, reference: Reference) -> None:
+def _draw_reference(axes: Axes, course: Course, reference: Reference) -> None:
     """Draw the path of the moving reference, and where it is at the deadlines."""
     axes.plot(*reference.poses[:, :2].T, color=GREEN, linewidth=4, alpha=0.45, label="moving reference")
     poses = [(point.t, reference.at(point.t)[0]) for point in course.checkpoints]
@@ -132,16 +128,14 @@ def _draw_reference(axes: "Axes", course: Course, reference: Reference) -> None:
     _draw_times(axes, at_places([(pose.x, pose.y, t) for t, pose in poses]))
 
 
-def _draw_legend(axes: "Axes") -> None:
+def _draw_legend(axes: Axes) -> None:
     """Draw the legend below the axes, where it covers nothing."""
     axes.legend(
         loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=5, ncols=4, fontsize=8, frameon=False
     )
 
 
-def _draw_times(axes: "Axes", times: Sequence[tuple[float, float, str]]) -> None:
-    from matplotlib.patheffects import withStroke
-
+def _draw_times(axes: Axes, times: Sequence[tuple[float, float, str]]) -> None:
     labelled: list[tuple[float, float]] = []
     for x, y, words in times:
         if all(np.hypot(x - other[0], y - other[1]) > MIN_LABEL_DISTANCE_M for other in labelled):
@@ -154,7 +148,7 @@ def _draw_times(axes: "Axes", times: Sequence[tuple[float, float, str]]) -> None
             label.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
 
 
-def _draw_ends(axes: "Axes", poses: FloatArray, outline: FloatArray = OUTLINE) -> None:
+def _draw_ends(axes: Axes, poses: FloatArray, outline: FloatArray = OUTLINE) -> None:
     """Draw the rover's outline at the start, dashed, and at the end."""
     for words, pose, dash in (("start", poses[0], (0, (2, 2))), ("end", poses[-1], "solid")):
         axes.plot(*placed(outline, pose).T, color=GREY, linewidth=1, linestyle=dash)

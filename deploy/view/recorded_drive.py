@@ -42,11 +42,6 @@ class Drive:
     """Where the recording is cut off or damaged; empty if it is whole."""
 
     @property
-    def complete(self) -> bool:
-        """Whether the recording is whole."""
-        return not self.damage
-
-    @property
     def outline(self) -> FloatArray:
         """The outline of the robot that the driver's settings describe, or of a Pioneer 3-AT."""
         described = self.settings.get("described")
@@ -90,7 +85,7 @@ def summarise(drive: Drive) -> Summary:
     rows = list(facts(drive.timeline, verdicts))
     if drive.settings.get("dry_run"):
         rows.append(("Dry run", "no command was sent"))
-    if not drive.complete:
+    if drive.damage:
         rows.append(("Recording", f"{drive.damage}; the page shows what precedes it"))
     if dock is None:
         parked, headline = _headline(next(iter(verdicts.values())), drive.timeline.status)

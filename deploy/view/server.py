@@ -21,6 +21,7 @@ import uvicorn
 import zenoh
 from anyio import CapacityLimiter, create_task_group
 from anyio.to_thread import run_sync
+from pydantic import Field
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
@@ -98,10 +99,8 @@ class Viewer(ZenohClient):
 class WatchResult(ResultModel):
     """What ``rover-ncp watch`` prints at its end."""
 
-    address: str
-    """to open in a browser"""
-    robot: str
-    """the bridge's Zenoh address"""
+    address: str = Field(description="to open in a browser")
+    robot: str = Field(description="the bridge's Zenoh address")
 
 
 def run(address: BridgeAddress, policy: str, course: str, port: int, output: Output, *, model: str) -> int:
@@ -114,29 +113,24 @@ def run(address: BridgeAddress, policy: str, course: str, port: int, output: Out
         outline = outline_of(load_description(model))
         page = watch_page(address.robot, url, the_policy, the_course, outline)
         with Viewer(address, feed.take) as viewer:
-            _serve(listener, _application(page, feed, viewer), lambda: output.announce(f"watching at {url}"))
+            config = uvicorn.Config(
+                _application(page, feed, viewer),
+                ws="websockets-sansio",
+                ws_max_size=REQUEST_BYTES,
+                ws_per_message_deflate=False,
+                log_level="warning",
+                access_log=False,
+                lifespan="off",
+                timeout_graceful_shutdown=1,
+            )
+            server = uvicorn.Server(config)
+            output.announce(f"watching at {url}")
+            # The server ends in order on a signal, and then raises the signal again.
+            with Interrupts():
+                server.run(sockets=[listener])
     result = WatchResult(address=url, robot=viewer.robot)
     output.result(result.model_dump(), "interrupted; no longer watching")
     return INTERRUPTED
-
-
-def _serve(listener: socket.socket, application: Starlette, ready: Callable[[], None]) -> None:
-    """Serve until interrupted."""
-    config = uvicorn.Config(
-        application,
-        ws="websockets-sansio",
-        ws_max_size=REQUEST_BYTES,
-        ws_per_message_deflate=False,
-        log_level="warning",
-        access_log=False,
-        lifespan="off",
-        timeout_graceful_shutdown=1,
-    )
-    server = uvicorn.Server(config)
-    ready()
-    # The server ends in order on a signal, and then raises the signal again.
-    with Interrupts():
-        server.run(sockets=[listener])
 
 
 def _application(page: str, feed: Feed, viewer: Viewer) -> Starlette:

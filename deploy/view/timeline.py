@@ -11,10 +11,9 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deploy.place.outcome import DOCK_TOPIC, DockResult
-from deploy.view.trace import Trace, motor_outputs
+from deploy.view.trace import FloatArray, Trace, motor_outputs
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, compose, inverse
@@ -31,8 +30,6 @@ from rover_ncp.wire.messages import (
     read_twist,
 )
 from rover_ncp.wire.protocol import DriverStatus, GateStatus, parse_json
-
-FloatArray = NDArray[np.float64]
 
 TRUTH_TOPIC = "truth/pose"
 MAX_VALUE = 1e9
@@ -148,9 +145,7 @@ class Timeline:
         return None if self._course_odom is None else compose(self._course_odom, odometry)
 
     def trace(self) -> Trace:
-        """Return the drive as a run of its circuit. Raises ValueError before the first tick."""
-        if not self.ticks:
-            raise ValueError("a drive without a tick has no trace")
+        """Return the drive, which has a tick, as a run of its circuit."""
         potentials = np.array([tick.potentials for tick in self.ticks])
         poses = [tick.estimate.pose for tick in self.ticks]
         poses.append(poses[-1] if self.final is None else self.final.pose)
@@ -163,12 +158,10 @@ class Timeline:
         )
 
     def judge(self) -> dict[str, Verdict]:
-        """Return the verdicts by the ``true`` pose, if it is known, and by the ``estimated`` pose.
+        """Return the verdicts, after a tick, by the ``true`` pose, if it is known, and the ``estimated`` one.
 
-        The base reports contacts. Raises ValueError before the first tick.
+        The base reports contacts.
         """
-        if not self.ticks:
-            raise ValueError("a drive without a tick has no verdict")
         began = self.ticks[0].wall_ns
         until = began + round((self.course.horizon_s + TICK_S) * 1e9)
         estimates = [tick.estimate for tick in self.ticks]

@@ -41,11 +41,8 @@ _PUBLISHED_CELLS = 12
 def load_agent(task: Task, circuit: Path) -> Policy:
     """Return the agent of a circuit file.
 
-    Raises UsageError for the name of another agent, FileError, or ConfigError when the circuit lacks a neuron
-    that the task's mapping names.
+    Raises FileError, or ConfigError when the circuit lacks a neuron that the task's mapping names.
     """
-    if circuit.stem in AGENTS:
-        raise UsageError(f"--circuit {circuit}: {circuit.stem} is an agent of the paper; rename the file")
     return task.policy(load_circuit(circuit))
 
 

@@ -18,7 +18,7 @@ from rover_ncp.core.config import StrictModel, parse_yaml
 from rover_ncp.core.files import read_text
 from sim.paper import BudgetName
 from sim.paper.agents import build_agent
-from sim.paper.interpretation import drives, readings, time_constants
+from sim.paper.interpretation import clear_signs, drives, readings, time_constants
 from sim.paper.results import Result, ResultStore
 from sim.paper.statistics import LEVEL, Summary, fisher, holm, mean_text, permutation, welch, wilson
 from sim.paper.tasks import TASKS
@@ -45,7 +45,8 @@ class Claim(StrictModel):
     name: str
     words: str
     where: str
-    test: Literal["rate", "value", "compare", "sign", "fact", "none"]
+    test: Literal["rate", "value", "compare", "sign", "fact"] | None = None
+    """None: nothing in this project can test it."""
     arguments: dict[str, Any] = Field(default_factory=dict)
     why: str = ""
     """Reason that a claim is not tested, or a deviation from the paper."""
@@ -95,8 +96,11 @@ def load_claims() -> ClaimsFile:
 
 def judge_claims(store: ResultStore, claims: Sequence[Claim]) -> list[Judged]:
     """Return the verdicts on claims. Raises FileError."""
-    outcomes = [_TESTS[claim.test](store, **claim.arguments) for claim in claims]
-    groups: dict[tuple[str, str], list[int]] = {}
+    outcomes = [
+        _TESTS[claim.test](store, **claim.arguments) if claim.test else Outcome("", Verdict.NOT_TESTED)
+        for claim in claims
+    ]
+    groups: dict[tuple[str, str | None], list[int]] = {}
     for number, (claim, outcome) in enumerate(zip(claims, outcomes, strict=True)):
         if outcome.p is not None:
             groups.setdefault((claim.where, claim.test), []).append(number)
@@ -217,12 +221,11 @@ def sign(store: ResultStore, source: str, destination: str, expected: str) -> Ou
     found = [readings(policy, drive, source, destination) for policy, drive in drives(store)]
     if len(found) < MIN_RUNS:
         return _too_few(len(found))
-    clear = [next(iter(signs)) for signs in found if len(signs) == 1]
+    clear = clear_signs(found)
     hits = sum(each == expected for each in clear)
     figure = f"{hits} of {len(clear)} circuits that have a sign, of {len(found)}"
     if len(clear) < MIN_RUNS:
-        why = f"no evidence: {len(clear)} of {len(found)} circuits have a sign"
-        return Outcome(figure, Verdict.INCONCLUSIVE, why)
+        return Outcome(figure, Verdict.INCONCLUSIVE, f"no evidence, n = {len(clear)}")
     low, high = wilson(hits, len(clear))
     against = Verdict.DIFFERS if high < 0.5 else Verdict.INCONCLUSIVE
     verdict = Verdict.REPRODUCED if low > 0.5 else against
@@ -237,16 +240,6 @@ def fact(store: ResultStore, of: str, expected: Any, **arguments: Any) -> Outcom
     if found == expected:
         return Outcome(str(found), Verdict.REPRODUCED)
     return Outcome(f"{found} against {expected}", Verdict.DIFFERS)
-
-
-def _size(_: ResultStore, task: str) -> str:
-    circuit = TASKS[task].circuit()
-    return f"{circuit.size} neurons, {circuit.synapse_count} synapses"
-
-
-def _sparsity(_: ResultStore) -> float:
-    circuit = TASKS["pendulum"].circuit()
-    return round(1.0 - circuit.synapse_count / circuit.size**2, 2)
 
 
 def _fewest_parameters(_: ResultStore, task: str) -> str:
@@ -271,8 +264,6 @@ def _varying_time_constants(store: ResultStore) -> str | None:
 
 
 _FACTS: Mapping[str, Callable[..., Any]] = {
-    "size": _size,
-    "sparsity": _sparsity,
     "parameters": _fewest_parameters,
     "time-constants": _overlapping_time_constants,
     "varying": _varying_time_constants,
@@ -283,5 +274,4 @@ _TESTS: Mapping[str, Callable[..., Outcome]] = {
     "compare": compare,
     "sign": sign,
     "fact": fact,
-    "none": lambda _: Outcome("", Verdict.NOT_TESTED),
 }

@@ -4,20 +4,13 @@ from pydantic import BaseModel, Field
 
 from sim.paper import BudgetName
 from sim.paper.claims import Judged
-from sim.paper.results import RunName
+from sim.paper.results import RunName, RunSummary
 
 
-class MadeRun(RunName):
+class MadeRun(RunName, RunSummary):
     """A run that was made now."""
 
     path: str = Field(description="its file")
-    mean: float = Field(description="mean return, with the bonus where the task has one")
-    std: float = Field(description="standard deviation")
-    plain_mean: float = Field(description="mean return without bonus")
-    success: bool = Field(description="whether the mean return is past the task's threshold")
-    cpu_s: float = Field(description="CPU time")
-    steps: int = Field(description="of the environment, in all episodes")
-    ended: str = Field(description="why the run ended")
 
 
 class MadeResult(BaseModel):

@@ -104,9 +104,9 @@ def paper(
         rover-ncp paper run --cluster tcp://192.168.1.5:8786
         rover-ncp paper run --budget published --task parking
     """
-    from sim.paper.agents import AGENTS
     from sim.paper.command_results import MadeResult
     from sim.paper.results import ResultStore
+    from sim.paper.runs import is_stored
     from sim.paper.selection import select
 
     given: dict[str, Any] = {"task": task, "agent": agent, "seed": seed, "circuit": circuit, "budget": budget}
@@ -117,12 +117,13 @@ def paper(
     if what is What.REPORT:
         return _report(output, store, long=long, curves=curves)
     if what is What.REPLAY:
-        agents = agent if agent or circuit else AGENTS  # no stored run needs torch to be scored
-        return _replay(output, store, select(task, agents, seed, circuit, [budget] if budget else BudgetName))
+        agents = [circuit.stem] if circuit else agent
+        wanted = {"task": task, "agent": agents, "seed": seed, "budget": [budget] if budget else None}
+        return _replay(output, store, wanted)
     if cluster is not None and any(each is not None for each in (processes, circuit, checkpoint)):
         raise UsageError("--cluster cannot be combined with --processes, --circuit or --checkpoint")
-    names = select(task, agent, seed, circuit, [budget or BudgetName.DEFAULT])
-    left = [name for name in names if again or store.find(name) is None]
+    names = select(task, agent, seed, circuit, budget or BudgetName.DEFAULT)
+    left = [name for name in names if again or not is_stored(store, name, circuit)]
     every_s = 60.0 * (5.0 if checkpoint is None else checkpoint)
     options = {"circuit": circuit, "cluster": cluster, "processes": processes, "every_s": every_s}
     made = _make(output, store, left, options) if left else []
@@ -135,6 +136,7 @@ def _make(output: Output, store: Any, names: list[Any], options: dict[str, Any])
     """Make runs; return a summary of each."""
     from rover_ncp.core.files import require_writable
     from sim.paper.command_results import MadeRun
+    from sim.paper.results import RunSummary
     from sim.paper.runs import make_runs
 
     made: list[MadeRun] = []
@@ -144,8 +146,7 @@ def _make(output: Output, store: Any, names: list[Any], options: dict[str, Any])
             MadeRun(
                 path=str(store.path(result.name.task, result.name.budget)),
                 **result.name.model_dump(),
-                **{name: getattr(result, name) for name in ("mean", "std", "plain_mean", "success")},
-                **{name: getattr(result, name) for name in ("cpu_s", "steps", "ended")},
+                **result.model_dump(include=set(RunSummary.model_fields)),
             )
         )
         outcome = "" if result.success else ", no success"
@@ -177,21 +178,24 @@ def _report(output: Output, store: Any, *, long: bool, curves: Path | None) -> i
     return 0
 
 
-def _replay(output: Output, store: Any, names: list[Any]) -> int:
-    """Score stored parameters again; exit 1 if a verdict or a return differs."""
+def _replay(output: Output, store: Any, wanted: dict[str, Any]) -> int:
+    """Score the parameters of stored runs again; exit 1 if a verdict or a return differs.
+
+    ``wanted`` has the values of some fields of a run's name; None: any.
+    """
     from sim.paper.command_results import DifferentRun, ReplayResult
     from sim.paper.runs import agrees, replay
 
     differ, replayed, exact = [], 0, 0
-    for name in names:
-        result = store.find(name)
-        if result is None:
+    for result in store.every():
+        name = result.name
+        if not all(values is None or getattr(name, field) in values for field, values in wanted.items()):
             continue
         found = replay(result)
         replayed += 1
-        exact += all(getattr(result, field) == value for field, value in found.items())
+        exact += found == result.score
         if not agrees(result, found):
-            differ.append(DifferentRun(**name.model_dump(), stored=result.mean, replayed=found["mean"]))
+            differ.append(DifferentRun(**name.model_dump(), stored=result.mean, replayed=found.mean))
     if not replayed:
         raise UsageError(f"{store.folder}: has no such runs to replay")
     output.result(

@@ -84,7 +84,7 @@ def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
     return run_episodes
 
 
-def make_plants(task: Benchmark, count: int, *, for_search: bool = False) -> tuple[Plants, Any]:
+def make_plants(task: Benchmark, count: int | None = None, *, for_search: bool = False) -> tuple[Plants, Any]:
     """Return ``count`` plants, and the owner of their memory in MuJoCo, to be kept alive beside them.
 
     ``for_search`` takes the task's faster plant where it has one.
@@ -94,7 +94,8 @@ def make_plants(task: Benchmark, count: int, *, for_search: bool = False) -> tup
     if task.model is not None and kind == task.plant:
         from sim.paper.plants.mujoco import MujocoPool  # an extra that the other tasks do without
 
-        pool = MujocoPool(task.model.file, task.model.step_s, count)
+        pool = MujocoPool(task.model.file, task.model.step_s, count or _MUJOCO_LANES)
+    count = count or (_MUJOCO_LANES if pool else _LANES)
     plants = Plants(
         kind=kind,
         bonus=task.bonus,
@@ -123,15 +124,13 @@ class Evaluator:
         warm_up: int = 0,
     ) -> None:
         self.task, self.steps, self._warm_up = task, 0, warm_up
-        uses_mujoco = task.model is not None and not (for_search and task.search_plant is not None)
-        count = lanes or (_MUJOCO_LANES if uses_mujoco else _LANES)
-        self._plants, self._pool = make_plants(task, count, for_search=for_search)
+        self._plants, self._pool = make_plants(task, lanes, for_search=for_search)
         if isinstance(agent, Policy):
             commander = circuit_commander(agent)
             self._shape = len(agent.sensing.inputs), len(agent.motors.outputs)
         else:
             commander, self._shape = network_commander(agent), (len(agent.scale), len(agent.high))
-        self._arrays = commander.allocate(count)
+        self._arrays = commander.allocate(self._plants.state.shape[1])
         self._kernel = episode_kernel(commander.start_lane, commander.tick_lanes)
 
     def starts(self, seeds: Seeds) -> FloatArray:

@@ -5,6 +5,7 @@ whether the whole run counts or only the drive, and the threshold. A sign here i
 """
 
 from collections import Counter
+from collections.abc import Iterable
 from functools import lru_cache
 from itertools import product
 from typing import Self
@@ -12,7 +13,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.view.interpretation import STILL_MV, Sign, time_constant_ranges
+from deploy.view.interpretation import STILL_MV, Sign, sign_of, time_constant_ranges
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.course.course import load_course
@@ -97,15 +98,6 @@ def counts(a: FloatArray, b: FloatArray, *, vertical: bool) -> tuple[int, int]:
     return int(np.sum(slopes > 0.0)), int(np.sum(slopes < 0.0))
 
 
-def sign_of(positive: int, negative: int, threshold: float) -> Sign:
-    """Return the sign of counts P and Q."""
-    if positive + negative == 0:
-        return Sign.NONE
-    if positive > threshold * negative:
-        return Sign.POSITIVE
-    return Sign.ANTAGONISTIC if negative > threshold * positive else Sign.PHASE_SWITCHING
-
-
 def readings(policy: Policy, drive: Rollout, source: str, destination: str) -> Counter[Sign]:
     """Return the signs that the twelve readings of Definition 1 give a pair of neurons."""
     steps = np.diff(drive.potentials, axis=0)
@@ -116,6 +108,12 @@ def readings(policy: Policy, drive: Rollout, source: str, destination: str) -> C
         positive, negative = counts(a[part], b[part], vertical=vertical)
         found.update(sign_of(positive, negative, threshold) for threshold in THRESHOLDS)
     return found
+
+
+def clear_signs(found: Iterable[Counter[Sign]]) -> list[Sign]:
+    """Return the sign of each circuit's ``readings`` where all of them give the same one."""
+    signs = [next(iter(each)) for each in found if len(each) == 1]
+    return [sign for sign in signs if sign is not Sign.NONE]
 
 
 def time_constants(store: ResultStore, task: str) -> dict[str, Range]:

@@ -12,7 +12,7 @@ from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import AGENTS, GRADIENTS, LIQUID
 from sim.paper.claims import ClaimsFile, Judged, Verdict, summary
 from sim.paper.command_results import Group
-from sim.paper.interpretation import drives, readings, time_constants
+from sim.paper.interpretation import clear_signs, drives, readings, time_constants
 from sim.paper.results import Result, ResultStore
 from sim.paper.selection import grid
 from sim.paper.statistics import improvement, interquartile_mean, mean_text, wilson
@@ -41,6 +41,7 @@ def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Judged])
         f"**Definition 1**\n\n{sign_table(store, file)}",
         f"**Time constants of parking, s**\n\n{time_constant_table(store, file)}",
         f"**Since the paper: parking random robots**\n\n{robots_table(store)}",
+        f"**The stored runs, by commit**\n\n{commits_table(store)}",
     ]
     return "\n\n".join(parts)
 
@@ -82,15 +83,18 @@ def answers(file: ClaimsFile, judged: Sequence[Judged]) -> str:
         parts = []
         for verdict in Verdict:
             claims = [by_name[name] for name in names if by_name[name].verdict is verdict]
-            found = "; ".join(f"`{each.name}` {each.figure}" for each in claims)
-            if claims and verdict is Verdict.NOT_TESTED:
+            found = "; ".join(f"`{each.name}` {each.figure}{_reason(each)}" for each in claims)
+            if verdict is Verdict.NOT_TESTED:
                 reasons = ", ".join(dict.fromkeys(claim.why for claim in claims))
                 found = ", ".join(f"`{each.name}`" for each in claims) + f" ({reasons})"
             if claims:
-                yet = " yet" if verdict is Verdict.NOT_TESTED else ""
-                parts.append(f"**{verdict}{yet}**: {found}")
+                parts.append(f"**{verdict}**: {found}")
         rows.append((f"{number}. {question}", ". ".join(parts)))
     return markdown(rows)
+
+
+def _reason(claim: Judged) -> str:
+    return f" ({claim.why})" if claim.verdict is Verdict.INCONCLUSIVE else ""
 
 
 def paper_table(store: ResultStore, file: ClaimsFile, name: str) -> str:
@@ -117,7 +121,7 @@ def paper_table(store: ResultStore, file: ClaimsFile, name: str) -> str:
 
 def _score(runs: Sequence[Result]) -> str:
     if not runs:
-        return "not tested yet"
+        return "not tested"
     share = sum(run.success for run in runs) / len(runs)
     mean, std, _ = summary(runs)
     return f"{mean_text(mean, std)} ({share:.0%})"
@@ -161,7 +165,7 @@ def sign_table(store: ResultStore, file: ClaimsFile) -> str:
             continue
         pair = claim.arguments["source"], claim.arguments["destination"]
         found = [readings(policy, drive, *pair) for policy, drive in drives(store)]
-        clear = Counter(next(iter(each)) for each in found if len(each) == 1)
+        clear = Counter(clear_signs(found))
         best = _counts(found[0]) if found else ""
         signs = f"{_counts(clear) or 'none'} of {len(found)}"
         rows.append((" → ".join(pair), claim.arguments["expected"], signs, best))
@@ -174,7 +178,7 @@ def time_constant_table(store: ResultStore, file: ClaimsFile) -> str:
     [claim] = [claim for claim in file.claims if claim.name == "time-constants"]
     rows: list[Row] = [("neuron", "ours", "paper")]
     for neuron, (low, high) in claim.arguments["ranges"].items():
-        found = "{:.3g} .. {:.3g}".format(*ours[neuron]) if ours else "not tested yet"
+        found = "{:.3g} .. {:.3g}".format(*ours[neuron]) if ours else "not tested"
         rows.append((neuron, found, f"{low:.3g} .. {high:.3g}"))
     return markdown(rows)
 
@@ -213,6 +217,16 @@ def coverage(store: ResultStore) -> list[Group]:
                 )
             )
     return rows
+
+
+def commits_table(store: ResultStore) -> str:
+    """Return how many runs each commit made, by budget and task."""
+    found: dict[tuple[str, str], Counter[str]] = {}
+    for group in coverage(store):
+        found.setdefault((group.budget, group.task), Counter()).update(group.commits)
+    rows: list[Row] = [("search", "task", "runs", "of commit")]
+    rows += [(*key, str(commits.total()), _counts(commits)) for key, commits in found.items() if commits]
+    return markdown(rows)
 
 
 def settings_table() -> str:

@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,6 @@ from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text, require_writable
 from sim.learn.search.base import Vector
 from sim.paper import BudgetName
-
-RESULTS = Path("results")
-"""Default folder of results."""
 
 
 class RunName(StrictModel):
@@ -48,35 +46,45 @@ class Packed(StrictModel):
         return np.frombuffer(bytes.fromhex(self.float64), "<f8").astype(np.float64).reshape(self.shape)
 
 
-class Result(StrictModel):
+class Score(StrictModel):
+    """Returns of trained parameters in fresh episodes."""
+
+    episodes: int = Field(description="how many scored the run")
+    mean: float = Field(description="mean return, with the bonus where the task has one")
+    std: float = Field(description="standard deviation")
+    plain_mean: float = Field(description="mean return without bonus")
+    success: bool = Field(description="whether the mean return is past the task's threshold")
+
+
+class RunSummary(Score):
+    """Score and cost of a run."""
+
+    cpu_s: float = Field(description="CPU time")
+    steps: int = Field(description="of the environment, in all episodes")
+    ended: str = Field(description="why the run ended: enough, plateau, steps or evaluations")
+
+
+class Result(RunSummary):
     """A finished run."""
 
     name: RunName
     settings: dict[str, Any]
     made_with: dict[str, str]
     wall_s: float
-    cpu_s: float
     evaluations: int
-    steps: int
-    """Environment steps of all episodes together."""
-    ended: str
-    """By enough, plateau, steps or evaluations."""
     curve: tuple[tuple[int | None, int | None, float], ...]
     """Changes of the incumbent's estimate: (iterations, environment steps, estimate); None: not recorded."""
     thinned: bool = False
     """Whether points of the curve are missing."""
-    episodes: int
-    """Number of fresh episodes behind the next four fields."""
-    mean: float
-    """Return, with bonus where the task has one."""
-    std: float
-    plain_mean: float
-    """Gymnasium's return."""
-    success: bool
     policy: str | None = None
     """Text of the untrained policy, for a circuit file of the user."""
     parameters: Packed
     """The trained vector (P,)."""
+
+    @property
+    def score(self) -> Score:
+        """The score alone."""
+        return Score(**self.model_dump(include=set(Score.model_fields)))
 
     def value_after(self, iterations: int) -> float | None:
         """Return the incumbent's estimate after so many iterations; None if the curve does not contain it."""
@@ -89,7 +97,7 @@ class Result(StrictModel):
 class ResultStore:
     """The results in a folder, ``BUDGET/TASK.jsonl``. Of two runs of one name the last one counts."""
 
-    def __init__(self, folder: Path = RESULTS) -> None:
+    def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._read: dict[Path, dict[tuple[str, int], Result]] = {}
 
@@ -109,6 +117,12 @@ class ResultStore:
         """Return the finished runs of an agent, by seed. Raises FileError."""
         runs = self._runs(self.path(task, budget)).values()
         return sorted((run for run in runs if run.name.agent == agent), key=lambda run: run.name.seed)
+
+    def every(self) -> Iterator[Result]:
+        """Yield all runs, file by file. Raises FileError."""
+        for budget in BudgetName:
+            for path in sorted((self.folder / budget).glob("*.jsonl")):
+                yield from self._runs(path).values()
 
     def save(self, result: Result) -> None:
         """Append a result to its file. Raises FileError."""

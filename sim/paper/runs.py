@@ -22,11 +22,11 @@ from sim.learn.workers import ProcessPool, available_processes
 from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import GRADIENTS, NETWORKS, build_agent, load_agent
 from sim.paper.evaluator import Evaluator
-from sim.paper.results import Packed, Result, ResultStore, RunName
+from sim.paper.results import Packed, Result, ResultStore, RunName, Score
 from sim.paper.search.cma import CMA, HALVING, search_by_cma, search_by_halving
+from sim.paper.search.estimate import BenchmarkEstimator, Budget, Found
 from sim.paper.search.parking import ParkingEvaluator, search_parking
-from sim.paper.search.published import BenchmarkEstimator, Checkpoint, search_as_published
-from sim.paper.search.random import Budget, Found, search_randomly
+from sim.paper.search.published import SEARCHES, Checkpoint, search_from_one
 from sim.paper.tasks import Benchmark, Task, find_task
 
 _FINAL = 99
@@ -45,7 +45,16 @@ replay is compared by its verdict."""
 def budget_for(task: Task, name: BudgetName, agent: str = "circuit") -> Budget:
     """Return a budget: the paper's, one of some core-minutes at most, or one of seconds."""
     settings = task.settings
-    default = Budget(settings.rollouts, settings.worst, _UNLIMITED, task.steps, task.untuned, patience=15_000)
+    default = Budget(
+        settings.rollouts,
+        settings.worst,
+        _UNLIMITED,
+        task.steps,
+        task.untuned,
+        patience=15_000,
+        strategy=task.search,
+        prunes=True,
+    )
     if name is BudgetName.PUBLISHED and agent in NETWORKS:
         return Budget(*_NETWORK_SETTINGS, _UNLIMITED, 1, _UNLIMITED, "published-network")
     if name in FAITHFUL:
@@ -100,7 +109,7 @@ def train_run(
         curve=found.curve,
         policy=policy_to_yaml(agent) if circuit and isinstance(agent, Policy) else None,
         parameters=Packed.of(found.vector),
-        **score(task, agent, found.vector, name.seed, episodes, settings),
+        **score(task, agent, found.vector, name.seed, episodes, settings).model_dump(),
     )
 
 
@@ -108,21 +117,19 @@ def _search(
     task: Task, agent: Policy | Net, seed: int, budget: Budget, checkpoint: Checkpoint
 ) -> tuple[Found, int, dict[str, Any]]:
     """Return what the search found, the steps it took, and the settings to record."""
-    if budget.strategy:
-        estimator = (
-            BenchmarkEstimator(task, agent, seed, budget)
-            if isinstance(task, Benchmark)
-            else ParkingEvaluator(task, agent)
-        )
-        return search_as_published(estimator, agent, seed, budget, checkpoint), estimator.steps, vars(budget)
     if not isinstance(task, Benchmark):
         parking = ParkingEvaluator(task, agent)
-        return search_parking(parking, agent, seed, budget), parking.steps, vars(budget)
-    evaluator = Evaluator(task, agent, for_search=True)
+        if budget.strategy in SEARCHES:
+            found = search_from_one(parking, agent, seed, budget, checkpoint)
+        else:
+            found = search_parking(parking, agent, seed, budget)
+        return found, parking.steps, vars(budget)
+    evaluator = BenchmarkEstimator(task, agent, seed, budget)
+    if budget.strategy in SEARCHES:
+        found = search_from_one(evaluator, agent, seed, budget, checkpoint)
+        return found, evaluator.steps, vars(budget)
     limits = {"steps": budget.steps, "starts": budget.starts}
-    if task.search == "random":
-        return search_randomly(evaluator, agent, seed, budget), evaluator.steps, vars(budget)
-    if task.search == "halving":
+    if budget.strategy == "halving":
         return search_by_halving(evaluator, agent, seed, budget), evaluator.steps, limits | HALVING
     judge = Evaluator(task, agent)
     found = search_by_cma(evaluator, judge, agent, seed, budget)
@@ -147,8 +154,8 @@ def score(  # noqa: PLR0917
     seed: int,
     episodes: int,
     settings: Mapping[str, Any],
-) -> dict[str, Any]:
-    """Return the score of parameters (P,) in fresh episodes: the fields ``episodes`` to ``success`` of a run.
+) -> Score:
+    """Return the score of parameters (P,) in fresh episodes.
 
     Without an agent, the parameters are those of an actor (``search/gradients.py``). Parking is
     deterministic: one episode is enough. ``settings`` are those of the run.
@@ -157,7 +164,7 @@ def score(  # noqa: PLR0917
         assert agent is not None
         total, parked = ParkingEvaluator(task, agent).outcome(vector)
         success = parked and total >= task.success
-        return {"episodes": 1, "mean": total, "std": 0.0, "plain_mean": total, "success": success}
+        return Score(episodes=1, mean=total, std=0.0, plain_mean=total, success=success)
     seeds = draw_seeds(seed, (_FINAL,), episodes)
     if agent is None:
         from sim.paper.search.gradients import score_actor
@@ -168,17 +175,17 @@ def score(  # noqa: PLR0917
         found = evaluator.run(np.tile(vector, (episodes, 1)), seeds)
         returns, plain = found[:, :2].sum(axis=1), found[:, 0]
     plain_mean = float(plain.mean())
-    return {
-        "episodes": episodes,
-        "mean": float(returns.mean()),
-        "std": float(returns.std()),
-        "plain_mean": plain_mean,
-        "success": plain_mean >= task.success,
-    }
+    return Score(
+        episodes=episodes,
+        mean=float(returns.mean()),
+        std=float(returns.std()),
+        plain_mean=plain_mean,
+        success=plain_mean >= task.success,
+    )
 
 
-def replay(result: Result) -> dict[str, Any]:
-    """Return the score of a stored run's parameters now, as ``score`` does."""
+def replay(result: Result) -> Score:
+    """Return the score of a stored run's parameters now."""
     name = result.name
     agent: Policy | Net | None = None
     task = find_task(name.task)
@@ -190,15 +197,21 @@ def replay(result: Result) -> dict[str, Any]:
     return score(task, agent, vector, name.seed, result.episodes, result.settings)
 
 
-def agrees(result: Result, replayed: Mapping[str, Any]) -> bool:
+def is_stored(store: ResultStore, name: RunName, circuit: Path | None) -> bool:
+    """Whether a run exists; where a circuit file is given, a run of what it contains now."""
+    stored = store.find(name)
+    if stored is None or circuit is None:
+        return stored is not None
+    return stored.policy == policy_to_yaml(load_agent(find_task(name.task), circuit))
+
+
+def agrees(result: Result, replayed: Score) -> bool:
     """Whether a replay has the stored verdict, and returns within ``TOLERANCE`` except a half-cheetah's."""
-    if replayed["success"] != result.success or replayed["episodes"] != result.episodes:
+    if (replayed.success, replayed.episodes) != (result.success, result.episodes):
         return False
-    if result.name.task == "half-cheetah":
-        return True
-    return all(
-        math.isclose(replayed[field], getattr(result, field), rel_tol=TOLERANCE, abs_tol=TOLERANCE)
-        for field in ("mean", "std", "plain_mean")
+    pairs = zip(replayed, result.score, strict=True)
+    return result.name.task == "half-cheetah" or all(
+        math.isclose(now, stored, rel_tol=TOLERANCE, abs_tol=TOLERANCE) for (_, now), (_, stored) in pairs
     )
 
 

@@ -1,6 +1,6 @@
 """The grid of runs, and the runs that a command line selects."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -55,9 +55,9 @@ def select(
     agents: Sequence[str] | None,
     seeds: Sequence[int] | None,
     circuit: Path | None,
-    budgets: Iterable[BudgetName] = (BudgetName.DEFAULT,),
+    budget: BudgetName = BudgetName.DEFAULT,
 ) -> list[RunName]:
-    """Return the selected runs of budgets, circuits first: of the grid, or of any seeds given.
+    """Return the selected runs of a budget, circuits first: of the grid, or of any seeds given.
 
     Without ``agents``, those that need torch are left out. Raises UsageError for an unknown task or agent,
     and where nothing is left.
@@ -67,17 +67,17 @@ def select(
     if circuit is not None:
         if agents or not tasks:
             raise UsageError("--circuit FILE is an agent of its own: give --task and no --agent")
-        groups = [Group(task, circuit.stem, budget) for budget in budgets for task in tasks]
-        return [name for group in groups for name in group.names(seeds)]
+        if circuit.stem in AGENTS:
+            raise UsageError(f"--circuit {circuit}: {circuit.stem} is an agent of the paper; rename the file")
+        return [name for task in tasks for name in Group(task, circuit.stem, budget).names(seeds)]
     for agent in agents or ():
         if agent not in AGENTS:
             raise UsageError(f"no agent {agent!r}; expected one of {', '.join(AGENTS)}")
     wanted = agents or [agent for agent in AGENTS if agent not in GRADIENTS]
-    groups = [group for budget in budgets for group in grid(budget)]
     names = [
         name
         for agent in AGENTS
-        for group in groups
+        for group in grid(budget)
         if group.agent == agent and agent in wanted and (not tasks or group.task in tasks)
         for name in group.names(seeds)
     ]

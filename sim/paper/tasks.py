@@ -7,7 +7,7 @@ published code. Thresholds are Gymnasium's where it has one.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,8 +59,9 @@ class Task:
     """Difference of returns that counts as none."""
     threshold_from: str = "ours"
     """Origin of ``success``; the paper states no threshold."""
+    search: str = "gauss-newton"
+    """The search of the default budget, which may differ from that of the published code."""
     published_search: str = "published-parking"
-    """The search of its published code."""
     wiring: str = "tap_withdrawal"
     """Name of the tap-withdrawal circuit with the task's motor neurons."""
     warm_up: int = 0
@@ -85,8 +86,7 @@ class Benchmark(Task):
     model: MujocoModel | None = None
     search_plant: int | None = None
     """A faster plant for the search; reported results are those of ``plant``."""
-    search: Literal["random", "cma", "halving"] = "random"
-    """The default search: of ``search/random.py``, or one of ``search/cma.py``."""
+    search: str = "published-benchmarks"
     bonus: float = 0.0
     """Added to every rewarded step, times 1 - |x| of the cart."""
     warm_up: int = 1

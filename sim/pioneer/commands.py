@@ -7,6 +7,7 @@ import typer
 
 from bridge.ros2.discovery import Convention
 from rover_ncp.core.console import MAX_SEED, Json, Overwrite, reject
+from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
 from sim.pioneer.faults import FAULTS
 from sim.world.bodies import BODY_WORDS, PRESET_WORDS, PRESETS, Body
@@ -71,6 +72,17 @@ def mock(
             min=0, max=MAX_SEED, help="Seed of the trial and of the packets that random faults damage."
         ),
     ] = 0,
+    camera: Annotated[
+        Path | None,
+        typer.Option(help="Serve pictures of this camera (YAML, see 'tag') as MJPEG.", show_default=False),
+    ] = None,
+    tags: Annotated[
+        Path | None, typer.Option(help="With --camera: the tags that it sees (YAML).", show_default=False)
+    ] = None,
+    camera_listen: Annotated[
+        str | None,
+        typer.Option(help="With --camera: where its stream is served.", show_default="127.0.0.1:8102"),
+    ] = None,
     gyro: Annotated[bool, typer.Option("--gyro", help="Give the base a gyro that its client reads.")] = False,
     json: Json = False,
 ) -> None:
@@ -85,6 +97,9 @@ def mock(
     With --randomize the mock has the errors of one random trial: its delays, gains, noise and start, lost
     commands and a push, for as long as the --course lasts. They begin when the motors are first enabled.
 
+    --camera renders what a camera sees of the tags from the true pose, ten times a second, in a process of
+    its own; 'tag run --camera http://127.0.0.1:8102/' reads it.
+
     --body mujoco simulates four wheels with friction, weight and motors, on level or sloped ground.
     """
     from rover_ncp.robot.description import load_description
@@ -97,6 +112,10 @@ def mock(
         reject("needs --ros2", ros=ros, namespace=namespace)
     if truth is None:
         reject("needs --truth", overwrite=overwrite)
+    if camera is None:
+        reject("needs --camera", tags=tags, camera_listen=camera_listen)
+    elif tags is None:
+        raise UsageError("--camera: needs --tags")
     robot = load_description(model)
     run_mock(
         listen=listen,
@@ -112,5 +131,6 @@ def mock(
         ranges=ranges_for(PRESETS[body][0] if randomize is None else randomize, profile, body, robot),
         trial=trial,
         gyro=gyro,
+        camera=(camera, tags, camera_listen or "127.0.0.1:8102") if camera and tags else None,
         as_json=json,
     )

@@ -1,5 +1,6 @@
 """The ``mock`` command: reads its options, serves until a signal arrives, reports."""
 
+import contextlib
 import io
 import os
 import time
@@ -30,6 +31,8 @@ from sim.pioneer.server import Server, parse_listen
 from sim.pioneer.trial import BaseTrial, draw_rover
 from sim.world.randomization import Randomization
 
+CAMERA_HZ = 10.0
+"""Pictures a second of a mock's camera."""
 FROM_STDIN = "-"
 """In place of a fault: read more faults from standard input."""
 
@@ -86,6 +89,7 @@ def run_mock(
     ranges: Randomization,
     trial: int,
     gyro: bool,
+    camera: tuple[Path, Path, str] | None,
     as_json: bool,
 ) -> None:
     """See ``commands.mock``; ``ros2`` is the form of a ROS 2 robot's topics.
@@ -119,7 +123,15 @@ def run_mock(
         server = Ros2Server(host, port, ros2_robot, convention=ros2, domain=domain, namespace=namespace)
     try:
         server.truth = TruthFile(truth, overwrite=overwrite) if truth else None
-        with Interrupts() as interrupts:
+        with Interrupts() as interrupts, contextlib.ExitStack() as stack:
+            if camera is not None:
+                # The extra tag brings OpenCV, which no other mock needs.
+                from sim.camera.server import MockCamera
+
+                listen_on = parse_listen(camera[2], "--camera-listen")
+                eye = stack.enter_context(MockCamera(camera[0], camera[1], listen_on, CAMERA_HZ, seed))
+                server.camera = eye.pose
+                output.announce(f"camera at {eye.address}")
             output.announce(f"listening on {server.host}:{server.port}")
             server.serve(lambda: interrupts.raised, fault_lines)
     finally:

@@ -17,11 +17,11 @@ BACKLOG_BYTES = 1 << 16
 """A client that does not read loses what is beyond this, as on a serial line."""
 
 
-def parse_listen(text: str) -> tuple[str, int]:
+def parse_listen(text: str, option: str = "--listen") -> tuple[str, int]:
     """Read ``HOST:PORT``; port 0 takes a free one. Raises UsageError."""
     address = parse_address(f"tcp/{text}", MAX_PORT + 1)
     if address is None or address.settings or address.port > MAX_PORT:
-        raise UsageError(f"--listen {text}: expected HOST:PORT, for example 127.0.0.1:8101")
+        raise UsageError(f"{option} {text}: expected HOST:PORT, for example 127.0.0.1:8101")
     return address.host, address.port
 
 

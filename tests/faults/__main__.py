@@ -6,45 +6,35 @@
 Mock Pioneer, bridge, links and drivers run as real processes on this machine. For each fault the time to
 standstill is measured, by the rover's true motion, and compared with the bound of docs/safety.md. Then the
 fault is removed and the rover drives again. At the end the rover must stand still, bridge and mock must hold
-no more memory, threads or sockets than at the beginning, and the recordings must hold every message that
+no more memory, threads or files than at the beginning, and the recordings must hold every message that
 their drivers could receive. All rows need about ten minutes; a short soak lists those that it did not reach.
 """
 
 import argparse
 import shutil
 import sys
+from functools import partial
 from pathlib import Path
 
-from faults.soak import Soaked, soak
-from faults.soak_report import line, table, verdict
+from faults.soak import soak
 
 OUT = Path("runs/soak")
 """Recordings, logs and the table; those of an earlier soak are deleted."""
 
 
-def say(soaked: Soaked, begins: str) -> None:
-    """Print each fault as it is measured."""
-    if soaked.rounds and not begins:
-        print(line(soaked.rounds[-1]), flush=True)
-
-
-def main() -> int:
-    """Soak; return 1 if a check failed."""
+if __name__ == "__main__":
     parser = argparse.ArgumentParser(prog="python -m faults")
     parser.add_argument("--minutes", type=float, default=20.0)
     parser.add_argument("--seed", type=int, default=0, help="of the order, the drivers and the moments")
     given = parser.parse_args()
     shutil.rmtree(OUT, ignore_errors=True)
-    soaked = soak(given.minutes * 60.0, given.seed, OUT, say)
-    (OUT / "soak.md").write_text("\n".join(table(soaked)) + "\n")
-    wrong = verdict(soaked)
-    minutes, page = soaked.wall_s / 60.0, OUT / "soak.md"
-    print(f"{len(soaked.rounds)} faults in {minutes:.1f} minutes, load {soaked.load:.1f}; {page}")
+    soaked = soak(given.minutes * 60.0, given.seed, OUT, partial(print, flush=True))
+    page, failed = OUT / "soak.md", soaked.failed()
+    page.write_text("\n".join(soaked.table()) + "\n")
+    print(
+        f"{len(soaked.rounds)} faults in {soaked.wall_s / 60.0:.1f} minutes, load {soaked.load:.1f}; {page}"
+    )
     if soaked.not_reached:
         print("not reached: " + ", ".join(row.key for row in soaked.not_reached))
-    print("\n".join(f"failed: {each}" for each in wrong) or "all checks passed")
-    return 1 if wrong else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    print("\n".join(f"failed: {each}" for each in failed) or "all checks passed")
+    sys.exit(1 if failed else 0)

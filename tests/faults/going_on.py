@@ -25,10 +25,11 @@ def silence(scene: Scene) -> None:
     scene.scripted.silent = True
 
 
-def _goes_on_until(end: Callable[[Scene], object]) -> Act:
-    """Return an end of the drive that comes when the rover has driven on for `GOES_ON_S`."""
+def _goes_on(fault: Callable[[Scene], object], end: Callable[[Scene], object]) -> Act:
+    """Return a fault after which the rover must drive on for `GOES_ON_S`, until ``end``."""
 
     def act(scene: Scene) -> int:
+        fault(scene)
         time.sleep(GOES_ON_S)
         if abs(scene.rig.truth.speed()) < CREEP_M_S:
             raise Unsafe("the rover stands after a fault that must not end its drive")
@@ -39,15 +40,8 @@ def _goes_on_until(end: Callable[[Scene], object]) -> Act:
     return act
 
 
-def _clock_steps_back(
-    process: Callable[[Scene], Process], number: int, end: Callable[[Scene], object]
-) -> Act:
-    def act(scene: Scene) -> int | None:
-        stepped = process(scene)
-        stepped.answer_to(lambda: stepped.send_signal(number))
-        return _goes_on_until(end)(scene)
-
-    return act
+def _step_clock(process: Process, number: int) -> None:
+    process.answer_to(lambda: process.send_signal(number))
 
 
 def _end_with_silent_close(scene: Scene) -> int:
@@ -66,13 +60,14 @@ def _robot_clock(step_s: float) -> Row:
     if step_s > LARGEST_STEP_S:
         words = f"its clock steps back by {step_s:g} s, which counts as a restart"
         return Row(key, "base", words, lambda scene: scene.rig.mock.tell(fault).t_ns, ended="no-base", **more)
-
-    def act(scene: Scene) -> int | None:
-        scene.rig.mock.tell(fault)
-        return _goes_on_until(silence)(scene)
-
     words = f"its clock steps back by {step_s:g} s, then no more commands"
+    act = _goes_on(lambda scene: scene.rig.mock.tell(fault), silence)
     return Row(key, "base", words, act, ended="lease-lapsed", **more)
+
+
+def start_bridge(scene: Scene) -> None:
+    """Start a bridge in place of one that ended."""
+    scene.rig.start_bridge()
 
 
 SILENT_CLOSE_ROW = Row(
@@ -80,7 +75,7 @@ SILENT_CLOSE_ROW = Row(
     "base",
     "`close` of its driver sends nothing, and the bridge ends",
     _end_with_silent_close,
-    lambda scene: scene.rig.start_bridge(),
+    start_bridge,
     only=SCRIPTED,
 )
 # The tests of rows without an act are their own: they need limits, a gyro, a localiser or a check.
@@ -112,7 +107,7 @@ CLOCK_ROWS = (
         "bridge",
         "the bridge's",
         "no more commands",
-        lambda number: _clock_steps_back(lambda scene: scene.rig.bridge, number, silence),
+        lambda number: _goes_on(lambda scene: _step_clock(scene.rig.bridge, number), silence),
         only=SCRIPTED,
         ended="lease-lapsed",
         requests_lease=False,
@@ -121,8 +116,9 @@ CLOCK_ROWS = (
         "deploy",
         "deploy's",
         "it is killed",
-        lambda number: _clock_steps_back(
-            lambda scene: scene.process, number, lambda scene: scene.process.send_signal(SIGKILL)
+        lambda number: _goes_on(
+            lambda scene: _step_clock(scene.process, number),
+            lambda scene: scene.process.send_signal(SIGKILL),
         ),
         only=CIRCUIT,
     ),

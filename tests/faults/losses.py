@@ -23,54 +23,39 @@ LOST_NS = 500_000_000
 
 
 class Usage(NamedTuple):
-    """At ``t_s``: resident memory in MB (10⁶ bytes), threads, open files, and open sockets among them."""
+    """At ``t_s``: resident memory in MB (10⁶ bytes), threads, and open files, sockets among them."""
 
     t_s: float
     memory_mb: float
     threads: int
     files: int
-    sockets: int
-
-
-class Leaks(NamedTuple):
-    """First and last values; ``leaking`` names what grew."""
-
-    memory_mb: tuple[float, float]
-    threads: tuple[int, int]
-    files: tuple[int, int]
-    sockets: tuple[int, int]
-    leaking: tuple[str, ...]
 
 
 def usage(pid: int, t_s: float) -> Usage:
     """Return the present usage of a process. Raises psutil.NoSuchProcess."""
     process = psutil.Process(pid)
     with process.oneshot():
-        sockets = len(process.net_connections("all"))
-        return Usage(t_s, process.memory_info().rss / 1e6, process.num_threads(), process.num_fds(), sockets)
+        return Usage(t_s, process.memory_info().rss / 1e6, process.num_threads(), process.num_fds())
 
 
-def leaks(samples: Sequence[Usage], settled: int) -> Leaks:
-    """Compare the last samples of one process, taken while it was idle, with its first.
+def leaks(samples: Sequence[Usage], settled: int) -> list[str]:
+    """Name what grew between the first samples of one process, taken while it was idle, and its last.
 
     Memory counts from sample ``settled`` on, when the process has met every fault once.
     """
-    later = samples[settled:]
-    judged = len(later) >= MEMORY_SAMPLES
-    memory = _medians(later if judged else samples, "memory_mb")
-    minutes = (later[-1].t_s - later[0].t_s) / 60.0 if judged else 0.0
-    grew = judged and memory[1] - memory[0] > max(MEMORY_MB, MEMORY_MB_PER_MIN * minutes)
-    counts = {name: _medians(samples, name) for name in ("threads", "files", "sockets")}
-    # One that is just being opened or closed is no leak; leaked ones add up.
-    growing = [name for name, (before, after) in counts.items() if after > before + 1]
-    threads, files, sockets = ((round(before), round(after)) for before, after in counts.values())
-    return Leaks(memory, threads, files, sockets, (*(["memory"] if grew else []), *growing))
-
-
-def _medians(samples: Sequence[Usage], name: str) -> tuple[float, float]:
-    count = max(round(len(samples) * SHARE), 1)
-    values = [getattr(sample, name) for sample in samples]
-    return statistics.median(values[:count]), statistics.median(values[-count:])
+    found = []
+    for name in Usage._fields[1:]:
+        memory = name == "memory_mb"
+        judged = samples[settled:] if memory else samples
+        if len(judged) < (MEMORY_SAMPLES if memory else 1):
+            continue
+        values, count = [getattr(sample, name) for sample in judged], max(round(len(judged) * SHARE), 1)
+        before, after = statistics.median(values[:count]), statistics.median(values[-count:])
+        minutes = (judged[-1].t_s - judged[0].t_s) / 60.0
+        # One file that is just being opened or closed is no leak; leaked ones add up.
+        if after - before > (max(MEMORY_MB, MEMORY_MB_PER_MIN * minutes) if memory else 1):
+            found.append(f"{name} grew from {before:g} to {after:g}")
+    return found
 
 
 class Completeness(NamedTuple):
@@ -115,16 +100,7 @@ def check_recording(
     missing = sum(stamps[0] <= stamp <= until_ns and stamp not in held for stamp in received_ns)
     sequences = [message.sequence for message in recording.topic("cmd_vel")]
     skipped = sum(after != before + 1 for before, after in pairwise(sequences))
-    return Completeness(
-        path, recovered, len(stamps), missing, _gaps(stamps, min(until_ns, began_ns)), skipped
-    )
-
-
-def _gaps(stamps: Sequence[int], until_ns: int) -> int:
-    """Return how many SIPs have no odometry message before ``until_ns``; a SIP is due every 0.1 s."""
-    before = [stamp for stamp in stamps if stamp <= until_ns]
-    if not before:
-        return 0
-    missing = round((before[-1] - before[0]) / SIP_NS) + 1 - len(before)
-    # Stamps are those of arrival: the first or last of them may be late by a part of that period.
-    return missing if missing > 1 else 0
+    before = [stamp for stamp in stamps if stamp <= min(until_ns, began_ns)] or stamps[:1]
+    gaps = round((before[-1] - before[0]) / SIP_NS) + 1 - len(before)
+    # Stamps are those of arrival: the first or last of them may be late by a part of a SIP's period.
+    return Completeness(path, recovered, len(stamps), missing, gaps if gaps > 1 else 0, skipped)

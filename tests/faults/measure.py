@@ -116,7 +116,7 @@ def measure(
 
 
 def _start_driver(rig: Rig, row: Row, driver: str, record: Path | None) -> Scene:
-    robot = rig.through_proxy if row.link_fault else rig.robot
+    robot = rig.through_proxy if row.layer == "link" else rig.robot
     if driver == CIRCUIT:
         return Scene(rig, rig.drive_course(*(["--record", str(record)] if record else []), robot=robot))
     return Scene(rig, rig.scripted_driver(robot, row.lease_s))

@@ -6,7 +6,6 @@ reads one command per line from its standard input, and ends with that input:
 hold            hold the bytes to the server until ``release``, and then deliver them
 hold_both_ways  hold the bytes in both directions, as if the cable were pulled
 throttle BYTES  limit the bytes per second to the server
-silence         cut present clients off from the server, with their connections open; new connections pass
 cut             close all connections, and refuse new ones
 reset           break all connections by a TCP reset; accept new ones
 release         end every fault of the link
@@ -18,7 +17,6 @@ import asyncio
 import socket
 import sys
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
@@ -46,34 +44,13 @@ class Proxy(Process):
         return self.wait_for_line("listening on ")
 
 
-class _Connection:
-    """One connection through the proxy: both streams, and whether the client has been cut off silently."""
-
-    def __init__(self, client: asyncio.StreamWriter, server: asyncio.StreamWriter) -> None:
-        self.client, self.server, self.silenced = client, server, False
-
-    def close(self) -> None:
-        self.server.close()
-        if not self.silenced:
-            self.client.close()
-
-    def silence(self) -> None:
-        self.silenced = True
-        self.server.close()
-
-    def reset(self) -> None:
-        for writer in (self.client, self.server):
-            writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, ABORT)
-            writer.transport.abort()
-
-
 class _Link:
-    """All connections to ``target``, and the faults that are active."""
+    """All connections to ``target``, each by its two ends, and the faults that are active."""
 
     def __init__(self, target: str) -> None:
         host, _, port = target.rpartition(":")
         self._target = (host, int(port))
-        self._connections: set[_Connection] = set()
+        self._connections: set[tuple[asyncio.StreamWriter, ...]] = set()
         self._up_open, self._down_open = asyncio.Event(), asyncio.Event()
         self._bytes_s: int | None = None
         self._refusing = False
@@ -98,13 +75,13 @@ class _Link:
                 self._down_open.clear()
         elif word == "throttle":
             self._bytes_s = int(number)
-        elif word == "silence":
-            self._end_all(_Connection.silence)
-        elif word == "cut":
-            self._refusing = True
-            self._end_all(_Connection.close)
-        elif word == "reset":
-            self._end_all(_Connection.reset)
+        elif word in {"cut", "reset"}:
+            self._refusing = word == "cut"
+            for end in (end for connection in self._connections for end in connection):
+                if word == "reset":
+                    end.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, ABORT)
+                    end.transport.abort()
+                end.close()
         elif word == "release":
             self._release()
         return applied
@@ -118,7 +95,7 @@ class _Link:
         except OSError:
             writer.close()
             return
-        connection = _Connection(writer, server_writer)
+        connection = (writer, server_writer)
         self._connections.add(connection)
         pumps = [
             asyncio.create_task(self._pump_up(reader, server_writer)),
@@ -127,9 +104,9 @@ class _Link:
         await asyncio.wait(pumps, return_when=asyncio.FIRST_COMPLETED)
         for pump in pumps:
             pump.cancel()
-        connection.close()
-        if not connection.silenced:  # else the reference keeps the client's connection open
-            self._connections.discard(connection)
+        for end in connection:
+            end.close()
+        self._connections.discard(connection)
 
     async def _pump_up(self, reader: asyncio.StreamReader, server: asyncio.StreamWriter) -> None:
         with suppress(OSError):
@@ -154,10 +131,6 @@ class _Link:
                 await client.drain()
         # A held link does not show the client that the server is gone.
         await self._up_open.wait()
-
-    def _end_all(self, end: Callable[[_Connection], None]) -> None:
-        for connection in self._connections:
-            end(connection)
 
     def _release(self) -> None:
         self._up_open.set()

@@ -51,16 +51,6 @@ class Row(NamedTuple):
         """The drivers under which the fault can be injected."""
         return (self.only,) if self.only else (SCRIPTED, CIRCUIT)
 
-    @property
-    def link_fault(self) -> bool:
-        """Whether the fault is on the driver's own link, which then goes through the proxy."""
-        return self.layer == "link"
-
-    @property
-    def losing(self) -> bool:
-        """Whether the driver may miss messages once the fault has begun."""
-        return self.layer in {"deploy", "link", "bridge"}
-
     def bound_s(self, robot: RobotDescription) -> float:
         """Return the time in s, plus braking, within which the robot stands."""
         if self.layer in {"line", "bridge"}:

@@ -15,30 +15,28 @@ from pathlib import Path
 
 import numpy as np
 import zenoh
+from kit.paths import DATA
 
 from faults.going_on import SILENT_CLOSE_ROW
-from faults.losses import Completeness, Usage, check_recording, usage
+from faults.losses import Completeness, Usage, check_recording, leaks, usage
 from faults.measure import Measured, measure
 from faults.rig import Rig
 from faults.row import CIRCUIT, Row
 from faults.table import MATRIX
-from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import RoverNcpError
-from rover_ncp.core.files import write_atomic
 from rover_ncp.core.streams import Domain, random_stream
-from rover_ncp.course.course import load_course
 from sim.live.processes import compile_driver, wait_for
 
 LAST = "bridge-killed"
 ROUND_S, LAST_S = 15.0, 25.0
 """The usual upper bound of a round, and that of the last round with the end of the soak."""
-START_SIGNAL_S = 0.2
+COURSE = DATA / "prompt_course.yaml"
 QUIET_S = 1.0
 STILL_S = 2.0
 """How long the rover must stand at the end."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Round:
     """One fault: its time (s since the start), and its measurement or failure."""
 
@@ -52,6 +50,14 @@ class Round:
     def passed(self) -> bool:
         """Whether the rover stopped in time, stayed stopped, and its driver reported the stop."""
         return self.measured is not None and self.measured.in_time
+
+    def __str__(self) -> str:
+        clock = f"{self.at_s // 60:3.0f}:{self.at_s % 60:02.0f}"
+        where, found = f"{clock}  {self.row.layer}: {self.row.fault} ({self.driver})", self.measured
+        if found is None:
+            return f"{where}: FAILED: {self.failure}"
+        late, allowed_s = "" if found.in_time else "TOO LATE, ", found.bound_s + found.braking_s
+        return f"{where}: {late}stood after {found.seconds:.2f} s of {allowed_s:.2f} s"
 
 
 @dataclass
@@ -69,31 +75,59 @@ class Soaked:
     load: float = 0.0
     """The highest load average of a minute."""
 
+    def failed(self) -> list[str]:
+        """Return every failed check in words; empty when all passed."""
+        wrong = [str(done).strip() for done in self.rounds if not done.passed]
+        wrong += [
+            f"{name} leaks: {each}"
+            for name, samples in self.usage.items()
+            for each in leaks(samples, self.settled)
+        ]
+        wrong += [
+            f"{each.path.name}: lost {each.missing} samples, {each.gaps} SIPs, {each.skipped} commands"
+            for each in self.recordings
+            if each.lost
+        ]
+        return wrong if self.still else [*wrong, "the rover does not stand in the end"]
+
+    def table(self) -> Iterator[str]:
+        """Yield the rows as Markdown: how often each occurred, and the time with the least margin."""
+        yield "| layer | fault | times | slowest stands after | allowed |"
+        yield "|---|---|---:|---:|---|"
+        for row in MATRIX:
+            rounds = [done for done in self.rounds if done.row == row]
+            found = [done.measured for done in rounds if done.measured is not None]
+            head = f"| {row.layer} | {row.fault} | {len(rounds)} |"
+            if found:
+                worst = max(found, key=lambda each: each.seconds - each.braking_s)
+                allowed = f"{worst.bound_s:g} s + {worst.braking_s:.2f} s braking"
+                yield f"{head} {worst.seconds:.2f} s | {allowed} |"
+            elif rounds:
+                yield f"{head} failed | |"
+
 
 def soak(
     seconds: float,
     seed: int,
     folder: Path,
-    on_round: Callable[[Soaked, str], None],
+    on_round: Callable[[Round], None],
     rows: Sequence[Row] = MATRIX,
 ) -> Soaked:
-    """Inject faults for ``seconds``; call ``on_round`` at the beginning and the end of each round.
+    """Inject faults for ``seconds``; call ``on_round`` at the end of each round.
 
     Recordings, logs and the mock's truth go to ``folder``. Raises RoverNcpError when the processes do not
     start or the rover cannot be driven at the end.
     """
-    course = _prompt_course(folder)
     compile_driver()  # else the compilation would delay the first round
     order, moments = (random_stream(seed, domain) for domain in (Domain.SOAK_ORDER, Domain.SOAK_MOMENTS))
     soaked, began_s = Soaked(), time.monotonic()
     # One bridge runs from beginning to end, and its clock stamps what recordings are compared with.
     rows = [row for row in rows if row.act and row.layer != "clock" and row is not SILENT_CLOSE_ROW]
     last = [row for row in rows if row.key == LAST]
-    with Rig(folder / "log", course) as rig:
+    with Rig(folder / "log", COURSE) as rig:
 
         def inject(row: Row, driver: str) -> None:
             soaked.load = max(soaked.load, os.getloadavg()[0])
-            on_round(soaked, f"{row.layer}: {row.fault}")
             at_s = time.monotonic() - began_s
             record = folder / "drives" / f"{len(soaked.rounds) + 1:03d}-{row.key}.mcap"
             measured, failure = None, ""
@@ -108,7 +142,7 @@ def soak(
             for name, process in (("bridge", rig.bridge), ("mock", rig.mock)):
                 if row.key != LAST:
                     soaked.usage[name].append(usage(process.pid, time.monotonic() - began_s))
-            on_round(soaked, "")
+            on_round(soaked.rounds[-1])
 
         soaked.settled = len(rows) - len(last)
         plan = _plan([row for row in rows if row.key != LAST], order)
@@ -125,14 +159,6 @@ def soak(
     reached = {each.row for each in soaked.rounds}
     soaked.not_reached = [row for row in rows if row not in reached]
     return soaked
-
-
-def _prompt_course(folder: Path) -> Path:
-    """Write the parking course with an early start signal."""
-    course = load_course("parking").model_copy(update={"start_signal_s": START_SIGNAL_S})
-    path = folder / "course.yaml"
-    write_atomic(path, dump_yaml(course.model_dump(mode="json")))
-    return path
 
 
 def _plan(rows: Sequence[Row], order: np.random.Generator) -> Iterator[tuple[Row, str]]:
@@ -152,7 +178,7 @@ def _measured(rig: Rig, row: Row, driver: str, record: Path, moments: np.random.
 
 
 def _complete(record: Path, received_ns: Sequence[int], measured: Measured) -> Completeness:
-    killed, losing = measured.stopped_by == "killed", measured.row.losing
+    killed, losing = measured.stopped_by == "killed", measured.row.layer in {"deploy", "link", "bridge"}
     try:
         return check_recording(record, received_ns, measured.began_ns, killed=killed, losing=losing)
     except RoverNcpError:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from signal import SIGCONT, SIGINT, SIGKILL, SIGSTOP, SIGUSR1
 from typing import Any
 
-from faults.going_on import CLOCK_ROWS, OWN_ROWS, ROS2_ROWS, SILENT_CLOSE_ROW, silence
+from faults.going_on import CLOCK_ROWS, OWN_ROWS, ROS2_ROWS, SILENT_CLOSE_ROW, silence, start_bridge
 from faults.hang import CLOCK_STEPS_S, HANG_S
 from faults.outlet import GONE, PIPE, TERMINAL, OutletProcess
 from faults.rig import SPEED_M_S, Scene, Unsafe
@@ -33,15 +33,12 @@ NAN_S, NAN_PERIOD_S = 1.0, 0.01
 # Injections of faults, and their removal.
 
 
-def _tell_line(command: str) -> Act:
-    return lambda scene: scene.rig.line.tell(command).t_ns
+def _tell(process: str, line: str) -> Act:
+    """Return a fault that the rig's ``mock``, ``line`` or ``link`` causes."""
+    return lambda scene: getattr(scene.rig, process).tell(line).t_ns
 
 
-def _tell_link(command: str) -> Act:
-    return lambda scene: scene.rig.link.tell(command).t_ns
-
-
-_hold, _release = _tell_link("hold"), _tell_link("release")
+_hold, _release = _tell("link", "hold"), _tell("link", "release")
 
 
 def _signal_driver(number: int) -> Act:
@@ -167,14 +164,6 @@ def _flood(scene: Scene) -> int:
     return silent_ns
 
 
-def _start_bridge(scene: Scene) -> None:
-    scene.rig.start_bridge()
-
-
-def _release_stop(scene: Scene) -> None:
-    scene.rig.watcher.stop(release=True)
-
-
 def _request_stop(scene: Scene) -> None:
     if not scene.rig.watcher.stop():
         raise Unsafe("the bridge does not answer rover/stop")
@@ -208,7 +197,7 @@ def _until_free(scene: Scene) -> None:
 
 
 def _base(key: str, fault: str, line: str, ended: str = "", **more: Any) -> Row:
-    return Row(key, "base", fault, lambda scene: scene.rig.mock.tell(line).t_ns, ended=ended, **more)
+    return Row(key, "base", fault, _tell("mock", line), ended=ended, **more)
 
 
 def _deploy(key: str, fault: str, act: Act, mend: Act = lambda scene: None) -> Row:
@@ -250,11 +239,11 @@ _ROWS = (
         "line-reset",
         "line",
         "to the base cut by a TCP reset",
-        _tell_line("reset"),
+        _tell("line", "reset"),
         ended=_NO_BASE,
         requests_lease=False,
     ),
-    Row("line-pulled", "line", _PULLED, _tell_line("hold_both_ways"), _tell_line("release"), _NO_BASE),
+    Row("line-pulled", "line", _PULLED, _tell("line", "hold_both_ways"), _tell("line", "release"), _NO_BASE),
     _deploy("deploy-killed", "killed (SIGKILL)", _signal_driver(SIGKILL)),
     _deploy("deploy-stopped", "stopped (SIGSTOP)", _signal_driver(SIGSTOP), _signal_driver(SIGCONT)),
     _deploy("deploy-hung", _HUNG, lambda scene: _hang(scene.process), _signal_driver(SIGKILL)),
@@ -267,12 +256,12 @@ _ROWS = (
         lease_s=LONG_LEASE_S,
         ended=_LAPSED,
     ),
-    _link("link-cut", "cut", _tell_link("cut"), _release_without_lease, only=""),
+    _link("link-cut", "cut", _tell("link", "cut"), _release_without_lease, only=""),
     # The driver sends only commands: a late request for the lease would make stale commands look fresh.
     _link(
         "link-slow",
         "slow: 1 kB/s, commands later and later",
-        _tell_link("throttle 1000"),
+        _tell("link", "throttle 1000"),
         _release_slow_link,
         requests_lease=False,
     ),
@@ -296,7 +285,7 @@ _ROWS = (
     *CLOCK_ROWS,
     Row("bridge-stopped", "bridge", "stopped (SIGSTOP)", _signal_bridge(SIGSTOP), _resume_bridge),
     Row("bridge-hung", "bridge", _HUNG, lambda scene: _hang(scene.rig.bridge), _outlast_hang),
-    Row("bridge-killed", "bridge", "killed (SIGKILL)", _signal_bridge(SIGKILL), _start_bridge),
+    Row("bridge-killed", "bridge", "killed (SIGKILL)", _signal_bridge(SIGKILL), start_bridge),
 )
 _OUTLETS = {
     TERMINAL: "the bridge's terminal stopped (Ctrl-S)",
@@ -305,7 +294,14 @@ _OUTLETS = {
 }
 _WITH_OUTLET = (
     *(_BUMPER, _STALL, _STOP_BUTTON),
-    Row("stop-query", "", "`rover/stop`", _request_stop, _release_stop, "stopped"),
+    Row(
+        "stop-query",
+        "",
+        "`rover/stop`",
+        _request_stop,
+        lambda scene: scene.rig.watcher.stop(release=True),
+        "stopped",
+    ),
     Row("silence", "", "no more commands", silence, ended=_LAPSED, requests_lease=False),
 )
 

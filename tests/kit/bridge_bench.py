@@ -8,7 +8,6 @@ from kit.driver_client import PERIOD_S, DriverClient  # noqa: F401  # the period
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.zenoh import client_config
-from sim.live.live_run import LiveRun
 from sim.live.processes import wait_for
 
 STOP_S = 0.5
@@ -23,11 +22,6 @@ def client(locator, lease_s=1.0, config=None):
     settings, _ = client_config(locator, config)
     settings.insert_json5("transport/link/tx/lease", str(round(lease_s * 1000)))
     return zenoh.open(settings)
-
-
-def zenoh_address(bridge):
-    """Wait until the process of a bridge is ready; return where drivers find it."""
-    return dict(part.split("=", 1) for part in bridge.wait_for_line("ready ").split())["zenoh"]
 
 
 class Driver(DriverClient, ClosedAtExit):
@@ -48,7 +42,7 @@ class Driver(DriverClient, ClosedAtExit):
         ]
         self._commands = self.session.declare_publisher(self.prefix + "cmd_vel")
         if config is None:
-            wait_for(lambda: self.may_drive)
+            self.wait_for(lambda: self.may_drive)
 
     def _heard(self, sample):
         self.receive(str(sample.key_expr).removeprefix(self.prefix), sample.payload.to_bytes())
@@ -56,7 +50,12 @@ class Driver(DriverClient, ClosedAtExit):
     now_ns = property(lambda self: time.monotonic_ns())
     may_drive = property(lambda self: self._commands.matching_status.matching)
     time_ns = staticmethod(time.time_ns)
-    sleep, wait_for = staticmethod(time.sleep), staticmethod(wait_for)
+    sleep = staticmethod(time.sleep)
+
+    @staticmethod
+    def wait_for(condition, seconds=20.0):
+        """Wait as long as a busy machine may take: bounds are the tests' own."""
+        return wait_for(condition, seconds)
 
     def query(self, name, payload, attachment=None, timeout_s=3.0):
         """Return the bytes of the one answer, or the error's text. Raises FormatError without one."""
@@ -71,19 +70,6 @@ class Driver(DriverClient, ClosedAtExit):
 
     def close(self):
         self.session.close()
-
-
-class Rig(LiveRun):
-    """Mock and bridge; times of the rover's true motion are of the wall clock."""
-
-    @property
-    def locator(self):
-        return self.robot
-
-    def stood_after(self, wall_ns, still_s=0.4):
-        """Wait until it has stood for ``still_s``; return how long after ``wall_ns`` it came to stand."""
-        newest = self.truth.read()[-1]
-        return self.truth.stood_after(wall_ns - newest.wall_ns + newest.clock_ns, 8.0, still_s)
 
 
 def braking_s(v):

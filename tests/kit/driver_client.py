@@ -68,13 +68,13 @@ class DriverClient:
         self.bridge.command(payload, self.tag(Signed.COMMAND, "cmd_vel", payload, age_s))
 
     def send(self, v=0.15, omega=0.0, age_s=0.0):
-        """Send one command; return the wall clock's ns."""
-        sent_ns = self.bridge.time_ns()
-        self.put(twist_stamped(Velocity(v, omega), sent_ns), age_s)
+        """Send one command; return when, in ns of the monotonic clock."""
+        sent_ns = self.bridge.now_ns
+        self.put(twist_stamped(Velocity(v, omega), self.bridge.time_ns()), age_s)
         return sent_ns
 
     def drive(self, seconds, v=0.15, omega=0.0):
-        """Send commands for so long; return when the last one was sent, in ns of the wall clock."""
+        """Send commands for so long; return when the last one was sent, as `send`."""
         for _ in range(max(round(seconds / PERIOD_S), 1)):
             sent_ns = self.send(v, omega)
             self.bridge.sleep(PERIOD_S)
@@ -88,5 +88,5 @@ class DriverClient:
             self.drive(PERIOD_S, v, omega)
             return self.odom is not None and abs(self.odom.velocity.v - v) <= 0.02
 
-        self.bridge.wait_for(drives, 5.0)
+        self.bridge.wait_for(drives)
         return self

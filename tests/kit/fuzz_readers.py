@@ -36,6 +36,7 @@ from deploy.drive.records import (
 from deploy.replay import replay
 from deploy.view.recorded_drive import read_drive
 from kit.bnn_text import circuit_to_bnn
+from kit.ros2_world import Line
 from rover_ncp.circuit.bnn import circuit_from_bnn
 from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml, policy_to_yaml
 from rover_ncp.core.config import dump_yaml, parse_yaml
@@ -83,7 +84,6 @@ JSON_MODELS = (
     lease.StopRequest,
 )
 YAML_MODELS = (Course, DriveConfig, Limits, Randomization, RobotDescription, RoverProfile)
-PACKETS = (ConfigPac.decode, GyroPac.decode, decode_names)
 
 
 class Reader(NamedTuple):
@@ -102,6 +102,11 @@ def survives(reader: Reader, data: bytes) -> None:
         assert "\n" not in str(error)
 
 
+def _all_survive(data, *reads):
+    for read in reads:
+        survives(Reader(read, list), data)
+
+
 # The base's line
 
 
@@ -111,9 +116,8 @@ def _line(data):
         Sip.decode(packet)
         for command in range(256):
             decode_argument(command, packet.payload)
-    for read in PACKETS:
-        # A packet of whatever kind that is too short, or no text, is one of them.
-        survives(Reader(read, list), data)
+    # A packet of whatever kind that is too short, or no text, is one of them.
+    _all_survive(data, ConfigPac.decode, GyroPac.decode, decode_names)
     Sip.decode(Packet(0x32, data))
 
 
@@ -158,18 +162,16 @@ def _lines():
 
 
 def _cdr(data):
-    for read in (read_odometry, read_twist, read_pose, read_text, read_neurons):
-        survives(Reader(read, list), data)
+    _all_survive(data, read_odometry, read_twist, read_pose, read_text, read_neurons)
     for row in KEYS:
         if row.kind is Kind.MESSAGE:
-            survives(Reader(functools.partial(decode, row.type), list), data)
+            _all_survive(data, functools.partial(decode, row.type))
             header_stamp_ns(row.type, data)
 
 
 def _json(data):
-    survives(Reader(lease.CommandTag.unpack, list), data)
-    for model in JSON_MODELS:
-        survives(Reader(functools.partial(lease.parse_json, model), list), data)
+    parsers = [functools.partial(lease.parse_json, model) for model in JSON_MODELS]
+    _all_survive(data, lease.CommandTag.unpack, *parsers)
 
 
 def _messages():
@@ -188,21 +190,6 @@ def _jsons():
     return [lease.dump_json(request), lease.dump_json(status), lease.CommandTag(1, 2, 3).pack()]
 
 
-class _NoLine:
-    """The session with a ROS 2 robot; what is sent is lost."""
-
-    endpoint, zid, source = "tcp/robot:7447", "ours", None
-
-    def topic(self, name):
-        return name
-
-    def publish(self, payload):
-        pass
-
-    def close(self):
-        pass
-
-
 def _robot(data):
     """A ROS 2 robot whose topics send anything, before and after good odometry; its tokens are anything."""
     words = data.decode(errors="replace")
@@ -210,7 +197,7 @@ def _robot(data):
     burger = load_description("turtlebot3-burger")
     switches = burger.topics.model_copy(update={"stop": "stop", "hazards": "hazards"})
     robot = burger.model_copy(update={"topics": switches})
-    base = Ros2Base(_NoLine(), robot, unsafe=False)
+    base = Ros2Base(Line(), robot, unsafe=False)
     for token in tokens:
         if token is not None:
             base.receive(TokenSeen(token, True), 0.0)
@@ -227,7 +214,7 @@ def _robot(data):
                 if isinstance(event, BaseReport):
                     assert all(map(math.isfinite, (event.x, event.y, event.theta, event.v, event.omega)))
         base.drive(Setpoint(STANDSTILL, motors=True, emergency=False), now)
-    survives(Reader(parse_ros_address, list), f"ros2/tcp/{words}")
+    _all_survive(f"ros2/tcp/{words}", parse_ros_address)
 
 
 def _robot_messages():
@@ -251,9 +238,8 @@ def _robot_messages():
 
 def _yaml(data):
     words = data.decode(errors="replace")
-    for model in YAML_MODELS:
-        survives(Reader(lambda words: parse_yaml(words, model, "x.yaml"), list), words)  # noqa: B023
-    survives(Reader(lambda words: policy_from_yaml(words, "x.yaml"), list), words)
+    parsers = [functools.partial(parse_yaml, model=model, source="x.yaml") for model in YAML_MODELS]
+    _all_survive(words, *parsers, lambda words: policy_from_yaml(words, "x.yaml"))
 
 
 def _yamls():
@@ -270,22 +256,22 @@ def _bnns():
     return [circuit_to_bnn(load_policy(name).circuit).encode() for name in shipped_names("policies")]
 
 
-def _recording(data):
-    """A recording's bytes, corrupted anywhere."""
+def _file(data, *reads):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "x.mcap"
         path.write_bytes(data)
-        survives(Reader(read_recording, list), path)
+        _all_survive(path, *reads)
+
+
+def _recording(data):
+    """A recording's bytes, corrupted anywhere."""
+    _file(data, read_recording)
 
 
 def _contents(data):
     """A sound recording of anything: its messages and files are corrupted, not its frame."""
     place, _, content = data.partition(b"\n")
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "x.mcap"
-        path.write_bytes(_drive(place.decode(errors="replace"), content))
-        survives(Reader(read_drive, list), path)
-        survives(Reader(replay, list), path)
+    _file(_drive(place.decode(errors="replace"), content), read_drive, replay)
 
 
 @functools.cache

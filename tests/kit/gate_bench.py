@@ -8,7 +8,6 @@ import itertools
 import math
 import re
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
@@ -26,13 +25,14 @@ from bridge.gate.state import (
     Tick,
     VelocityCommand,
 )
+from kit.paths import DATA
 from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.wire.protocol import CommandTag
 
 SECRET = bytes(range(32))
 SLOW = Velocity(0.1, -0.1)
 LIMITS = Limits()
-TIMELINES = Path(__file__).parents[1] / "data" / "gate_timelines.txt"
+TIMELINES = DATA / "gate_timelines.txt"
 NUMBERS = frozenset({"nan", "inf"})
 BOX = Fence(x_min=-1.0, x_max=2.0, y_min=-1.0, y_max=1.0)
 
@@ -60,12 +60,16 @@ class Gate:
     def stamp(self, now):
         return round((now + self.ahead_s) * 1e9)
 
-    def drive(self, now, velocity=SLOW, signed=True, age=0.0, sequence=None, shift_ns=0):
-        """A command that was sent ``age`` seconds and ``shift_ns`` before it arrives at ``now``."""
+    def _numbered(self, sequence):
+        """Return a given number, or the next one."""
         if sequence is None:
             self.sequence += 1
-            sequence = self.sequence
-        tag = CommandTag(1, sequence, self.stamp(now - age) - shift_ns)
+            return self.sequence
+        return sequence
+
+    def drive(self, now, velocity=SLOW, signed=True, age=0.0, sequence=None, shift_ns=0):
+        """A command that was sent ``age`` seconds and ``shift_ns`` before it arrives at ``now``."""
+        tag = CommandTag(1, self._numbered(sequence), self.stamp(now - age) - shift_ns)
         return self.at(now, VelocityCommand(velocity, tag, signed=signed))
 
     def enable(self, now, secret=SECRET, age=0.0):
@@ -74,17 +78,11 @@ class Gate:
 
     def renew(self, now, sequence=None, secret=SECRET):
         """A signed request of the driver that holds the lease."""
-        if sequence is None:
-            self.sequence += 1
-            sequence = self.sequence
-        return self.at(now, Enable("deploy", self.stamp(now), secret, sequence))
+        return self.at(now, Enable("deploy", self.stamp(now), secret, self._numbered(sequence)))
 
     def release(self, now, sequence=None):
         """A signed release."""
-        if sequence is None:
-            self.sequence += 1
-            sequence = self.sequence
-        return self.at(now, Release(sequence))
+        return self.at(now, Release(self._numbered(sequence)))
 
     def driving(self, now=0.0):
         """Bring the gate to where a command is in force since ``now``, at full size."""
@@ -217,11 +215,7 @@ def _found(gate, verdict, word):
     state, (name, _, wanted) = gate.state, word.partition("=")
     lease = verdict.lease
     secret = None if lease is None else lease.secret
-    counts = {
-        "stops": state.stops,
-        "drops": state.dropped,
-        "limited": state.limited,
-    }
+    counts = {"stops": state.stops, "drops": state.dropped, "limited": state.limited}
     if name in counts:
         found = ",".join(f"{reason}:{count}" for reason, count in counts[name].items())
         return found or "none", wanted

@@ -10,10 +10,9 @@ from bridge.pioneer.setpoints import MotionLimits
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.identify.excitation import FENCE_M, excite
-from deploy.identify.fit import identify
-from deploy.identify.motion_log import motion_log
+from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.files import DEFAULT_ROBOT
-from rover_ncp.core.geometry import Pose
+from rover_ncp.core.geometry import Pose, distance
 from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile
@@ -44,29 +43,46 @@ def robot(ranges: Randomization, seed: int, number: int) -> Trials:
     return draw_trials(ranges, default_rover(), seed, count=1, ticks=TICKS, first=number)
 
 
-def driven(trials: Trials, *, outside: bool = False, seed: int = 0) -> list[Recorded]:
+class Driven(NamedTuple):
+    """A drive that is over: its messages, the way from its start, what stopped it, and the base."""
+
+    messages: list[Recorded]
+    farthest_m: float
+    stopped_by: str | None
+    base: Firmware
+
+
+def driven(trials: Trials, *, outside: bool = False, fence_m: float = FENCE_M) -> Driven:
     """Drive a robot as `identify` does, through firmware, bridge and driver's code on a virtual clock."""
     rover = rover_of(trials, default_rover(), Ground(()))
-    bridge = VirtualBridge(Firmware(DEFAULT_ROBOT, rover, trial=BaseTrial(trials)))
+    base, start, farthest_m = Firmware(DEFAULT_ROBOT, rover, trial=BaseTrial(trials)), rover.pose, 0.0
+
+    def observe(_now: float) -> None:
+        nonlocal farthest_m
+        farthest_m = max(farthest_m, distance(rover.pose, start))
+
+    base.observe = observe
+    bridge = VirtualBridge(base)
     received: list[Recorded] = []
-    look = _camera(rover, bridge, received, random_stream(seed, Domain.STUDY)) if outside else lambda: None
+    look = _camera(rover, bridge, received, random_stream(0, Domain.STUDY)) if outside else lambda: None
 
     def record(message: Recorded) -> None:
         received.append(message)
         if message.topic == "odom":
             look()
 
-    link = VirtualLink(bridge, rover.pose, record)
+    link = VirtualLink(bridge, start, record)
     measurements = Measurements(link)
     monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
     monitor.wait()
-    excite(link, measurements, monitor, FENCE_M, bridge)
-    return received
-
-
-def identified(trials: Trials, *, outside: bool = False, seed: int = 0) -> RoverProfile:
-    """Drive and identify a robot."""
-    return identify(motion_log(driven(trials, outside=outside, seed=seed)), "mock")
+    stopped_by = None
+    try:
+        excite(link, measurements, monitor, fence_m, bridge)
+    except SafetyStop as stop:
+        stopped_by = stop.rule
+    messages = [*received]
+    bridge.sleep(2.0)
+    return Driven(messages, farthest_m, stopped_by, base)
 
 
 def _camera(

@@ -20,6 +20,12 @@ ODOM_START = Pose(3.0, -2.0, 1.0)
 """Where odometry stands when the drive begins: anywhere."""
 
 
+def state(model, ns):
+    """Return the message of a driver's or a gate's status."""
+    topic = {DriverStatus: "rover/status", GateStatus: "rover/gate"}[type(model)]
+    return Recorded(topic, spec(topic).type, messages.text(dump_json(model).decode()), ns, ns)
+
+
 def drive_messages(policy, course, truth=True, variance=1e-6):
     """Return the messages of a drive in order, and the rollout they were made from.
 
@@ -35,12 +41,11 @@ def drive_messages(policy, course, truth=True, variance=1e-6):
     def odom(pose, v, omega, ns):
         put("odom", messages.odometry(compose(ODOM_START, pose), Velocity(v, omega), ns), ns)
 
-    def status(state, tick, ns, **more):
-        text = dump_json(DriverStatus(state=state, tick=tick, t_s=0.1 * tick, **more)).decode()
-        put("rover/status", messages.text(text), ns)
+    def status(phase, tick, ns):
+        told.append(state(DriverStatus(state=phase, tick=tick, t_s=0.1 * tick), ns))
 
     def gate(ns, **fields):
-        put("rover/gate", messages.text(dump_json(GateStatus(**fields)).decode()), ns)
+        told.append(state(GateStatus(**fields), ns))
 
     gate(BEGAN_NS - 5 * TICK_NS, held="no-lease")
     status("armed", 0, BEGAN_NS - 4 * TICK_NS)

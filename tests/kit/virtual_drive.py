@@ -34,14 +34,16 @@ from sim.world.pymunk_rover import Ground, PymunkRover
 
 AHEAD = load_policy(DATA / "golden/parking.bnn")
 """A circuit that drives straight ahead at full speed after the start signal."""
-COURSE = Course.model_validate(
-    {
-        "name": "short",
-        "start_signal_s": 0.3,
-        "horizon_s": 2.0,
-        "checkpoints": [{"t": 2.0, "x": 5.0, "y": 5.0, "theta": 0.0}],
-    }
-)
+
+
+def short_course(x=0.0, y=0.0, **parked):
+    """A course of 2 s to a place; ``parked`` are the tolerances of its rule."""
+    goal = {"t": 2.0, "x": x, "y": y, "theta": 0.0}
+    times = {"name": "short", "start_signal_s": 0.3, "horizon_s": 2.0}
+    return Course.model_validate(times | {"checkpoints": [goal], "parked": parked})
+
+
+COURSE = short_course(5.0, 5.0)
 """Its goal is far from where any rover comes."""
 LONG = load_course("parking").model_copy(update={"start_signal_s": 0.3})
 

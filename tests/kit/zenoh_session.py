@@ -1,4 +1,4 @@
-"""A Zenoh session with settings of its own."""
+"""Zenoh sessions with settings of their own."""
 
 import json
 
@@ -12,3 +12,11 @@ def open_session(mode, settings):
     for path, value in {**alone, **settings}.items():
         config.insert_json5(path, json.dumps(value))
     return zenoh.open(config)
+
+
+def open_router(protocol="tcp", **settings):
+    """Open a router on a port that the system picks; return it and its locator."""
+    own = {"listen/endpoints": [f"{protocol}/127.0.0.1:0"], "adminspace/enabled": True, "scouting/delay": 0}
+    session = open_session("router", own | settings)
+    (reply,) = session.get(f"@/{session.info.zid()}/router", timeout=2.0)
+    return session, json.loads(reply.ok.payload.to_string())["locators"][0]

@@ -1,11 +1,11 @@
 """What several files of process tests share."""
 
 import pytest
-from kit.bridge_bench import Rig
 from kit.deploy_bench import Bridge, driver
 from kit.json_fields import undescribed
 
 from rover_ncp import cli
+from sim.live.live_run import LiveRun
 from sim.live.processes import Process
 
 
@@ -37,10 +37,10 @@ def keys(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def rig(tmp_path_factory):
-    """A mock and a bridge that drives it."""
-    with Rig(tmp_path_factory.mktemp("rig")) as rig:
+    """A mock and a bridge that drives it; a test leaves the rover standing, and no lease."""
+    with LiveRun(tmp_path_factory.mktemp("rig")) as rig:
         yield rig
 
 
@@ -48,7 +48,7 @@ def rig(tmp_path_factory):
 def secured(keys, tmp_path_factory):
     """A mock and a bridge that listens with TLS and access control."""
     listen = ["--listen", "tls/127.0.0.1:0", "--zenoh-config", str(keys / "bridge.json5")]
-    with Rig(tmp_path_factory.mktemp("rig"), bridge=listen) as rig:
+    with LiveRun(tmp_path_factory.mktemp("rig"), bridge=listen) as rig:
         yield rig
 
 

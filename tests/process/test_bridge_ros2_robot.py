@@ -11,44 +11,44 @@ import time
 from contextlib import closing, contextmanager
 
 import pytest
-from kit.bridge_bench import Driver, Rig, wait_for
+from kit.bridge_bench import Driver, wait_for
 from kit.ros2_world import BURGER
 from kit.ros_cdr import TwistStamped, odometry
-from kit.zenoh_session import open_session
+from kit.zenoh_session import open_router
 
 from bridge.inbox import Inbox, RobotMessage
 from bridge.ros2.address import parse_ros_address
 from bridge.ros2.base import command
 from bridge.ros2.connection import RosConnection
-from bridge.ros2.discovery import Announced, Convention
+from bridge.ros2.discovery import Announced
 from rover_ncp import cli
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import ClosedAtExit
-from rover_ncp.wire.messages import ODOMETRY, TWIST_STAMPED
+from rover_ncp.wire.messages import TWIST_STAMPED
 from rover_ncp.wire.zenoh import CLIENT
-from sim.live.live_run import RMW_ZENOH, ROS2DDS
+from sim.live.live_run import RMW_ZENOH, ROS2DDS, LiveRun
 from sim.live.processes import Process
-from sim.pioneer.ros2_robot import Ros2Robot
-from sim.pioneer.ros2_server import Ros2Server, free_port
-from sim.world.described import described_rover
-from sim.world.pymunk_rover import Ground, PymunkRover
+from sim.pioneer.ros2_server import free_port
 
 # Published in each message package of ROS 2 Jazzy (REP-2011).
 ODOMETRY_HASH = "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"
 STAMPED_HASH = "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64"
 
 
-def robot(folder, form, model="turtlebot3-burger", **more):
-    ros = "rmw-zenoh" if form == RMW_ZENOH else "ros2dds"
-    mock = ["--ros2", "--model", model, "--ros", ros]
-    return Rig(folder, mock=mock, bridge=["--model", model, "--no-base-watchdog"], base_form=form, **more)
-
-
+MODEL = ["--model", "turtlebot3-burger"]
 FORMS = pytest.mark.parametrize("form", [ROS2DDS, RMW_ZENOH], ids=["ros2dds", "rmw-zenoh"])
 
 
+def mock_of(form):
+    return ["--ros2", *MODEL, "--ros", "rmw-zenoh" if form == RMW_ZENOH else "ros2dds"]
+
+
+def robot(folder, form):
+    return LiveRun(folder, mock=mock_of(form), bridge=[*MODEL, "--no-base-watchdog"], base_form=form)
+
+
 def test_the_robot_is_driven_and_odometry_begins_at_zero(tmp_path):
-    with robot(tmp_path, RMW_ZENOH) as rig, Driver(rig.locator) as driver:
+    with robot(tmp_path, RMW_ZENOH) as rig, Driver(rig.robot) as driver:
         wait_for(lambda: driver.odom is not None)
         assert max(map(abs, driver.odom.pose)) < 0.01
         driver.start(v=0.1)
@@ -72,40 +72,14 @@ def connected(base):
         yield connection, look
 
 
-@FORMS
-def test_the_bridge_and_the_mock_find_each_other(form):
-    rover = PymunkRover(described_rover(BURGER), Ground(()))
-    mock = Ros2Robot(BURGER, rover, start_s=time.monotonic())
-    convention = Convention.RMW_ZENOH if form == RMW_ZENOH else Convention.ROS2DDS
-    stop = threading.Event()
-    with closing(Ros2Server("127.0.0.1", 0, mock, convention=convention)) as server:
-        serving = threading.Thread(target=server.serve, args=(stop.is_set,), daemon=True)
-        serving.start()
-        try:
-            with connected(form.format(f"127.0.0.1:{server.port}")) as (connection, look):
-                wait_for(lambda: {"odom", "imu", "scan"} <= set(look()[0]))
-                forward = command(BURGER.topics, Velocity(0.1, 0.0), time.time_ns())
-                wait_for(lambda: connection.publish(forward) or (look() and rover.velocity.v > 0.01))
-                shown = {(found.topic, found.published, found.ros_type) for found in look()[1]}
-                assert {("odom", True, ODOMETRY), ("cmd_vel", False, TWIST_STAMPED)} <= shown
-        finally:
-            stop.set()
-            serving.join()
-
-
 class RobotNetwork(ClosedAtExit):
     """The Zenoh network of a robot that this process is: odometry by pycdr2, and all commands that arrive."""
 
     def __init__(self, form, *connect):
         self.form, self.commands, self.tokens = form, [], {}
-        self.port = free_port("127.0.0.1")
-        settings = {
-            "listen/endpoints": [f"tcp/127.0.0.1:{self.port}"],
-            "connect/endpoints": list(connect),
-            "scouting/delay": 0,
-            "connect/retry": {"period_init_ms": 50, "period_max_ms": 50},
-        }
-        self.session = open_session("router", settings)
+        retry = {"connect/retry": {"period_init_ms": 50, "period_max_ms": 50}}
+        self.session, locator = open_router(**{"connect/endpoints": list(connect)}, **retry)
+        self.base = form.format(locator.removeprefix("tcp/"))
         rmw = form == RMW_ZENOH
         # As rmw_zenoh's design has them: domain, topic, type and the hash of the type's definition.
         self.odom_key = f"0/odom/nav_msgs::msg::dds_::Odometry_/{ODOMETRY_HASH}" if rmw else "odom"
@@ -114,9 +88,10 @@ class RobotNetwork(ClosedAtExit):
         )
         self._held = [
             self.session.declare_subscriber(self.cmd_key, self.commands.append),
-            self.session.liveliness().declare_subscriber("**", self._token, history=True),
-            self.session.liveliness().declare_subscriber("@/*/@ros2_lv/**", self._token, history=True),
-            self.session.liveliness().declare_subscriber("@ros2_lv/**", self._token, history=True),
+            *(
+                self.session.liveliness().declare_subscriber(key, self._token, history=True)
+                for key in ("**", "@/*/@ros2_lv/**", "@ros2_lv/**")
+            ),
         ]
         self._sent, self._closing = 0, threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -131,10 +106,6 @@ class RobotNetwork(ClosedAtExit):
             attachment = struct.pack("<qqB16s", self._sent, time.time_ns(), 16, b"r" * 16)
             rmw = self.form == RMW_ZENOH
             self.session.put(self.odom_key, odometry(time.time()), attachment=attachment if rmw else None)
-
-    @property
-    def base(self):
-        return self.form.format(f"127.0.0.1:{self.port}")
 
     def close(self):
         self._closing.set()
@@ -183,7 +154,7 @@ def test_a_second_publisher_of_commands_arrives_with_its_name():
 def test_a_bridge_whose_two_networks_are_connected_does_not_start(tmp_path):
     drivers = f"tcp/127.0.0.1:{free_port('127.0.0.1')}"
     with RobotNetwork(ROS2DDS, drivers) as network:
-        arguments = ["--base", network.base, "--model", "turtlebot3-burger", "--no-base-watchdog"]
+        arguments = ["--base", network.base, *MODEL, "--no-base-watchdog"]
         with Process("bridge", [*arguments, "--listen", drivers], tmp_path) as process:
             ended = process.wait(30.0)
     assert ended.code == 3
@@ -196,22 +167,21 @@ def test_nothing_at_the_robots_address_is_one_line_for_a_user_without_a_home_too
     monkeypatch.delenv("XDG_STATE_HOME", raising=False)
     monkeypatch.setattr(os, "getuid", lambda: 54321)
     monkeypatch.setitem(CLIENT, "connect/timeout_ms", 100)
-    port = free_port("127.0.0.1")
-    base = ["--base", f"ros2/tcp/127.0.0.1:{port}", "--model", "turtlebot4", "--listen", "tcp/127.0.0.1:0"]
+    base = ["--base", "ros2/tcp/127.0.0.1:1", "--model", "turtlebot4", "--listen", "tcp/127.0.0.1:0"]
     assert cli.run(["bridge", *base]) == 3
-    assert f"tcp/127.0.0.1:{port}: no Zenoh router answers there" in capsys.readouterr().err
+    assert "tcp/127.0.0.1:1: no Zenoh router answers there" in capsys.readouterr().err
 
 
 @pytest.mark.long
 def test_an_unchecked_robot_is_driven_by_the_check_alone_until_its_description_has_the_timeout(tmp_path):
     bridge = ["--model", "husky-a200"]
     mock = ["--ros2", "--model", "husky-a200"]
-    with Rig(tmp_path / "run", mock=mock, bridge=bridge, base_form=ROS2DDS) as rig:
-        with Driver(rig.locator) as driver:
+    with LiveRun(tmp_path / "run", mock=mock, bridge=bridge, base_form=ROS2DDS) as rig:
+        with Driver(rig.robot) as driver:
             reply = driver.motors()
             assert (reply.granted, reply.reason) == (False, "unchecked")
             assert "rover-ncp check" in reply.detail
-        about = ["--robot", rig.locator, "--on-blocks", "--model", "husky-a200"]
+        about = ["--robot", rig.robot, "--on-blocks", "--model", "husky-a200"]
         with Process("check", about, tmp_path) as check:
             done = check.wait(60.0)
         findings = {finding["name"]: finding for finding in done.result["findings"]}
@@ -219,57 +189,27 @@ def test_an_unchecked_robot_is_driven_by_the_check_alone_until_its_description_h
         # The mock halts 0.5 s after its last command, as its description has it.
         line = re.search(r"measured_base_timeout_s: 0\.[4-9]\d* # .*$", findings["bridge"]["detail"])
         assert line
-        with Driver(rig.locator) as driver:
+        with Driver(rig.robot) as driver:
             assert "add the line" in driver.motors().detail
     mine = tmp_path / "mine.yaml"
     mine.write_text(f"name: mine\nbased_on: husky-a200\n{line[0]}\n")
     with (
-        Rig(tmp_path / "mine", mock=mock, bridge=["--model", str(mine)], base_form=ROS2DDS) as rig,
-        Driver(rig.locator) as driver,
+        LiveRun(tmp_path / "mine", mock=mock, bridge=["--model", str(mine)], base_form=ROS2DDS) as rig,
+        Driver(rig.robot) as driver,
     ):
         assert driver.motors().granted
-
-
-@pytest.mark.long
-def test_ctrl_c_in_the_check_halts_a_robot_while_its_timeout_is_measured(tmp_path):
-    """The robot has no timeout of its own: only the bridge's zeros halt it."""
-    burger = ["--model", "turtlebot3-burger"]
-    with Rig(tmp_path / "run", mock=["--ros2", *burger], bridge=burger, base_form=ROS2DDS) as rig:
-        with Process("check", ["--robot", rig.locator, "--on-blocks"], tmp_path) as check:
-            with Driver(rig.locator) as driver:
-                wait_for(lambda: '"running"' in driver.query("rover/base", b"{}").decode(), 60.0)
-            began_ns = time.time_ns()
-            assert check.stop().code == 130
-        assert rig.stood_after(began_ns) < 1.0
-
-
-@pytest.mark.long
-def test_a_robot_without_a_timeout_is_driven_only_if_that_is_asked_for(tmp_path):
-    bridge = ["--model", "turtlebot3-burger"]
-    mock = ["--ros2", "--model", "turtlebot3-burger"]
-    with Rig(tmp_path / "run", mock=mock, bridge=bridge, base_form=ROS2DDS) as rig:
-        about = ["--robot", rig.locator, "--on-blocks", "--model", "turtlebot3-burger"]
-        with Process("check", about, tmp_path) as check:
-            done = check.wait(60.0)
-        assert done.code == 1
-        assert "does not halt" in done.result["findings"][-1]["detail"]
-        with Driver(rig.locator) as driver:
-            assert "--no-base-watchdog" in driver.motors().detail
-        assert abs(rig.truth.speed()) < 1e-3
 
 
 @FORMS
 @pytest.mark.long
 def test_a_robot_and_its_router_that_restart_are_used_again(form, tmp_path):
-    with robot(tmp_path / "run", form) as rig, Driver(rig.locator) as driver:
+    with robot(tmp_path / "run", form) as rig, Driver(rig.robot) as driver:
         driver.start(v=0.1)
         driver.drive(0.5, v=0.1)
         rig.end_process(rig.mock)
         wait_for(lambda: driver.gate.ended == "no-base")
         rig.bridge.wait_for_line("the base is lost: no odometry on odom for 0.5 s")
-        ros = "rmw-zenoh" if form == RMW_ZENOH else "ros2dds"
-        mock = ["--ros2", "--model", "turtlebot3-burger", "--ros", ros, "--listen", rig.base]
-        with Process("mock", mock, tmp_path):
+        with Process("mock", [*mock_of(form), "--listen", rig.base], tmp_path):
             wait_for(lambda: driver.gate.held == "")
             wait_for(lambda: driver.motors().granted)
             assert max(map(abs, driver.odom.pose)) < 0.01  # a robot that restarted begins at zero

@@ -1,22 +1,25 @@
 """The bridge's topics in the forms of both Zenoh integrations; ROS nodes made of plain Zenoh."""
 
+import signal
 import struct
 import time
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
 import zenoh.ext
-from kit.bridge_bench import PERIOD_S, Driver, Rig, client, wait_for
+from kit.bridge_bench import PERIOD_S, Driver, client, wait_for
 from kit.zenoh_session import open_session
 
 from bridge.inbox import CommandMessage, Inbox
 from bridge.ros2.discovery import Convention
 from bridge.ros2.rmw import Attachment, gid
+from bridge.ros2.ros_node import read_command
 from bridge.zenoh.link import ZenohLink
-from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.key_table import KEYS, Kind, Role, spec
 from rover_ncp.wire.messages import Transform, decode, transforms
+from sim.live.live_run import LiveRun
 
 # Type hashes as ROS 2 Jazzy's own packages carry them.
 TWIST = "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"
@@ -66,16 +69,11 @@ def test_the_graph_shows_the_node_and_all_its_topics(domain_5):
     assert len({chunk[4] for chunk in chunks}) == len(chunks)  # each of its own number
     assert {tuple(chunk[6:9]) for chunk in chunks} == {("%", "%bot1", "rover_bridge")}
     shown = {(chunk[5], chunk[9], chunk[10]) for chunk in chunks if chunk[5] != "NN"}
-    twists = {
-        ("MS", "%bot1%cmd_vel", f"geometry_msgs::msg::dds_::{name}_") for name in ("Twist", "TwistStamped")
-    }
-    assert shown == twists | {
-        (
-            "MP",
-            f"%bot1%{row.name.replace('/', '%')}",
-            f"{row.type.split('/')[0]}::msg::dds_::{row.type.split('/')[2]}_",
-        )
-        for row in OURS
+    topics = [("MP", row.name, row.type) for row in OURS]
+    topics += [("MS", "cmd_vel", f"geometry_msgs/msg/{name}") for name in ("Twist", "TwistStamped")]
+    assert shown == {
+        (kind, f"%bot1%{name.replace('/', '%')}", f"{ros_type.replace('/msg/', '::msg::dds_::')}_")
+        for kind, name, ros_type in topics
     }
 
 
@@ -117,6 +115,20 @@ def test_age_of_a_ros_nodes_command_is_in_its_attachment(domain_5):
     # What rmw_zenoh would not take is a command that cannot be read: a tag of ours buys nothing here.
     unreadable = CommandMessage(b"", None, None)
     assert [what for _, what in arrived] == [CommandMessage(twist, None, 123_456_789), unreadable, unreadable]
+
+
+def test_a_huge_command_reaches_the_loop_as_no_more_than_one_that_is_too_long(domain_5):
+    with Link5(Convention.ROS2DDS) as bridge:
+        # A driver's own settings would drop what cannot leave at once.
+        with open_session("client", {"connect/endpoints": [bridge.link.locator]}) as peer:
+            publisher = peer.declare_publisher("bot1/cmd_vel")
+            wait_for(lambda: publisher.matching_status.matching)
+            publisher.put(bytes(400_000), attachment=bytes(400_000))
+            (_, arrival), *_ = wait_for(lambda: bridge.inbox.take(0.1))
+        assert (len(arrival.payload), len(arrival.attachment)) == (513, 41)
+    attachment = zenoh.ZBytes(Attachment(1, 5, bytes(16)).pack())
+    command = read_command(SimpleNamespace(payload=zenoh.ZBytes(bytes(900_000)), attachment=attachment))
+    assert (len(command.payload), command.sent_ns) == (513, 5)
 
 
 def test_ros_nodes_find_each_other_through_the_bridge(domain_5):
@@ -169,33 +181,30 @@ class RosDriver(ClosedAtExit):
         self.session.close()
 
 
-def test_a_ros_node_drives_while_its_commands_are_fresh(domain_5, tmp_path):
-    options = ["--ros", "rmw-zenoh", "--accept-ros", "--namespace", "/bot1"]
-    with Rig(tmp_path, bridge=options) as rig, RosDriver(rig.locator) as ros:
-        with Driver(rig.locator, "bot1") as watching:
+def test_a_ros_node_drives_while_its_commands_are_fresh_within_the_limits(domain_5, tmp_path):
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("v_max: 0.1\nlease_s: 0.5\n")
+    options = ["--ros", "rmw-zenoh", "--accept-ros", "--namespace", "/bot1", "--limits", str(limits)]
+    with LiveRun(tmp_path, bridge=options) as rig, RosDriver(rig.robot) as ros:
+        with Driver(rig.robot, "bot1") as watching:
             deadline = time.monotonic() + 5.0
-            while ros.speed < 0.14:
+            while ros.speed < 0.09:
                 assert time.monotonic() < deadline
                 ros.send(0.15)
                 time.sleep(PERIOD_S)
+            assert watching.out.v == 0.1
             assert watching.gate.driver_name == "ros"
+            assert watching.motors().reason == "another-driver"
             for _ in range(3):
                 ros.send(0.15, age_s=0.5)
             wait_for(lambda: watching.gate.dropped.get("stale") == 3)
+            reply = wait_for(lambda: (reply := watching.motors()).granted and reply)
+            assert (reply.limits["v"], reply.lease_s) == (0.1, 0.5)
         sequences = [Attachment.unpack(sample.attachment.to_bytes()).sequence for sample in ros.odom]
         assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
         message = decode(spec("odom").type, ros.odom[-1].payload.to_bytes())
         assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
-
-
-def test_ros_nodes_do_not_drive_unless_they_are_accepted(domain_5, tmp_path):
-    options = ["--ros", "rmw-zenoh", "--namespace", "bot1"]
-    with (
-        Rig(tmp_path, bridge=options) as rig,
-        RosDriver(rig.locator) as ros,
-        Driver(rig.locator, "bot1") as watching,
-    ):
-        for _ in range(10):
-            ros.send(0.15)
-        wait_for(lambda: watching.gate.dropped == {"foreign": 10})
-        assert watching.out in {None, Velocity(0.0, 0.0)}
+        rig.bridge.send_signal(signal.SIGHUP)
+        done = rig.bridge.wait(5.0)
+    assert done.code == 0
+    assert set(done.result["limited"]) == {"speed"}

@@ -7,7 +7,7 @@ import sys
 from contextlib import ExitStack
 
 import pytest
-from kit.bridge_bench import Driver, wait_for, zenoh_address
+from kit.bridge_bench import Driver, wait_for
 from kit.paths import ROOT
 from kit.serial_base import SerialBase
 
@@ -50,7 +50,7 @@ def bridge_on(tmp_path):
         def start(base):
             arguments = ["--base", f"serial/{base.port}#baudrate=9600", "--listen", "tcp/127.0.0.1:0"]
             process = running.enter_context(Process("bridge", arguments, tmp_path))
-            return process, zenoh_address(process)
+            return process, process.wait_for_line("ready zenoh=").split()[0]
 
         yield start
 

@@ -5,7 +5,6 @@ import re
 import shlex
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from kit.paths import DATA, ROOT
@@ -71,6 +70,8 @@ TABLE = [
     (f"deploy {ROBOT} --record drive.mcap", "drive.mcap: exists already"),
     (f"identify {ROBOT} --record drive.mcap", "drive.mcap: exists already"),
     ("recover drive.mcap --out file", "file: exists already"),
+    ("report drive.mcap --out drive.mcap", "drive.mcap: is a recording; choose another file"),
+    ("identify drive.mcap --out drive.mcap", "drive.mcap: is a recording; choose another file"),
     ("mock --truth file", "file: exists already"),
     ("park --policy parking --out done", "done/run.mcap: exists already"),
     ("park --out done", "done/run.mcap: exists already"),
@@ -79,7 +80,6 @@ TABLE = [
     ("train --resume --out done", "done: holds no training run to resume"),
     # YAML and courses
     ("course check deep.yaml", "more than 100 lists or mappings in each other"),
-    ("train --circuit deep.yaml", "more than 100 lists or mappings in each other"),
     (f"bridge {BASE} --limits deep.yaml", "more than 100 lists or mappings in each other"),
     ("course check long.yaml", "expected 1048576 at most"),
     ("course check many.yaml", "at most 1000 items"),
@@ -92,12 +92,10 @@ TABLE = [
     ("train --out done", "is not empty"),
     ("train --out /proc/nowhere", "/proc/nowhere: cannot be used as a folder"),
     ("recover empty.mcap", "the file is empty"),
-    ("recover file", "not an MCAP recording"),
     ("replay file", "not an MCAP recording"),
     (f"bridge {BASE} --zenoh-config zenoh.json5", "zenoh.json5: not a Zenoh configuration: "),
     (f"deploy {ROBOT} --zenoh-config zenoh.json5", "zenoh.json5: not a Zenoh configuration: "),
     (f"bridge {BASE} --limits fast.yaml", "$.v_max: input should be less than or equal to 1.2, got 3.0"),
-    (f"bridge {BASE} --limits nan.yaml", "$.v_max"),
     (f"bridge {BASE} --limits unknown.yaml", "$.speed: unknown key"),
     # names
     ("fly", "No such command 'fly'"),
@@ -125,7 +123,6 @@ TABLE = [
     ("eval mine.bnn --task mountain-car --stack", "--stack: --task goes with"),
     ("eval mine.bnn --task mountain-car --body mujoco", "--body: --task goes with"),
     ("eval mine.bnn --task mountain-car --model p3dx --processes 2", "--model, --processes: --task"),
-    ("eval course --stack --camera-hz 2", "--camera-hz"),
     ("paper report --seed 0 --again", "--seed, --again: has no effect on report"),
     ("paper replay --processes 2", "--processes: has no effect on replay"),
     ("paper run --curves new.png", "--curves: has no effect on run"),
@@ -142,8 +139,6 @@ TABLE = [
     (f"bridge {BASE} --no-base-watchdog", "--no-base-watchdog: is for a ROS 2 robot"),
     # values
     ("eval course --randomize ''", "an empty name"),
-    ("train --randomize ''", "an empty name"),
-    ("mock --randomize ''", "an empty name"),
     (f"deploy {ROBOT} --duration nan", "'--duration'"),
     (f"deploy {ROBOT} --duration inf", "--duration inf: expected seconds"),
     (f"deploy {ROBOT} --namespace 'a b'", "namespace 'a b'"),
@@ -155,9 +150,6 @@ TABLE = [
     (f"bridge {BASE} --listen tcp/192.0.2.1:0", "any client that reaches it could drive the rover"),
     ("deploy --robot tcp/127.0.0.1:99999", "expected a port from 1 to 65535"),
     ("deploy --robot tcp/127.0.0.1:0", "expected a port from 1 to 65535"),
-    ("watch --robot tcp/127.0.0.1:99999 --port 0", "expected a port from 1 to 65535"),
-    ("check --on-blocks --robot tcp/127.0.0.1:99999", "expected a port from 1 to 65535"),
-    ("identify --robot tcp/127.0.0.1:99999", "expected a port from 1 to 65535"),
     ("bridge --base tcp/127.0.0.1:99999 --listen tcp/127.0.0.1:0", "99999"),
 ]
 
@@ -188,8 +180,8 @@ def folder(tmp_path_factory):
     tutorial = (ROOT / "docs/tutorials/own_task.md").read_text()
     (folder / "task.yaml").write_text(re.search(r'title="wall.yaml"\n(.*?)```', tutorial, re.DOTALL)[1])
     (folder / "zenoh.json5").write_text('{ mode: "client", no_such_key: 1 }')
-    for name, limits in {"fast": "v_max: 3.0", "nan": "v_max: .nan", "unknown": "speed: 1"}.items():
-        (folder / f"{name}.yaml").write_text(limits)
+    (folder / "fast.yaml").write_text("v_max: 3.0")
+    (folder / "unknown.yaml").write_text("speed: 1")
     return folder
 
 
@@ -238,30 +230,23 @@ def test_a_working_directory_that_is_gone_is_one_line(command, tmp_path, monkeyp
 AS_ANYBODY = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"] if os.geteuid() == 0 else []
 
 
-@pytest.mark.parametrize("command", ["course check locked/mine", "keys --out locked/mine", f"teleop {ROBOT}"])
-def test_mistake_that_only_a_process_shows_is_one_line(command, tmp_path):
+RUN_EACH = "import sys; from rover_ncp.cli import run; print([run(line.split()) for line in sys.argv[1:]])"
+
+
+def test_mistake_that_only_a_process_shows_is_one_line(tmp_path):
     """A folder that may not be searched; standard input that is no terminal."""
     (tmp_path / "locked").mkdir(mode=0)
+    commands = ["course check locked/mine", "keys --out locked/mine", f"teleop {ROBOT}"]
     done = subprocess.run(
-        [*AS_ANYBODY, Path(sys.executable).with_name("rover-ncp"), *shlex.split(command)],
+        [*AS_ANYBODY, sys.executable, "-c", RUN_EACH, *commands],
         capture_output=True,
         text=True,
-        timeout=60,
         check=False,
         cwd=tmp_path,
         stdin=subprocess.DEVNULL,
     )
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
-    assert "Permission denied" in done.stderr or "expected a terminal as standard input" in done.stderr
-
-
-@pytest.mark.parametrize("command", ["report {} --out {}", "identify {} --out {}"])
-def test_a_result_never_replaces_a_recording(command, tmp_path, capfd):
-    drive = tmp_path / "drive.mcap"
-    write_drive(drive)
-    before = drive.read_bytes()
-    assert run(command.format(*[drive] * command.count("{}")).split()) == 2
-    assert (
-        capfd.readouterr().err == f"rover-ncp: {drive}: is a recording; choose another file for the result\n"
-    )
-    assert drive.read_bytes() == before
+    assert done.stdout == "[2, 2, 2]\n"
+    *denied, terminal = done.stderr.splitlines()
+    assert len(denied) == 2
+    assert all("Permission denied" in line for line in denied)
+    assert "expected a terminal as standard input" in terminal

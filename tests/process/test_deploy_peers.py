@@ -1,8 +1,8 @@
 """Peers beside the bridge that publish or answer in its place, and another model of robot."""
 
 import json
-import threading
 import time
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -15,13 +15,14 @@ from deploy.zenoh_client import BridgeAddress
 from rover_ncp import cli
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.robot.description import load_description
-from rover_ncp.wire.messages import imu, odometry, pose_with_covariance
+from rover_ncp.wire.messages import odometry, pose_with_covariance
 from rover_ncp.wire.protocol import BaseReply, StopReply, TimeoutState, dump_json
+from rover_ncp.wire.zenoh import client_config
+from sim.live.peers import Peer
 
 STANDS = Pose(0.0, 0.0, 0.0)
 INPUTS = {
     "odom": lambda now_ns: odometry(STANDS, Velocity(0.0, 0.0), now_ns),
-    "imu": lambda now_ns: imu(0.0, 1e-6, now_ns),
     "pose": lambda now_ns: pose_with_covariance(STANDS, np.eye(3) * 1e-4, now_ns, "course"),
 }
 ANSWERS = {
@@ -30,46 +31,30 @@ ANSWERS = {
 }
 
 
-@pytest.fixture
-def publish(rig):
-    """Publishes on one key, by a peer of its own whose clock is late, until the test ends."""
-    ended, threads = threading.Event(), []
+class Publisher(Peer):
+    """Publishes an input on its key; its clock is ``late_s`` late."""
 
-    def run(name, late_s):
-        session = client(rig.locator)
-        while not ended.wait(0.02):
-            session.put(name, INPUTS[name](time.time_ns() - round(late_s * 1e9)))
-        session.close()
+    def __init__(self, rig, name, late_s=0.0):
+        super().__init__(client_config(rig.robot, None)[0])
+        self._name, self._late_ns = name, round(late_s * 1e9)
 
-    def publish(name, late_s=0.0):
-        threads.append(threading.Thread(target=run, args=(name, late_s)))
-        threads[-1].start()
-
-    yield publish
-    ended.set()
-    for thread in threads:
-        thread.join()
+    def run(self):
+        while not self.closing.wait(0.02):
+            self.session.put(self._name, INPUTS[self._name](time.time_ns() - self._late_ns))
 
 
-@pytest.mark.parametrize(
-    ("publishers", "named"),
-    [
-        ([("odom", 0.0)], "two publishers send odom"),
-        ([("imu", 0.0)], "two publishers send odom and imu"),
-        ([("pose", 0.0), ("pose", 5.0)], "two publishers send pose"),
-    ],
-)
-def test_a_second_publisher_of_an_input_is_found(rig, publish, publishers, named):
-    with ZenohLink(BridgeAddress(rig.locator), lambda message: None) as link:
-        for publisher in publishers:
-            publish(*publisher)
+@pytest.mark.parametrize(("name", "clocks_s"), [("odom", [0.0]), ("pose", [0.0, 5.0])])
+def test_a_second_publisher_of_an_input_is_found(rig, name, clocks_s):
+    with ZenohLink(BridgeAddress(rig.robot), lambda message: None) as link, ExitStack() as publishers:
+        for late_s in clocks_s:
+            publishers.enter_context(Publisher(rig, name, late_s))
+        named = f"two publishers send {name}"
         wait_for(lambda: any(words.startswith(named) for words in link.sources.second.values()), 10.0)
 
 
-def test_one_publisher_of_each_is_not_reported(rig, publish):
-    with ZenohLink(BridgeAddress(rig.locator), lambda message: None) as link:
+def test_one_publisher_of_each_is_not_reported(rig):
+    with ZenohLink(BridgeAddress(rig.robot), lambda message: None) as link, Publisher(rig, "pose"):
         measurements = Measurements(link)
-        publish("pose")
         wait_for(lambda: measurements.odometry(0.1) and measurements.taken["odom"] > 5, 10.0)
         wait_for(measurements.poses, 10.0)
         assert link.sources.second == {}
@@ -88,28 +73,28 @@ def false_answerer(rig, request):
             with query:
                 query.reply(name, ANSWERS[name] if request.param == "false" else b"{")
 
-    session = client(rig.locator)
+    session = client(rig.robot)
     queryables = [session.declare_queryable(name, answer) for name in ANSWERS]
     yield queryables
     session.close()
 
 
 def test_only_the_bridges_answer_counts(rig, false_answerer):
-    with Viewer(BridgeAddress(rig.locator), lambda message: None) as viewer:
+    with Viewer(BridgeAddress(rig.robot), lambda message: None) as viewer:
         wait_for(lambda: viewer.may_stop)
         for release in (False, True) * 3:
             began_s = time.monotonic()
             assert viewer.stop(release).stopped is not release
             assert time.monotonic() - began_s < 0.9  # it waits for no other answer
-    with ZenohLink(BridgeAddress(rig.locator), lambda message: None) as link:
+    with ZenohLink(BridgeAddress(rig.robot), lambda message: None) as link:
         assert [link.about_base().model for _ in range(5)] == ["p3at-sh"] * 5
 
 
 def test_another_model_is_a_warning_to_a_driver_and_a_finding_of_check(rig, capsys):
-    with ZenohLink(BridgeAddress(rig.locator), lambda message: None) as link:
+    with ZenohLink(BridgeAddress(rig.robot), lambda message: None) as link:
         assert "drives p3at-sh, but --model is turtlebot4" in link.other_model(load_description("turtlebot4"))
         assert link.other_model(load_description("p3at-sh")) == ""
-    assert cli.run(["check", "--robot", rig.locator, "--on-blocks", "--json", "--model", "turtlebot4"]) == 1
+    assert cli.run(["check", "--robot", rig.robot, "--on-blocks", "--json", "--model", "turtlebot4"]) == 1
     (finding,) = json.loads(capsys.readouterr().out)["findings"]
     assert (finding["name"], finding["ok"]) == ("model", False)
     assert "the bridge drives p3at-sh, expected turtlebot4" in finding["detail"]

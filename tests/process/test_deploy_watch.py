@@ -1,4 +1,4 @@
-"""The live page: its Stop button among real processes, and while updates are slow."""
+"""The live page: its Stop button and its end as a process, and while updates are slow."""
 
 import contextlib
 import json
@@ -6,16 +6,15 @@ import signal
 import threading
 import time
 import urllib.request
+from types import SimpleNamespace
 
-from kit.paths import DATA
+from kit.bridge_bench import Driver
 from websockets.sync.client import connect
 
 from deploy.view import server
-from rover_ncp.wire.protocol import StopReply
-from sim.live.live_run import LiveRun
+from rover_ncp.wire.messages import text
+from rover_ncp.wire.protocol import DriverStatus, StopReply, dump_json
 from sim.live.processes import Process
-
-PROMPT = str(DATA / "prompt_course.yaml")
 
 
 class Page:
@@ -47,85 +46,60 @@ class Page:
         raise AssertionError("no such updates")
 
 
-class SlowFeed:
-    """News that never come."""
+def test_stop_waits_for_no_news():
+    """Updates of more pages than there are threads for them, none of which comes."""
+    released, stops = threading.Event(), []
 
-    def __init__(self):
-        self.released = threading.Event()
-
-    def updates(self, cursor, bridge):
-        self.released.wait(30)
-        return {}
-
-
-class CountingViewer:
-    """A viewer that only counts."""
-
-    bridge_alive = may_stop = True
-    stops = 0
-
-    def stop(self, release):
-        self.stops += not release
+    def stop(release):
+        stops.append(release)
         return StopReply(stopped=not release)
 
-
-@contextlib.contextmanager
-def served(feed, viewer):
-    """Serve the application without a robot."""
-    listener = server._listener(0)
-    config = server.uvicorn.Config(
-        server._application("", feed, viewer), ws="websockets-sansio", log_level="warning", lifespan="off"
-    )
+    feed = SimpleNamespace(updates=lambda cursor, bridge: released.wait(30) and {})
+    viewer = SimpleNamespace(bridge_alive=True, may_stop=True, stop=stop)
+    listener, application = server._listener(0), server._application("", feed, viewer)
+    config = server.uvicorn.Config(application, ws="websockets-sansio", log_level="warning", lifespan="off")
     running = server.uvicorn.Server(config)
     thread = threading.Thread(target=running.run, kwargs={"sockets": [listener]})
     thread.start()
+    page = Page(f"http://127.0.0.1:{listener.getsockname()[1]}/")
     try:
-        yield Page(f"http://127.0.0.1:{listener.getsockname()[1]}/")
+        with contextlib.ExitStack() as stack:
+            sockets = [stack.enter_context(page.connect()) for _ in range(60)]
+            for socket in sockets:
+                socket.send("updates")
+            for number, socket in enumerate(sockets, 1):
+                socket.send("stop")
+                assert json.loads(socket.recv(timeout=5)) == {"answer": {"stopped": True}}
+                assert stops == [False] * number
     finally:
-        feed.released.set()
+        released.set()
         running.should_exit = True
         thread.join()
 
 
-def test_stop_waits_for_no_news():
-    """News of more pages than there are threads for updates, none of which comes."""
-    feed, viewer = SlowFeed(), CountingViewer()
-    with served(feed, viewer) as page, contextlib.ExitStack() as stack:
-        sockets = [stack.enter_context(page.connect()) for _ in range(60)]
-        for socket in sockets:
-            socket.send("updates")
-        for number, socket in enumerate(sockets, 1):
-            socket.send("stop")
-            assert json.loads(socket.recv(timeout=5)) == {"answer": {"stopped": True}}
-            assert viewer.stops == number
-
-
-def test_page_stops_a_running_rover_reports_the_end_of_the_bridge_and_ends_at_ctrl_c(tmp_path):
-    with LiveRun(tmp_path) as running:
-        drive = ("--policy", "parking", "--course", PROMPT)
-        command = ["--robot", running.robot, "--port", "0", *drive]
-        watch = running.start_process(lambda: Process("watch", command, tmp_path))
-        running.deploy(*drive)
+def test_page_stops_a_driven_rover_reports_the_end_of_the_bridge_and_ends_at_ctrl_c(bridge, tmp_path):
+    """The drive of a circuit is watched and stopped in tests/system/test_browser_watch.py."""
+    options = ["--robot", bridge.robot, "--port", "0"]
+    with Process("watch", options, tmp_path) as watch, Driver(bridge.robot) as driver:
         page = Page(watch.wait_for_line("watching at "))
-        driving = page.updates(lambda updates: updates["status"] and running.truth.speed() > 0.03)
-        assert driving["bridge"]
-        assert driving["mayStop"]
+        driver.start()
+        driver.session.put("rover/status", text(dump_json(DriverStatus(state="driving")).decode()))
+        driving = page.updates(lambda updates: updates["status"] and driver.send())
+        assert (driving["bridge"], driving["mayStop"]) == (True, True)
         assert driving["status"]["state"] == "driving"
-        assert any(event["kind"] == "start" for event in driving["events"])
         with urllib.request.urlopen(page.address, timeout=5) as answer:
             assert b'id="stop"' in answer.read()
 
-        pressed_ns = running.truth.read()[-1].clock_ns
+        driver.start()
         assert page.request("stop") == {"stopped": True}
-        assert running.truth.stood_after(pressed_ns) < 0.5
-        ended = page.updates(lambda updates: updates["status"]["state"] == "fault")
-        assert ended["gate"]["held"] == "stopped"
-        assert ended["gate"]["stop_reason"] == "the live page's Stop button"
-        assert ended["status"]["reason"] == "stopped by the live page's Stop button"
+        driver.drive(0.8)
+        assert bridge.rover.velocity.v == 0.0
+        stopped = page.updates(lambda updates: updates["gate"]["held"] == "stopped")
+        assert stopped["gate"]["stop_reason"] == "the live page's Stop button"
         assert page.request("release") == {"stopped": False}
         page.updates(lambda updates: updates["gate"]["held"] != "stopped")
 
-        running.bridge.stop()
+        bridge.close()
         gone = page.updates(lambda updates: not updates["bridge"])
         assert gone["mayStop"] is False
         assert "nothing to stop" in page.request("stop")["error"]

@@ -2,23 +2,18 @@
 
 import contextlib
 import json
-import os
 import re
 import socket
-import subprocess
-import sys
 import threading
 import time
 
 import pytest
+from kit.bridge_bench import Driver, wait_for
 from kit.paths import ROOT
 
-from deploy.drive.zenoh_link import ZenohLink
-from deploy.zenoh_client import BridgeAddress
 from rover_ncp import cli
-from rover_ncp.core.geometry import Velocity
-from rover_ncp.wire.messages import read_odometry
-from sim.live.processes import wait_for
+from rover_ncp.wire.protocol import BaseReply, parse_json
+from sim.live.processes import Process
 
 PAGE = (ROOT / "docs" / "base_driver.md").read_text()
 
@@ -55,9 +50,9 @@ class JsonRobot:
                 self.v = json.loads(command)["v"]
 
 
-@pytest.fixture
-def packages(tmp_path):
-    """A folder with the page's module and its entry point, as an installer leaves them."""
+@pytest.fixture(autouse=True)
+def package(tmp_path, monkeypatch):
+    """The page's module and its entry point where Python finds them, as an installer leaves them."""
     code = re.search(r'```python title="json_base.py"\n(.*?)```', PAGE, re.DOTALL).group(1)
     (tmp_path / "json_base.py").write_text(code)
     entry = re.search(r'(json = "(json_base:JsonBase)")', PAGE).group(2)
@@ -65,47 +60,31 @@ def packages(tmp_path):
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: json-base\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(f"[rover_ncp.bases]\njson = {entry}\nbroken = json_base:Missing\n")
-    return {**os.environ, "PYTHONPATH": str(tmp_path)}
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.syspath_prepend(tmp_path)
 
 
-def bridge(packages, base, *options):
-    command = [sys.executable, "-m", "rover_ncp", "bridge", "--base", base, "--listen", "tcp/127.0.0.1:0"]
-    return subprocess.Popen([*command, *options], env=packages, stdout=subprocess.PIPE, text=True)
+def options(base, model):
+    return ["--base", base, "--model", model, "--listen", "tcp/127.0.0.1:0"]
 
 
-def test_a_driver_of_another_package_drives_its_robot(packages):
-    robot, odometry = JsonRobot(), []
-    served = bridge(packages, f"json/127.0.0.1:{robot.port}", "--model", "turtlebot4")
-    try:
-        ready = next(line for line in served.stdout if line.startswith("ready "))
-        where = ready.split("zenoh=")[1].split()[0]
-
-        def record(message):
-            if message.topic == "odom":
-                odometry.append(read_odometry(message.data))
-
-        with ZenohLink(BridgeAddress(where), record) as link:
-            wait_for(lambda: link.bridge_alive and odometry)
-            assert link.about_base().model == "turtlebot4"
-            link.request_motors("test")
-            for _ in range(100):
-                link.command(Velocity(0.9, 0.0))  # the gate gives no more than the robot's own limit
-                time.sleep(0.05)
-                if odometry[-1].pose.x > 0.03 and robot.v == pytest.approx(0.3):
-                    break
-            assert robot.v == pytest.approx(0.3)  # the gate's default, below the robot's 0.31 m/s
-            assert odometry[-1].pose.x == pytest.approx(robot.x, abs=0.1)
-            wait_for(lambda: robot.v == 0.0)  # no command arrives any more
-    finally:
-        served.terminate()
-        served.communicate(timeout=10)
-        robot.thread.join(5)
+def test_a_driver_of_another_package_drives_its_robot(tmp_path):
+    robot = JsonRobot()
+    with (
+        Process("bridge", options(f"json/127.0.0.1:{robot.port}", "turtlebot4"), tmp_path) as bridge,
+        Driver(bridge.wait_for_line("ready zenoh=").split()[0]) as driver,
+    ):
+        assert parse_json(BaseReply, driver.query("rover/base", b"{}")).model == "turtlebot4"
+        driver.start(v=0.3).drive(0.5, v=0.9)
+        assert robot.v == pytest.approx(0.3)  # the gate's default, below the robot's 0.31 m/s
+        assert driver.odom.pose.x == pytest.approx(robot.x, abs=0.1)
+        wait_for(lambda: robot.v == 0.0)  # no command arrives any more
+    robot.thread.join(5)
 
 
 @pytest.mark.parametrize(
     ("base", "model", "code"),
     [("json/127.0.0.1:1", "turtlebot4", 3), ("json/127.0.0.1:1", "auto", 2), ("broken/x", "turtlebot4", 2)],
 )
-def test_a_driver_that_cannot_open_its_base_ends_the_bridge(packages, monkeypatch, base, model, code):
-    monkeypatch.syspath_prepend(packages["PYTHONPATH"])
-    assert cli.run(["bridge", "--base", base, "--model", model, "--listen", "tcp/127.0.0.1:0"]) == code
+def test_a_driver_that_cannot_open_its_base_ends_the_bridge(base, model, code):
+    assert cli.run(["bridge", *options(base, model)]) == code

@@ -2,10 +2,12 @@
 
 import re
 
+import pytest
 from kit.paths import ROOT
 from kit.recorded_drives import write_drive
 
 
+@pytest.mark.long  # tests/unit/test_api.py holds the functions
 def test_the_examples_of_the_python_page_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     write_drive(tmp_path / "runs" / "park" / "run.mcap")

@@ -77,14 +77,6 @@ def test_processes_that_start_together_compile_once(tmp_path):
     assert sorted(run(tmp_path, 2.0, count=2)) == [(42.0, 0, ""), (42.0, 1, "")]
 
 
-@pytest.mark.long
-def test_machine_code_is_kept_until_something_in_it_changes(tmp_path):
-    assert run(tmp_path, 2.0) == [(42.0, 0, "")]
-    assert run(tmp_path, 2.0) == [(42.0, 1, "")]
-    # The caller's own file is the same, but what it calls and the constant it reads are not.
-    assert run(tmp_path, 3.0) == [(63.0, 0, "")]
-
-
 # Root may read and write everything, unless it gives up the capabilities for it.
 AS_ANYBODY = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"] if os.geteuid() == 0 else []
 

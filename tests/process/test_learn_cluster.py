@@ -4,9 +4,8 @@ import json
 import signal
 
 import pytest
-from kit.dask_cluster import Cluster, start
-from kit.folders import content
-from kit.paths import DATA
+from kit.paths import DATA, content
+from kit.training_processes import Cluster, start_rover_ncp
 
 from rover_ncp.cli import run
 from sim.live.processes import wait_for
@@ -15,10 +14,6 @@ pytestmark = pytest.mark.usefixtures("no_git")
 
 COURSE = DATA / "short_course.yaml"
 TRAIN = ["train", "--course", str(COURSE), "--agents", "4", "--seed", "3"]
-
-
-def start_train(*arguments):
-    return start("-c", "from rover_ncp.entry import main; main()", *arguments)
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +52,7 @@ def test_a_cluster_gives_the_bytes_of_one_machine_though_a_worker_is_killed(clus
     assert run([*TRAIN, *iterations, "--out", str(here), "--processes", "1"]) == 0
     for _ in range(2):
         victim = cluster.add_worker()
-    training = start_train(*TRAIN, *iterations, "--out", str(there), "--cluster", cluster.address)
+    training = start_rover_ncp(*TRAIN, *iterations, "--out", str(there), "--cluster", cluster.address)
     try:
         wait_for(lambda: progress(there) > 0, 60.0, "the first rounds")
         victim.send_signal(signal.SIGKILL)

@@ -5,14 +5,13 @@ import os
 import random
 import signal
 import subprocess
-import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from kit.folders import content
-from kit.paths import DATA
+from kit.paths import DATA, content
+from kit.training_processes import is_running, start_rover_ncp
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
@@ -23,20 +22,6 @@ pytestmark = pytest.mark.usefixtures("no_git")
 COURSE = ["train", "--course", str(DATA / "short_course.yaml")]
 TRAIN = [*COURSE, "--agents", "2", "--seed", "11"]
 ROBUST = [*COURSE, "--randomize", "mild", "--rollouts", "4", "--random-courses", "1"]
-# A commit during the tests would change the record; without git on the path it names no commit.
-NO_GIT = {**os.environ, "PATH": ""}
-
-
-def start(*arguments):
-    command = [sys.executable, "-c", "from rover_ncp.entry import main; main()", *arguments]
-    return subprocess.Popen(
-        command,
-        env=NO_GIT,
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-    )
 
 
 def children(pid):
@@ -44,22 +29,6 @@ def children(pid):
         return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
     except FileNotFoundError:
         return []
-
-
-def is_running(pid):
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-
-
-@pytest.mark.long  # tests/unit/learn/test_agents.py holds the same without processes
-@pytest.mark.parametrize(("command", "iterations"), [(TRAIN, "150"), (ROBUST, "4")])
-def test_number_of_processes_changes_nothing(command, iterations, tmp_path):
-    for count in ("1", "2"):
-        out = ["--out", str(tmp_path / count), "--processes", count]
-        assert run([*command, "--iterations", iterations, *out]) == 0
-    assert content(tmp_path / "1") == content(tmp_path / "2")
 
 
 @pytest.mark.parametrize(
@@ -73,7 +42,8 @@ def test_number_of_processes_changes_nothing(command, iterations, tmp_path):
 def test_ctrl_c_ends_cleanly_with_130_and_a_state_to_resume(tmp_path, command, moment):
     """Ctrl-C reaches the whole process group, as from a terminal: while the workers start, and at work."""
     out = tmp_path / "run"
-    process = start(*command, "--iterations", "1000000", "--out", str(out), "--processes", "2", "--json")
+    options = ["--iterations", "1000000", "--out", str(out), "--processes", "2", "--json"]
+    process = start_rover_ncp(*command, *options, output=subprocess.PIPE)
     try:
         wait_for((out / moment).exists, 60.0)
         workers = children(process.pid)
@@ -123,14 +93,14 @@ def test_killed_again_and_again_it_ends_in_the_same_bytes(tmp_path):
 
         chance = random.Random(processes)
         for moment in moments:
-            process = start(*command())
+            process = start_rover_ncp(*command(), output=subprocess.PIPE)
             wait_for(lambda at=moment, child=process: reached(out, at) or child.poll() is not None, 60.0)
             time.sleep(chance.uniform(0.0, 0.1))
             workers = children(process.pid)
             process.kill()
             wait_for(lambda pids=workers: not any(is_running(pid) for pid in pids), 30)
             process.communicate()
-        last = start(*command())
+        last = start_rover_ncp(*command(), output=subprocess.PIPE)
         _, errors = last.communicate(timeout=100)
         assert last.returncode == 0, errors
         return content(out)

@@ -6,9 +6,9 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
+from kit.training_processes import is_running
 
 from rover_ncp.core.errors import ConfigError, UsageError
 from sim.learn.workers import ProcessPool, WorkerDied, starting_processes
@@ -83,10 +83,4 @@ def test_processes_end_with_their_parent():
         os.kill(worker, 0)
         parent.kill()
 
-    def ended():
-        try:
-            return Path(f"/proc/{worker}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
-        except FileNotFoundError:
-            return True
-
-    wait_for(ended, 10.0)
+    wait_for(lambda: not is_running(worker), 10.0)

@@ -92,6 +92,9 @@ def check_install(python, extras, archive, folder):
     asked = f"{archive}[{extras}]" if extras else str(archive)
     pip = [sys.executable, "-m", "pip", "--python", str(program), "install", "--quiet", "--no-compile"]
     run([*pip, "--constraint", str(ROOT / "constraints.txt"), asked], folder)
+    for name in ("sim", "bridge", "deploy"):  # a user's own, which must not be imported
+        (folder / name).mkdir()
+        (folder / name / "__init__.py").write_text("raise SystemExit(99)\n")
     command = str(folder / "env" / "bin" / "rover-ncp")
     assert run([command, "--version"], folder).stdout.startswith("rover-ncp ")
     run([command, "--help"], folder)

@@ -11,11 +11,11 @@ import pytest
 from faults.losses import Usage, check_recording, leaks, usage
 from faults.measure import Measured
 from faults.soak import Round, Soaked, soak
-from faults.soak_report import table, verdict
 from faults.table import ROWS
 
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.recording.recording import Recorded, RecordingWriter, read_recording
+from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import odometry, twist_stamped
 
 pytestmark = pytest.mark.timed
@@ -25,16 +25,16 @@ SIP_NS = SECOND_NS // 10
 
 
 def test_faults_in_a_row_lose_nothing(tmp_path):
-    heard = []
+    ended = []
     rows = [ROWS["deploy-killed"], ROWS["truncated"], ROWS["gone-bumper"]]
-    soaked = soak(32.0, 1, tmp_path, lambda soaked, doing: heard.append(doing), rows)
-    assert verdict(soaked) == []
+    soaked = soak(32.0, 1, tmp_path, ended.append, rows)
+    assert soaked.failed() == []
     assert (soaked.still, sum(each.missing for each in soaked.recordings)) == (True, 0)
     reached = {each.row for each in soaked.rounds}
     assert set(rows) == reached | set(soaked.not_reached)
     assert len(soaked.rounds) >= 2
-    assert [doing for doing in heard if doing] == [f"{r.row.layer}: {r.row.fault}" for r in soaked.rounds]
-    assert len(list(table(soaked))) == 2 + len(reached)
+    assert ended == soaked.rounds
+    assert len(list(soaked.table())) == 2 + len(reached)
     for each in soaked.recordings:
         assert each.recovered == ("killed" in each.path.name)
         assert read_recording(each.path).complete
@@ -43,7 +43,7 @@ def test_faults_in_a_row_lose_nothing(tmp_path):
 
 def test_row_with_its_own_mock_can_come_twice(tmp_path):
     # Two rounds begin if the start and the first round take less than 17 s.
-    soaked = soak(32.0, 1, tmp_path, lambda soaked, doing: None, [ROWS["gone-bumper"]])
+    soaked = soak(32.0, 1, tmp_path, lambda done: None, [ROWS["gone-bumper"]])
     assert [each.failure for each in soaked.rounds] == [""] * len(soaked.rounds)
     assert len(soaked.rounds) >= 2
 
@@ -81,7 +81,7 @@ def test_usage_of_this_process_follows_what_it_opens(tmp_path):
 
 
 def samples(count, **growth):
-    start = {"memory_mb": 70.0, "threads": 14, "files": 22, "sockets": 3}
+    start = {"memory_mb": 70.0, "threads": 14, "files": 22}
     return [
         Usage(10.0 * n, **{name: value + n * growth.get(name, 0) for name, value in start.items()})
         for n in range(count)
@@ -89,29 +89,28 @@ def samples(count, **growth):
 
 
 def test_only_growth_is_a_leak():
-    assert leaks(samples(100), 30).leaking == ()
-    assert leaks(samples(100, memory_mb=0.02), 30).leaking == ()
-    assert leaks(samples(100, memory_mb=0.2), 30).leaking == ("memory",)
-    assert leaks(samples(100, threads=1, files=1, sockets=1), 30).leaking == ("threads", "files", "sockets")
+    assert leaks(samples(100), 30) == []
+    assert leaks(samples(100, memory_mb=0.02), 30) == []
+    assert leaks(samples(100, memory_mb=0.2), 30) == ["memory_mb grew from 77.3 to 88.5"]
+    grown = leaks(samples(100, threads=1, files=1), 30)
+    assert grown == ["threads grew from 23.5 to 103.5", "files grew from 31.5 to 111.5"]
     # While it has not seen everything once, its memory may grow.
-    assert leaks(samples(30, memory_mb=5.0), 30).leaking == ()
+    assert leaks(samples(30, memory_mb=5.0), 30) == []
 
 
 # Losses of a recording.
 
 
 def record(path, stamps, sequences=(), whole=True):
+    last = stamps[-1]
     with path.open("wb") as file:
         writer = RecordingWriter(file)
         for stamp in stamps:
             data = odometry(Pose(0.0, 0.0, 0.0), Velocity(0.0, 0.0), stamp)
-            writer.write(Recorded("odom", "nav_msgs/msg/Odometry", data, stamp, stamp))
+            writer.write(Recorded("odom", spec("odom").type, data, stamp, stamp))
         for sequence in sequences:
-            data = twist_stamped(Velocity(0.0, 0.0), stamps[-1])
-            message = Recorded(
-                "cmd_vel", "geometry_msgs/msg/TwistStamped", data, stamps[-1], stamps[-1], sequence
-            )
-            writer.write(message)
+            data = twist_stamped(Velocity(0.0, 0.0), last)
+            writer.write(Recorded("cmd_vel", spec("cmd_vel").type, data, last, last, sequence))
         writer.flush()
         if whole:
             writer.close()
@@ -162,8 +161,8 @@ def test_report_lists_every_failed_check():
     late = Measured(ROWS["bumper"], 0, 1.2, 0.5, 0.5, 0.0, "bumper")
     soaked = Soaked(rounds=[Round(5.0, late.row, "hand", late)], still=False)
     soaked.rounds.append(Round(9.0, ROWS["stall"], "hand", None, "timed out"))
-    soaked.usage["bridge"] = samples(100, sockets=1)
-    words = " ".join(verdict(soaked))
-    for word in ("TOO LATE", "FAILED: timed out", "bridge leaks sockets", "does not stand"):
+    soaked.usage["bridge"] = samples(100, files=1)
+    words = " ".join(soaked.failed())
+    for word in ("TOO LATE", "FAILED: timed out", "bridge leaks: files", "does not stand"):
         assert word in words
-    assert "| base | stall | 1 | failed |" in "\n".join(table(soaked))
+    assert "| base | stall | 1 | failed |" in "\n".join(soaked.table())

@@ -22,9 +22,9 @@ from sim.learn.search.cma import Cma
 from sim.learn.search.unit_box import UnitBox, reflected
 from sim.paper.agents import dead_parameters, untuned
 from sim.paper.evaluator import Evaluator
-from sim.paper.search.random import Budget, Found, Point, best_starts, confirmed, generator_of
+from sim.paper.search.estimate import Budget, Found, Point, best_starts, confirmed, generator_of
 
-# Streams of random numbers; others are those of ``random.py``.
+# Streams of random numbers; others are those of ``estimate.py``.
 _DRAW, _SEARCH, _TRIALS, _CHECKS, _FINALS = range(10, 15)
 _SPREADS = (0.003, 0.2)
 _LARGEST_COVARIANCE = 200

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.learn.search.base import Vector
-from sim.paper.plants.lanes import MOUNTAIN_CAR
+from sim.paper.evaluator import make_plants
+from sim.paper.plants.lanes import MOUNTAIN_CAR, reset_plant, step_plant
 from sim.paper.tasks import Benchmark
 
 FloatArray = NDArray[np.float64]
@@ -52,33 +53,32 @@ _CAR = {
 }
 
 
-class PaperEnvironment(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """A task's Gymnasium environment with its step, its start and its bonus."""
+class PaperEnvironment(gymnasium.Env[Any, Any]):
+    """A task's plant as a Gymnasium environment, which shows its whole state; rewards include the bonus."""
 
     def __init__(self, task: Benchmark) -> None:
-        options: dict[str, Any] = {"frame_skip": task.model.frames} if task.model else {}
-        super().__init__(gymnasium.make(task.environment, **options))
-        self.task, self._generator = task, np.random.default_rng(0)
-        if task.model:
-            self.unwrapped.model.opt.timestep = task.model.step_s  # type: ignore[attr-defined]
+        with gymnasium.make(task.environment) as made:
+            self.observation_space, self.action_space = made.observation_space, made.action_space
+        self._task, self._steps = task, 0
+        self._plants, self._pool = make_plants(task, 1)
 
     def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode at the task's start for a seed."""
-        seen, info = self.env.reset(seed=seed)
-        if seed is not None:
-            self._generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
-        if self.task.model:
-            start = self.task.start(self._generator)
-            half = len(start) // 2
-            self.unwrapped.set_state(start[:half], start[half:])  # type: ignore[attr-defined]
-            seen = start
-        return seen, info
+        """Begin an episode; a seed gives the start of ``Evaluator.starts``."""
+        super().reset(seed=seed)
+        self._steps = 0
+        reset_plant(self._plants, 0, self._task.start(self.np_random))
+        return self._seen(), {}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Step; the reward includes the bonus, which ``info`` has too."""
-        seen, plain, terminated, truncated, info = self.env.step(action)
-        bonus = 0.0 if terminated else self.task.bonus * (1.0 - abs(float(seen[0])))
-        return seen, float(plain) + bonus, terminated, truncated, {**info, "bonus": bonus}
+        """Step; ``info`` has the bonus alone."""
+        self._steps += 1
+        commands = np.asarray(action, np.float64)[:, None]
+        reward, bonus, terminated = step_plant(self._plants, 0, commands)
+        over = self._steps == self._task.horizon
+        return self._seen(), reward + bonus, terminated, over, {"bonus": bonus}
+
+    def _seen(self) -> Any:
+        return self._plants.state[:, 0].astype(self.observation_space.dtype)
 
 
 class Actor(NamedTuple):

@@ -18,7 +18,7 @@ from sim.learn.engine.networks import Net, network_commander
 from sim.learn.search.base import Vector
 from sim.learn.search.strategies import start_search
 from sim.paper.agents import dead_parameters
-from sim.paper.search.random import Budget, Found, Point, generator_of
+from sim.paper.search.estimate import Budget, Found, Point, generator_of
 from sim.paper.tasks import Task
 
 _CREEP = 5.0

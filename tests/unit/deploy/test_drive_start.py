@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from kit.virtual_drive import COURSE, VirtualDrive
+from kit.virtual_drive import COURSE, VirtualDrive, short_course
 
 from deploy.drive.records import TICKS_TOPIC, TickRecord
 from deploy.replay import replay
@@ -13,7 +13,7 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import NoBridge, NoPose, NoRobot
 from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, compose, distance, wrap_angle
 from rover_ncp.course.certainty import SURE
-from rover_ncp.course.course import Course, Parked, load_course
+from rover_ncp.course.course import Parked, load_course
 from rover_ncp.recording.recording import read_recording, rewrite
 from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import imu, pose_with_covariance, read_odometry, read_pose, read_text
@@ -64,9 +64,14 @@ def test_external_pose_places_the_rover_on_the_course(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "there", [Pose(-3.25, 0.0, 2.48), Pose(0.0, 0.0, math.pi), Pose(0.1, -0.21, 0.0), Pose(0.5, 0.1, 0.3)]
+    ("there", "pose"),
+    [
+        (Pose(-3.25, 0.0, 2.48), "required"),
+        (Pose(0.0, 0.0, math.pi), "auto"),
+        (Pose(0.1, -0.21, 0.0), "required"),
+        (Pose(0.5, 0.1, 0.3), "auto"),
+    ],
 )
-@pytest.mark.parametrize("pose", ["required", "auto"])
 def test_start_for_which_no_rate_is_known_is_refused_before_the_motors(there, pose):
     virtual = short_drive(pose)
     localised(virtual.link, there)
@@ -168,15 +173,7 @@ def test_required_poses_that_stop_end_the_drive_unless_they_resume_in_time(
     assert replay(virtual.path).difference is None
 
 
-NEAR = Course.model_validate(
-    {
-        "name": "near",
-        "start_signal_s": 0.3,
-        "horizon_s": 2.0,
-        "checkpoints": [{"t": 2.0, "x": 0.0, "y": 0.0, "theta": 0.0}],
-        "parked": {"position_m": 1.0, "heading_rad": 0.02, "still_m": 1.0, "still_rad": 1.0, "still_s": 0.1},
-    }
-)
+NEAR = short_course(position_m=1.0, heading_rad=0.02, still_m=1.0, still_rad=1.0, still_s=0.1)
 """A rover that drives straight ahead parks here; encoders alone leave its heading uncertain."""
 
 

@@ -4,14 +4,18 @@ import collections
 import math
 
 import pytest
-from kit.virtual_drive import AHEAD, LONG, LOST, VirtualDrive
+from kit.virtual_drive import AHEAD, LONG, LOST, VirtualDrive, short_course
 
+from bridge.base import Lost
 from deploy.drive.link import STEPS_BACK
+from deploy.drive.measurements import Measurements
+from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.view.recorded_drive import read_drive
+from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity
-from rover_ncp.course.course import Course, Parked
+from rover_ncp.course.course import Parked
 from rover_ncp.wire.messages import bumpers, twist_stamped
-from rover_ncp.wire.protocol import CommandTag, Signed
+from rover_ncp.wire.protocol import CommandTag, Signed, StopRequest, dump_json
 
 
 @pytest.fixture
@@ -135,15 +139,45 @@ def test_interruption_stops_the_rover_first(virtual):
     assert virtual.stands()
 
 
-ANYWHERE = Course.model_validate(
-    {
-        "name": "anywhere",
-        "start_signal_s": 0.3,
-        "horizon_s": 2.0,
-        "checkpoints": [{"t": 2.0, "x": 0.0, "y": 0.0, "theta": 0.0}],
-        "parked": {"position_m": 5.0, "heading_rad": 3.0, "still_m": 5.0, "still_rad": 3.0, "still_s": 0.1},
-    }
+@pytest.mark.parametrize(
+    ("requests", "expected"),
+    [
+        ([{"reason": "Anna: smoke"}], "stopped by Anna: smoke"),
+        ([{"reason": "Anna"}, {"release": True}], "stopped by Anna"),
+        ([{}], "stopped by a client that gave no name"),
+    ],
 )
+def test_a_requested_stop_names_who_requested_it_also_once_it_is_released(virtual, requests, expected):
+    def stop():
+        for fields in requests:
+            virtual.bridge.query("rover/stop", dump_json(StopRequest(**fields)))
+
+    virtual.link.harm = stop
+    assert virtual.run().reason == expected
+
+
+@pytest.mark.parametrize("reason", ["/teleop publishes /cmd_vel too", "ü" * 1000])
+def test_a_lost_base_is_named_as_the_bridge_knows_it(virtual, reason):
+    bridge = virtual.bridge
+    virtual.link.harm = lambda: bridge._node._handle([Lost(reason)], bridge.monotonic())
+    words = f"the base is not connected: {reason}"
+    assert virtual.run().reason.startswith(f"stopped by no-base: {words}"[:200])
+    with pytest.raises(SafetyStop, match=words[:50]):
+        virtual.link.request_motors("again")
+
+
+def test_a_lease_that_lapsed_has_words(virtual):
+    virtual.bridge.sleep(3.0)
+    monitor = SafetyMonitor(virtual.link, Measurements(virtual.link), lambda: False, clock=virtual.bridge)
+    monitor.wait()
+    virtual.link.request_motors("test")
+    monitor.granted()
+    with pytest.raises(SafetyStop) as stop:
+        monitor.until(lambda: monitor._measurements.odometry(0) and monitor.check(), 2.0)
+    assert str(stop.value) == "stopped by lease-lapsed: no command arrived for longer than a lease lasts"
+
+
+ANYWHERE = short_course(position_m=5.0, heading_rad=3.0, still_m=5.0, still_rad=3.0, still_s=0.1)
 """A rover parks wherever this course ends."""
 
 

@@ -1,17 +1,24 @@
-"""Each check of a driver against a link that answers as a test wants, on virtual time."""
+"""Each check of a driver: against a link that answers as a test wants, on virtual time."""
 
 import math
 from types import SimpleNamespace
 
 import pytest
+from kit.virtual_drive import AHEAD
 from pydantic import ValidationError
 
+from deploy.drive.controller import Controller
 from deploy.drive.lease import DriverLease
 from deploy.drive.measurements import NS
 from deploy.drive.safety_monitor import ResponseCheck, SafetyMonitor, Timeouts, revoked
+from deploy.estimator.settings import EstimatorSettings
+from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import NoBridge, NoRobot, NotAuthorised, SafetyStop
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.course.course import load_course
 from rover_ncp.wire.protocol import GateStatus, MotorsReply, Signed
+from sim.world.described import default_rover
+from sim.world.pymunk_rover import Ground, PymunkRover
 
 BEGIN_NS = 10 * NS
 STILL, FORWARD = Velocity(0.0, 0.0), Velocity(0.1, 0.0)
@@ -137,6 +144,23 @@ def test_odometry_may_have_exactly_its_age():
     drive = Drive()
     assert [drive.check(0.1, fresh=False) for _ in range(4)] == [""] * 4
     assert drive.check(1e-9, fresh=False).startswith("stopped by odometry-age: odometry is 0.40 s old (limit")
+
+
+@pytest.mark.parametrize(
+    ("pauses_s", "fresh", "stalled"),
+    [
+        ([0.0, 0.02, 0.31, 0.1], False, "; the driver process was stalled for 0.31 s"),
+        ([0.0, *[0.02] * 21], False, ""),
+        # After a pause it is a race which thread runs first, the one that receives or the one that checks.
+        ([0.0, 0.3, 0.35, 0.41], True, "; the driver process was stalled for 0.41 s"),
+    ],
+)
+def test_odometry_that_is_old_because_the_driver_did_not_run_is_named_so(pauses_s, fresh, stalled):
+    drive = Drive()
+    *before, words = [drive.check(pause_s, fresh) for pause_s in pauses_s]
+    assert set(before) == {""}
+    assert words.startswith("stopped by odometry-age")
+    assert words.endswith(f"(limit 0.4 s){stalled}")
 
 
 def test_a_pause_counts_until_the_next_odometry_and_from_the_grant():
@@ -272,3 +296,53 @@ def test_words_name_the_missing_turn():
     check = ResponseCheck()
     words = [check.tick(Velocity(0.0, -0.3), Velocity(0.0, 0.01)) for _ in range(18)]
     assert words[-1] == "0.010 rad where 0.300 rad were commanded within a second"
+
+
+@pytest.mark.parametrize(
+    "asked", [Velocity(0.06, 0), Velocity(-0.16, 0), Velocity(0, 0.12), Velocity(0, -0.18)]
+)
+def test_commands_that_the_rover_does_not_follow_are_noticed_within_two_seconds(asked):
+    assert complaints([asked] * 100, [STILL] * 100)[0] == 17
+    assert 25 <= complaints([asked] * 100, [asked] * 20 + [STILL] * 80)[0] <= 40
+
+
+@pytest.mark.parametrize("asked", [Velocity(0.04, 0), Velocity(0, 0.09), STILL])
+def test_commands_below_the_resolution_are_not_judged(asked):
+    assert complaints([asked] * 100, [STILL] * 100) == []
+
+
+@pytest.mark.parametrize("seconds", [1, 3])
+def test_a_turn_to_and_fro_that_cancels_out_is_not_judged(seconds):
+    asked = [Velocity(0.0, 0.18 if (k // (10 * seconds)) % 2 else -0.18) for k in range(100)]
+    assert complaints(asked, [STILL] * 6 + asked[1:95]) == []
+
+
+@pytest.mark.parametrize("lag", [1, 2, 4, 7])
+@pytest.mark.parametrize("ticks", [3, 6, 9])
+def test_a_burst_of_commands_is_not_judged_when_it_is_long_over(lag, ticks):
+    # As a circuit does that turns the last few degrees on the spot and then stands.
+    asked = [Velocity(0.0, -0.36) if 20 <= k < 20 + ticks else STILL for k in range(100)]
+    assert complaints(asked, [STILL] * lag + asked[:-lag]) == []
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        default_rover(),
+        default_rover(accel=0.21, delay_v_s=0.3, delay_omega_s=0.3),
+    ],
+)
+def test_a_rover_that_follows_is_never_stopped(model):
+    """A whole manoeuvre, on the base as it is and on a sluggish one (delays 300 ms, acceleration −30 %)."""
+    course, rover = load_course("parking"), PymunkRover(model, Ground())
+    for policy in (load_policy("parking"), AHEAD):
+        controller, watch = Controller(policy, course, EstimatorSettings()), ResponseCheck()
+        controller.start(Pose(0, 0, 0), -0.1)
+        rover.set_pose(Pose(0, 0, 0))
+        for index in range(course.ticks):
+            controller.estimator.odometry(rover.pose, rover.velocity, 0.1 * index)
+            tick = controller.tick(index, 0.1 * index)
+            assert watch.tick(tick.command, tick.estimate.velocity) == ""
+            rover.command(*tick.command)
+            for _ in range(10):
+                rover.substep()

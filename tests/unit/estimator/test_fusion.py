@@ -1,5 +1,6 @@
 """Estimator on skid-steered rovers: external poses and a gyro beside odometry with all its errors."""
 
+import functools
 import math
 
 import numpy as np
@@ -21,33 +22,26 @@ SETTINGS = EstimatorSettings()
 COVARIANCE = np.diag(np.square([0.005, 0.005, math.radians(0.5)]))
 COUNT = 30
 SENSORS = {
-    "encoders": {},
-    "gyro": {"gyro": True},
-    "camera": {"camera": Camera()},
-    "both": {"camera": Camera(), "gyro": True},
-    "motion capture": {"camera": Camera(every=1, delay_s=0.01, sigma=(0.001, 0.001, 0.002))},
+    "encoders": ({}, 50, 0.10),
+    "gyro": ({"gyro": True}, 95, 0.14),
+    "camera": ({"camera": Camera()}, 95, 0.014),
+    "both": ({"camera": Camera(), "gyro": True}, 95, 0.014),
+    "motion capture": ({"camera": Camera(every=1, delay_s=0.01, sigma=(0.001, 0.001, 0.002))}, 95, 0.002),
 }
-POSITION_M = {
-    "encoders": (50, 0.10),
-    "gyro": (95, 0.14),
-    "camera": (95, 0.014),
-    "both": (95, 0.014),
-    "motion capture": (95, 0.002),
-}
-"""A percentile of the drives, and the largest error there. With encoders alone it is the median: the tail
-depends on how long the longest of these random courses are, from 0.2 to 0.6 m. Odometry that misses ±25 % of
-a turn errs by decimetres, odometry with a gyro by the slide of ±8 cm per rad. With poses the error is to be
+"""Sensors, a percentile of the drives, and the largest error there, m. With encoders alone it is the median:
+the tail depends on how long the longest of these random courses are, from 0.2 to 0.6 m. Odometry that misses
+±25 % of a turn errs by decimetres, with a gyro by the slide of ±8 cm per rad. With poses the error is to be
 less than that of one of them (2.45 σ)."""
 
 
-@pytest.fixture(scope="module")
-def drives():
-    return [SkidDrive(SETTINGS, 1, number) for number in range(COUNT)]
+@functools.cache
+def drives(count):
+    return [SkidDrive(SETTINGS, 1, number) for number in range(count)]
 
 
 @pytest.fixture(scope="module")
-def runs(drives):
-    return {name: [drive.follow(**sensors) for drive in drives] for name, sensors in SENSORS.items()}
+def runs():
+    return {name: [drive.follow(**row[0]) for drive in drives(COUNT)] for name, row in SENSORS.items()}
 
 
 def band(degrees, count, share=0.999):
@@ -62,7 +56,7 @@ def test_errors_at_the_goal_agree_with_the_covariance(runs, name):
     nees = [error @ np.linalg.solve(covariance, error) for error, covariance in ends]
     low, high = band(3, COUNT)
     assert low < np.mean(nees) < high
-    share, most_m = POSITION_M[name]
+    _, share, most_m = SENSORS[name]
     assert np.percentile([math.hypot(*error[:2]) for error, _ in ends], share) < most_m
     assert not any(estimator.fault or estimator.rejected for _, _, estimator in runs[name])
 
@@ -77,10 +71,10 @@ def test_innovations_agree_with_their_covariance_standing_and_moving(runs, name)
 
 
 @pytest.mark.long
-def test_the_errors_of_odometry_are_learned_from_poses(drives, runs):
+def test_the_errors_of_odometry_are_learned_from_poses(runs):
     """Poses on two thirds of the way: after them, the estimate drifts less than without any."""
     drifts = []
-    for drive, (plain, _, _) in zip(drives, runs["encoders"], strict=True):
+    for drive, (plain, _, _) in zip(drives(COUNT), runs["encoders"], strict=True):
         last = round(0.7 * drive.ticks)
         errors, _, _ = drive.follow(camera=Camera(every=1, sigma=(0.001, 0.001, 0.001), until=last))
         drifts.append([abs(wrap_angle(run[-1, 2] - run[last, 2])) for run in (errors, plain)])
@@ -88,17 +82,17 @@ def test_the_errors_of_odometry_are_learned_from_poses(drives, runs):
     assert with_poses < 0.5 * without
 
 
-def test_a_delay_that_all_poses_have_is_found(drives):
+def test_a_delay_that_all_poses_have_is_found():
     for delay_s in (0.0, 0.15):
         camera = Camera(delay_s=delay_s, sigma=(0.002, 0.002, 0.003))
-        runs = [drive.follow(camera=camera)[0] for drive in drives[:3]]
+        runs = [drive.follow(camera=camera)[0] for drive in drives(3)]
         assert max(math.hypot(*errors[-1, :2]) for errors in runs) < 0.004
         later = np.concatenate([errors[len(errors) // 2 :, :2] for errors in runs])
         assert np.sqrt(np.mean(np.square(later))) < 0.003  # not known, 0.15 s would be 15 mm
 
 
-def test_late_poses_out_of_order_count_as_prompt_ones(drives):
-    drive, shuffled = drives[0], np.random.default_rng(3)
+def test_late_poses_out_of_order_count_as_prompt_ones():
+    drive, shuffled = drives(3)[0], np.random.default_rng(3)
     prompt, late = (Estimator() for _ in range(2))
     held = []
     for estimator in (prompt, late):
@@ -196,8 +190,8 @@ def test_the_slope_that_was_measured_enters_the_estimate(asymmetry):
 
 
 @pytest.mark.parametrize("carried", [(0.3, 0.0, 0.0), (0.0, -0.3, 0.0), (0.0, 0.0, 0.3)])
-def test_a_rover_that_was_carried_or_turned_is_stopped_within_two_seconds(drives, carried):
-    for drive in drives[:4]:
+def test_a_rover_that_was_carried_or_turned_is_stopped_within_two_seconds(carried):
+    for drive in drives(3):
         tick = round(0.6 * drive.ticks)
         _, _, estimator = drive.follow(camera=Camera(), carried=(tick, np.array(carried)))
         assert estimator.fault_rule == "external-pose"
@@ -205,8 +199,8 @@ def test_a_rover_that_was_carried_or_turned_is_stopped_within_two_seconds(drives
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_rover_that_a_cable_turns_is_found_again(drives, side):
-    for drive in drives[:4]:
+def test_a_rover_that_a_cable_turns_is_found_again(side):
+    for drive in drives(3):
         tick = round(0.5 * drive.ticks)
         errors, _, estimator = drive.follow(
             camera=Camera(), carried=(tick, np.array([0.02, 0.0, side * 0.11]))

@@ -1,6 +1,7 @@
 """Odometry as other robots send it: mean speeds, alternating steps, coarse headings, odd stamps."""
 
 import functools
+import itertools
 import math
 from collections import deque
 
@@ -85,9 +86,17 @@ ROBOTS = {
 }
 
 
-@pytest.mark.parametrize("scale", [0.94, 1.0, 1.06])
-@pytest.mark.parametrize("form", [mean_speeds, alternating, coarse, all_at_once])
-@pytest.mark.parametrize("robot", ROBOTS)
+CASES = itertools.product(ROBOTS, [mean_speeds, alternating, coarse, all_at_once], [0.94, 1.06, 1.0])
+"""A third of them in each run, so that each robot sends each form, and all in the long one."""
+
+
+@pytest.mark.parametrize(
+    ("robot", "form", "scale"),
+    [
+        pytest.param(*case, marks=[pytest.mark.long] if (number + number // 12) % 3 else [])
+        for number, case in enumerate(CASES)
+    ],
+)
 def test_irregular_odometry_is_accepted_and_its_error_is_inside_the_ellipse(robot, form, scale):
     estimator = Estimator(settings_for(None, ROBOTS[robot]))
     estimator.start(ORIGIN, 0.0)

@@ -1,40 +1,44 @@
 """Identified robot profiles against the true values of the mock."""
 
+import functools
 import math
 
 import numpy as np
 import pytest
-from kit.identified import driven, errors, identified, robot, truth
+from kit.identified import driven, errors, robot, truth
 
-from deploy.drive.measurements import Measurements
-from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.identify.axis_fit import OdometryErrors, identify_axis
-from deploy.identify.dead_band import dead_bands
-from deploy.identify.excitation import FENCE_M, excite, steps
-from deploy.identify.fit import identify
+from deploy.identify.excitation import FENCE_M, steps
+from deploy.identify.fit import dead_bands, identify
 from deploy.identify.motion_log import MotionLog, Track, motion_log
 from rover_ncp.cli import run
-from rover_ncp.core.errors import FileError, SafetyStop
-from rover_ncp.core.geometry import Pose, Velocity, distance
+from rover_ncp.core.errors import FileError
+from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.recording.recording import Recorded, RecordingWriter
 from rover_ncp.robot.description import load_description
 from rover_ncp.robot.profile import load_profile
 from rover_ncp.wire.messages import odometry, twist_stamped
-from sim.pioneer.firmware import Firmware
-from sim.pioneer.trial import BaseTrial, rover_of
-from sim.stack.virtual import VirtualBridge, VirtualLink
-from sim.world.described import default_rover
-from sim.world.pymunk_rover import Ground
 from sim.world.randomization import load_randomization
 from sim.world.rover import toward
 
+SEED = 4711
 
-@pytest.mark.parametrize("number", range(2))
+
+@functools.cache
+def drive(preset, number=0, *, outside=False):
+    """Return the drive of a random robot, its profile, the errors of that, and the robot."""
+    ranges = load_randomization("full" if preset == "dead band" else preset)
+    if preset == "dead band":
+        ranges = ranges.model_copy(update={"dead_band_m_s": (0.03, 0.03), "dead_band_rad_s": (0.1, 0.1)})
+    trials = robot(ranges, SEED, number)
+    done = driven(trials, outside=outside)
+    found = identify(motion_log(done.messages), "mock")
+    return done, found, errors(found, truth(ranges, trials)), trials
+
+
+@pytest.mark.parametrize("number", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_random_robots_are_identified_from_their_bytes(number):
-    ranges = load_randomization("full")
-    trials = robot(ranges, 4711, number)
-    found = identified(trials)
-    off = errors(found, truth(ranges, trials))
+    _, found, off, _ = drive("full", number)
     assert abs(off["delay_v_s"].error) < 0.002
     assert abs(off["delay_omega_s"].error) < 0.003
     assert abs(off["gain_v"].error) < 0.003
@@ -49,10 +53,7 @@ def test_random_robots_are_identified_from_their_bytes(number):
 
 
 def test_external_poses_show_the_errors_of_odometry():
-    ranges = load_randomization("harsh")
-    trials = robot(ranges, 4711, 0)
-    found = identified(trials, outside=True)
-    off = errors(found, truth(ranges, trials))
+    _, found, off, trials = drive("harsh", outside=True)
     assert {"odometry_distance", "imbalance_rad_m", "slip_s", "accel", "delay_v_s"} <= set(off)
     assert all(abs(error) < 3.0 * std for error, std in off.values())
     assert abs(off["delay_v_s"].error) < 0.003  # although every report is up to 50 ms late
@@ -62,10 +63,7 @@ def test_external_poses_show_the_errors_of_odometry():
 
 
 def test_external_poses_show_how_a_robot_skids():
-    ranges = load_randomization("skid")
-    trials = robot(ranges, 4711, 0)
-    found = identified(trials, outside=True)
-    off = errors(found, truth(ranges, trials))
+    _, found, off, _ = drive("skid", outside=True)
     assert {"odometry_heading", "rotation_center_m", "alpha"} <= set(off)
     assert all(abs(error) < 3.0 * std for error, std in off.values())
     assert found.odometry_heading < 0.95  # this robot turns more than its wheels say
@@ -73,12 +71,8 @@ def test_external_poses_show_how_a_robot_skids():
 
 
 def test_ramps_show_the_dead_band_and_the_gains_beyond_it():
-    full = load_randomization("full")
-    ranges = full.model_copy(update={"dead_band_m_s": (0.03, 0.03), "dead_band_rad_s": (0.1, 0.1)})
-    trials = robot(ranges, 4711, 0)
-    found = identified(trials)
+    _, found, off, _ = drive("dead band")
     assert (found.dead_band_v, found.dead_band_omega) == (0.03, pytest.approx(0.1, abs=0.02))
-    off = errors(found, truth(ranges, trials))
     assert abs(off["gain_v"].error) < 0.003
     assert abs(off["gain_omega"].error) < 0.01
 
@@ -160,8 +154,8 @@ def test_a_command_that_reverses_first_brakes():
     # No rest between forward and back: the base brakes to 0 and then speeds up.
     log = followed(1.0 + 3.03 * np.arange(12), 0.2 * (-1.0) ** np.arange(12), 0.2, 0.3, 0.6)
     found = identify_axis(log, 0, OdometryErrors(np.array([1.0, 0.0]), np.zeros((2, 2))))
-    assert found.gain == pytest.approx(1.0, abs=0.002)
-    assert (found.acceleration, found.deceleration) == pytest.approx((0.3, 0.6), rel=0.02)
+    assert found.values[1] == pytest.approx(1.0, abs=0.002)
+    assert found.values[2:] == pytest.approx([0.3, 0.6], rel=0.02)
 
 
 def test_an_acceleration_that_no_command_shows_leaves_the_rest_known():
@@ -206,17 +200,12 @@ def test_intervals_cover_the_truth(bases):
     random = np.random.default_rng(20261122)
     ratios = []
     for _ in range(bases):
-        delay, gain, *limits = random.uniform([0.05, 0.9, 0.2, 0.2], [0.3, 1.1, 1.6, 1.6])
-        log = made(delay, gain, *limits, rounded=True)
+        true = random.uniform([0.05, 0.9, 0.2, 0.2], [0.3, 1.1, 1.6, 1.6])
+        log = made(*true, rounded=True)
         known = OdometryErrors(np.array([1.0, 0.0]), np.zeros((2, 2)))
         for axis in range(2):
             found = identify_axis(log, axis, known)
-            ratios += [
-                (found.delay_s - delay) / found.delay_std,
-                (found.gain - gain) / found.gain_std,
-                (found.acceleration - limits[0]) / found.acceleration_std,
-                (found.deceleration - limits[1]) / found.deceleration_std,
-            ]
+            ratios.append((found.values - true) / found.std)
     assert np.mean(np.abs(ratios) < 1.96) > 0.85
     assert np.median(np.abs(ratios)) > 0.3  # 0.67 if exact: intervals are not wide for safety
 
@@ -226,14 +215,11 @@ def test_acceleration_that_no_command_asks_for_is_left_out():
     t = np.arange(0.037, 40.0, 0.1)
     sent_s = np.arange(0.0, 40.0, 0.05)
     sent = np.column_stack([0.1 - 0.1 * np.cos(0.8 * sent_s), 0.3 * np.sin(0.8 * sent_s)])
-    for seed in range(2):
-        noise = np.random.default_rng(seed).normal(size=(len(t), 2)) * [0.003, 0.01]
-        followed = [np.interp(t - 0.2, sent_s, sent[:, axis]) for axis in range(2)]
-        motion = np.column_stack(followed) + noise
-        still = Track(t, np.zeros((len(t), 3)))
-        log = MotionLog(sent_s, sent, still, motion, Track(t[:0], np.zeros((0, 3))))
-        found = identify(log, "slow")
-        assert (found.accel, found.alpha) == (None, None)
+    noise = np.random.default_rng(0).normal(size=(len(t), 2)) * [0.003, 0.01]
+    motion = np.column_stack([np.interp(t - 0.2, sent_s, column) for column in sent.T]) + noise
+    still = Track(t, np.zeros((len(t), 3)))
+    found = identify(MotionLog(sent_s, sent, still, motion, Track(t[:0], np.zeros((0, 3)))), "slow")
+    assert (found.accel, found.alpha) == (None, None)
 
 
 @pytest.mark.parametrize("heading_scale", [1.0, 30.0])
@@ -280,20 +266,18 @@ def test_late_reports_do_not_count_as_delay():
 
 
 def test_text_shows_a_standard_deviation_with_each_value(tmp_path, capsys):
-    messages = driven(robot(load_randomization("full"), 4711, 0))
     with RecordingWriter(tmp_path / "run.mcap") as writer:
-        for message in messages:
+        for message in drive("full")[0].messages:
             writer.write(message)
-    assert run(["identify", str(tmp_path / "run.mcap"), "--out", str(tmp_path / "p.yaml")]) == 0
-    lines = [
-        line for line in capsys.readouterr().out.splitlines() if line.startswith(("delay", "gain", "accel"))
-    ]
+    out = tmp_path / f"großes Profil {'x' * 100}.yaml"  # its name is made from the file's
+    assert run(["identify", str(tmp_path / "run.mcap"), "--out", str(out)]) == 0
+    said = capsys.readouterr().out.splitlines()
+    lines = [line for line in said if line.startswith(("delay", "gain", "accel"))]
     assert lines
     assert all("±" in line for line in lines)
-    assert load_profile(tmp_path / "p.yaml").std["delay_v_s"] < 0.002
-    long = tmp_path / f"großes Profil {'x' * 100}.yaml"  # its name is made from the file's
-    assert run(["identify", str(tmp_path / "run.mcap"), "--out", str(long)]) == 0
-    assert load_profile(long).name == f"groes-Profil-{'x' * 51}"
+    profile = load_profile(out)
+    assert profile.std["delay_v_s"] < 0.002
+    assert profile.name == f"groes-Profil-{'x' * 51}"
 
 
 def test_a_record_that_says_nothing_is_refused():
@@ -306,42 +290,20 @@ def test_a_record_that_says_nothing_is_refused():
     assert len(motion_log(many + garbled).odometry.t) == 90
 
 
-def excited(trials, fence_m):
-    """Drive the steps on a virtual clock; return the farthest from the start, what stopped it, the base."""
-    rover = rover_of(trials, default_rover(), Ground(()))
-    start, farthest = rover.pose, [0.0]
-    firmware = Firmware("p3at-sh", rover, trial=BaseTrial(trials))
-    firmware.observe = lambda now: farthest.append(max(farthest[-1], distance(rover.pose, start)))
-    world = VirtualBridge(firmware)
-    air = VirtualLink(world, start)
-    measurements = Measurements(air)
-    monitor = SafetyMonitor(air, measurements, lambda: False, clock=world)
-    monitor.wait()
-    try:
-        excite(air, measurements, monitor, fence_m, world)
-        stopped = None
-    except SafetyStop as stop:
-        stopped = stop.rule
-    world.sleep(2.0)
-    return farthest[-1], stopped, firmware
-
-
 def test_the_steps_stay_within_their_fence_and_give_the_motors_back():
-    trials = robot(load_randomization("harsh"), 4711, 1)
-    farthest, stopped, firmware = excited(trials, FENCE_M)
-    assert stopped is None
-    assert 0.3 < farthest < FENCE_M
-    assert not firmware.drive.enabled
-    assert not firmware.drive.rover.moving
+    done, *_ = drive("harsh", outside=True)
+    assert done.stopped_by is None
+    assert 0.3 < done.farthest_m < FENCE_M
+    assert not done.base.drive.enabled
+    assert not done.base.drive.rover.moving
 
 
 def test_a_rover_that_would_leave_the_fence_is_stopped_before_it_does():
-    trials = robot(load_randomization("full"), 4711, 1)
-    farthest, stopped, firmware = excited(trials, 0.25)
-    assert stopped == "geofence"
-    assert farthest < 0.27  # a decimetre a second of odometry, 3 % off, and its noise
-    assert not firmware.drive.enabled
-    assert not firmware.drive.rover.moving
+    done = driven(robot(load_randomization("full"), SEED, 1), fence_m=0.25)
+    assert done.stopped_by == "geofence"
+    assert done.farthest_m < 0.27  # a decimetre a second of odometry, 3 % off, and its noise
+    assert not done.base.drive.enabled
+    assert not done.base.drive.rover.moving
 
 
 def test_steps_are_what_the_base_takes_as_it_is():

@@ -3,8 +3,7 @@
 import json
 
 import pytest
-from kit.folders import content
-from kit.paths import DATA
+from kit.paths import DATA, content
 
 from rover_ncp.cli import run as shell
 from rover_ncp.core.errors import ConfigError, FileError, UsageError

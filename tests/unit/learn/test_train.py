@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from kit.folders import content
-from kit.paths import DATA
+from kit.paths import DATA, content
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy

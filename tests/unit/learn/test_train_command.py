@@ -4,9 +4,8 @@ import json
 from pathlib import Path
 
 import pytest
-from kit.folders import content
 from kit.json_fields import assert_on_page
-from kit.paths import DATA
+from kit.paths import DATA, content
 
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.cli import run

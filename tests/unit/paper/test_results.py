@@ -4,11 +4,13 @@ import pytest
 from kit.paper_runs import result
 from kit.paths import ROOT
 
+from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit, policy_to_yaml
 from rover_ncp.cli import run
 from rover_ncp.core.errors import FileError
 from sim.paper import BudgetName
 from sim.paper.results import ResultStore
-from sim.paper.runs import agrees
+from sim.paper.runs import agrees, is_stored
+from sim.paper.tasks import TASKS
 
 RESULTS = ROOT / "results"
 STORED = [
@@ -26,6 +28,7 @@ def test_last_line_of_a_name_counts(tmp_path):
     store.save(result("cart-pole", "mlp-wide", 1, 6.0))
     assert [run.mean for run in store.results("cart-pole", "mlp", BudgetName.PUBLISHED)] == [5.0, 2.0]
     assert store.results("cart-pole", "mlp") == []
+    assert len(list(store.every())) == 3
     again = ResultStore(tmp_path)
     assert again.find(result("cart-pole", "mlp", 3, 0.0).name) == result("cart-pole", "mlp", 3, 2.0)
 
@@ -40,6 +43,18 @@ def test_damaged_line_is_named(tmp_path):
         ResultStore(tmp_path).find(saved.name)
 
 
+def test_run_of_an_own_circuit_is_stored_until_its_file_changes(tmp_path):
+    own, store = tmp_path / "own.yaml", ResultStore(tmp_path)
+    own.write_text(circuit_to_yaml(load_circuit("tap_withdrawal")))
+    policy = policy_to_yaml(TASKS["cart-pole"].policy(load_circuit(str(own))))
+    saved = result("cart-pole", "own", 0, 1.0, policy=policy)
+    assert not is_stored(store, saved.name, own)
+    store.save(saved)
+    assert is_stored(store, saved.name, own)
+    own.write_text(own.read_text().replace("weight: 1", "weight: 2", 1))
+    assert not is_stored(store, saved.name, own)
+
+
 def test_values_come_from_complete_curves():
     found = result("cart-pole", "mlp", 0, 480.0, curve=((0, 10, 20.0), (7, 90, 480.0)))
     assert [found.value_after(count) for count in (0, 6, 7)] == [20.0, 20.0, 480.0]
@@ -49,10 +64,12 @@ def test_values_come_from_complete_curves():
 
 def test_replay_may_differ_by_a_billionth_but_not_in_its_verdict():
     stored = result("mountain-car", "circuit", 0, 97.0)
-    score = {"episodes": 1, "mean": 97.0, "std": 0.0, "plain_mean": 97.0, "success": True}
-    assert agrees(stored, score | {"mean": 97.0 + 1e-8})
-    assert not agrees(stored, score | {"mean": 97.0 + 1e-6})
-    assert not agrees(stored, score | {"success": False})
+    for changed, same in (
+        ({"mean": 97.0 + 1e-8}, True),
+        ({"mean": 97.0 + 1e-6}, False),
+        ({"success": False}, False),
+    ):
+        assert agrees(stored, stored.score.model_copy(update=changed)) is same
 
 
 @pytest.mark.parametrize("stored", STORED, ids=lambda stored: str(stored.name))

@@ -12,8 +12,8 @@ from sim.paper.evaluator import Evaluator
 from sim.paper.runs import budget_for
 from sim.paper.search import cma
 from sim.paper.search.cma import search_by_cma, search_by_halving, spread_seeds
+from sim.paper.search.estimate import BenchmarkEstimator
 from sim.paper.search.parking import ParkingEvaluator, search_parking
-from sim.paper.search.random import estimate
 from sim.paper.tasks import TASKS
 
 
@@ -77,17 +77,23 @@ def test_a_return_that_the_judge_does_not_confirm_is_not_enough(monkeypatch):
     assert found.curve[-1].value == 900.0 + len(asked)
 
 
-def test_an_estimate_is_the_papers_except_for_pruned_candidates():
-    place, policy = evaluator("cart-pole")
-    vectors = np.tile(policy.parameters(), (3, 1))
-    budget = default_budget("cart-pole")
-    full = estimate(place, vectors, 5, 0, np.full(3, -np.inf), budget)
-    returns = place.returns(vectors[:1], draw_seeds(5, (1, 0), 20))[0]
+def test_an_estimate_is_the_papers_and_takes_no_rollouts_that_cannot_matter():
+    task, policy = TASKS["cart-pole"], build_agent(TASKS["cart-pole"], "circuit", 0)
+    published, pruning = (
+        BenchmarkEstimator(task, policy, 5, budget_for(task, which))
+        for which in (BudgetName.PUBLISHED, BudgetName.DEFAULT)
+    )
+    vectors, unbeaten = np.tile(policy.parameters(), (3, 1)), np.full(3, -np.inf)
+    full = published.estimate(vectors, 7, unbeaten)
+    steps = published.steps
+    returns = published.returns(vectors[:1], draw_seeds(5, (1, 7), 20))[0]
     assert full[0] == pytest.approx(np.sort(returns)[:10].mean())
-    steps = place.steps
-    pruned = estimate(place, vectors, 5, 0, np.full(3, 400.0), budget)
-    assert np.all(pruned <= 400.0)
-    assert place.steps - steps < 3 * 60  # one rollout each
+    assert published.estimate(vectors, 7, full - 1e-9).tolist() == full.tolist()
+    assert pruning.estimate(vectors, 7, unbeaten).tolist() == full.tolist()
+    published.steps = pruning.steps = 0
+    bound, pruned = (place.estimate(vectors, 7, np.full(3, 400.0)) for place in (published, pruning))
+    assert np.all((full <= bound) & (np.maximum(bound, pruned) <= 400.0))
+    assert pruning.steps < 3 * 60 < published.steps < steps  # one rollout each
 
 
 @pytest.mark.parametrize("name", ["parking", "four-dof"])

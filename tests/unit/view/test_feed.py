@@ -4,7 +4,7 @@ import json
 from html import unescape
 
 import pytest
-from kit.recorded_drives import drive_messages
+from kit.recorded_drives import drive_messages, state
 
 from deploy.view import server
 from deploy.view.feed import Cursor, Feed
@@ -15,7 +15,7 @@ from rover_ncp.core.errors import NoBridge
 from rover_ncp.course.course import load_course
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire import messages
-from rover_ncp.wire.protocol import DriverStatus, dump_json
+from rover_ncp.wire.protocol import DriverStatus
 
 SHORT = "tests/data/short_course.yaml"
 
@@ -26,14 +26,8 @@ def short():
     return policy, course, *drive_messages(policy, course, truth=False)
 
 
-def status(state, ns):
-    return Recorded(
-        "rover/status",
-        "std_msgs/msg/String",
-        messages.text(dump_json(DriverStatus(state=state)).decode()),
-        ns,
-        ns,
-    )
+def status(phase, ns):
+    return state(DriverStatus(state=phase), ns)
 
 
 def joined(parts):

@@ -71,8 +71,8 @@ def test_left_motor_neuron_is_drawn_left():
 
 def test_synapse_of_a_neuron_on_itself_is_drawn():
     looped = build_circuit("loop", PARKING_NEURONS, [(SynapseKind.EXCITATORY, 2, 2, 1.0)])
-    curve = lay_out(parking_policy(looped)).curves[0]
-    assert np.hypot(curve.x0 - curve.x1, curve.y0 - curve.y1) > 5
+    x0, y0, _, _, x1, y1 = lay_out(parking_policy(looped)).curves[0]
+    assert np.hypot(x0 - x1, y0 - y1) > 5
 
 
 def test_sensory_neuron_onto_a_motor_neuron_stays_sensory():

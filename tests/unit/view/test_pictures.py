@@ -37,7 +37,7 @@ def test_drive_shows_where_the_reference_is_at_which_time():
     assert times["9 s"] == pytest.approx(ninth, abs=0.001)
 
 
-@pytest.mark.parametrize("name", ["parking", "bay", "longer", "reverse"])
+@pytest.mark.parametrize("name", ["bay", "reverse"])
 def test_legend_of_a_course_covers_no_outline(name):
     course = load_course(name)
     assert "checkpoint, heading" in legend_of(course_picture(course, check_course(course)))

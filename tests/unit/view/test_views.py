@@ -2,14 +2,19 @@
 
 import json
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from kit.paths import ROOT
 
-from deploy.drive.publisher import ViewerTopics
+from deploy.drive.controller import Tick
+from deploy.drive.measurements import SampleRef
+from deploy.drive.publisher import Publisher
+from deploy.drive.records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord, numbers
+from deploy.estimator.estimator import Estimate
 from rover_ncp.circuit.policy_file import load_circuit
-from rover_ncp.core.geometry import Pose, compose
+from rover_ncp.core.geometry import STANDSTILL, Pose, compose
 from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.key_table import KEYS
 from rover_ncp.wire.messages import read_neurons
@@ -20,15 +25,20 @@ LAYOUT = ROOT / "docs" / "viewing" / "rover-ncp.json"
 
 
 def recorded(ticks=3):
+    """The messages for viewers of a drive."""
     messages = []
-    views = ViewerTopics(messages.append, NAMES)
-    views.start(1_000, Pose(0.5, 0.0, 0.1), Pose(3.0, -2.0, 1.0))
+    link, clock = SimpleNamespace(publish=lambda *_: None), SimpleNamespace(time_ns=lambda: 1_000)
+    publisher = Publisher(link, messages.append, NAMES, clock)
+    start = StartRecord(sample=SampleRef(0, 0, 0), pose=(0.5, 0.0, 0.1), attachments={})
+    publisher.start(start, Pose(3.0, -2.0, 1.0))
     for k in range(ticks):
-        last = k == ticks - 1
-        potentials = None if last else np.array([-70.0 - k, -1e-9, -12.25])
-        views.tick(2_000 + k, Pose(0.1 * k, 0.2, 0.3), potentials)
-    views.finish()
-    return messages
+        estimate = Estimate(0.0, Pose(0.1 * k, 0.2, 0.3), STANDSTILL, np.eye(5), 1.0, 0.0)
+        record = {"index": k, "now_ns": 0, "wall_ns": 2_000 + k, "samples": (), "predicted": False}
+        record |= {"estimate": numbers(estimate), "command": None, "sequence": None}
+        tick = Tick(k, 0.0, estimate, STANDSTILL, np.array([-70.0 - k, -1e-9, -12.25]))
+        publisher.tick(TickRecord(**record), estimate, None if k == ticks - 1 else tick)
+    publisher.finish()
+    return [message for message in messages if message.topic not in {START_TOPIC, TICKS_TOPIC}]
 
 
 def test_transform_places_odometry_on_the_course():

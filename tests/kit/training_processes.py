@@ -1,4 +1,4 @@
-"""A Dask scheduler on loopback with worker processes, for tests."""
+"""Processes that train: commands whose records name no commit, and a Dask cluster on loopback."""
 
 import json
 import os
@@ -13,23 +13,31 @@ ENVIRONMENT = {**os.environ, "PATH": ""}
 FREE_PORT = "tcp://127.0.0.1:0"
 
 
-def start(*arguments: str) -> subprocess.Popen[bytes]:
+def start(*arguments: str, output: int = subprocess.DEVNULL) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, *arguments],
         env=ENVIRONMENT,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
+        text=True,
+        stdout=output,
+        stderr=output,
         start_new_session=True,
     )
 
 
-def start_worker(scheduler: Path) -> subprocess.Popen[bytes]:
-    options = "--nthreads 1 --no-nanny --no-dashboard --host 127.0.0.1"
-    return start("-m", "distributed.cli.dask_worker", "--scheduler-file", str(scheduler), *options.split())
+def start_rover_ncp(*arguments: str, output: int = subprocess.DEVNULL) -> subprocess.Popen[str]:
+    return start("-c", "from rover_ncp.entry import main; main()", *arguments, output=output)
+
+
+def is_running(pid: int) -> bool:
+    """Whether a process has not ended; one that nobody waited for yet has."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
 
 
 class Cluster:
-    """A scheduler on loopback with two workers."""
+    """A scheduler on loopback, and the workers that are added."""
 
     def __init__(self, folder: Path) -> None:
         self.file = folder / "scheduler.json"
@@ -44,8 +52,9 @@ class Cluster:
         except (FileNotFoundError, json.JSONDecodeError):
             return False
 
-    def add_worker(self) -> subprocess.Popen[bytes]:
-        self.processes.append(start_worker(self.file))
+    def add_worker(self) -> subprocess.Popen[str]:
+        options = "-m distributed.cli.dask_worker --nthreads 1 --no-nanny --no-dashboard --host 127.0.0.1"
+        self.processes.append(start(*options.split(), "--scheduler-file", str(self.file)))
         return self.processes[-1]
 
     def stop(self) -> None:

@@ -1,0 +1,1 @@
+"""Poses of the base from pictures of printed AprilTags."""

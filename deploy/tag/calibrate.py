@@ -1,0 +1,135 @@
+"""Calibration of a camera: intrinsics from pictures of a printed board, mount from a short drive."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+
+from deploy.tag.detector import Detection
+from deploy.tag.locate import MAX_PIXELS, PIXEL, Located, Locator
+from deploy.tag.sheet import Board
+from deploy.tag.tag_map import CameraFile, Floats, Intrinsics, Mount, TagMap
+from rover_ncp.core.errors import UsageError
+from rover_ncp.core.geometry import Pose, compose, inverse
+
+MIN_PICTURES, MIN_TAGS = 6, 6
+"""Fewer pictures, or fewer tags in one, leave the focal length and the distortion undetermined."""
+PRIOR = np.array([0.05, 0.05, 0.03, 0.2, 0.2, 0.05])
+"""Standard deviations of a mount measured by hand: x, y, z in m, yaw, pitch, roll in rad."""
+MIN_SAMPLES = 20
+MIN_TURN = 0.5
+"""Least range of headings in the drive, rad: without a turn the camera's place on the rover is not seen."""
+MOUNT_FIELDS = ("x", "y", "z", "yaw", "pitch", "roll")
+
+
+@dataclass(frozen=True)
+class IntrinsicsFound:
+    """Intrinsics, the root mean square of the corners' errors in pixels, and the pictures that were used."""
+
+    intrinsics: Intrinsics
+    rms: float
+    pictures: int
+
+
+def find_intrinsics(
+    pictures: Sequence[Sequence[Detection]], size: tuple[int, int], board: Board
+) -> IntrinsicsFound:
+    """Return the intrinsics from the tags found in pictures of a board; ``size`` is width and height, px.
+
+    Raises UsageError when too few pictures show enough of the board.
+    """
+    centres, h = board.centres(), 0.5 * board.size
+    square = np.array([[-h, -h], [h, -h], [h, h], [-h, h]])
+    points, pixels = [], []
+    for found in pictures:
+        seen = [each for each in found if each.id < len(centres)]
+        if len(seen) >= MIN_TAGS:
+            flat = np.concatenate([square + centres[each.id] for each in seen])
+            points.append(np.column_stack([flat, np.zeros(len(flat))]).astype(np.float32))
+            pixels.append(np.concatenate([each.corners for each in seen]).astype(np.float32))
+    if len(points) < MIN_PICTURES:
+        raise UsageError(
+            f"the board is seen well in {len(points)} of {len(pictures)} pictures, expected {MIN_PICTURES}: "
+            f"show it from near and far, tilted in every direction, at least {MIN_TAGS} tags in a picture"
+        )
+    rms, matrix, distortion, _, _ = cv2.calibrateCamera(points, pixels, size, None, None)
+    intrinsics = Intrinsics(
+        width=size[0],
+        height=size[1],
+        fx=float(matrix[0, 0]),
+        fy=float(matrix[1, 1]),
+        cx=float(matrix[0, 2]),
+        cy=float(matrix[1, 2]),
+        distortion=tuple(float(value) for value in np.ravel(distortion)[:5]),
+    )
+    return IntrinsicsFound(intrinsics, float(rms), len(points))
+
+
+@dataclass(frozen=True)
+class MountFound:
+    """A mount, the standard deviation of each number of it, and the corners' root mean square in pixels."""
+
+    mount: Mount
+    deviations: dict[str, float]
+    rms: float
+
+
+def find_mount(
+    camera: CameraFile, tag_map: TagMap, samples: Sequence[tuple[Pose, Sequence[Detection]]]
+) -> MountFound:
+    """Return the camera's mount from the odometry's poses and the tags seen there.
+
+    ``camera.mount`` is the start, measured by hand. Raises UsageError when the drive does not determine it.
+    """
+    known = {tag.id: tag for tag in tag_map.tags}
+    seen = [(odom, [each for each in found if each.id in known]) for odom, found in samples]
+    seen = [(odom, found) for odom, found in seen if found]
+    if len(seen) < MIN_SAMPLES:
+        raise UsageError(f"tags are seen in {len(seen)} pictures, expected {MIN_SAMPLES} or more")
+    headings = np.unwrap([odom.theta for odom, _ in seen])
+    if np.ptp(headings) < MIN_TURN:
+        raise UsageError(
+            f"the drive turns by {math.degrees(float(np.ptp(headings))):.0f}°, expected "
+            f"{math.degrees(MIN_TURN):.0f}° or more with a tag in view"
+        )
+    first = Locator(camera, tag_map)
+    starts = [(odom, where) for odom, found in seen if isinstance(where := first.fit(found), Located)] or None
+    if starts is None:
+        raise UsageError("the tags fit no pose: is the mount far off, or a tag's size or place wrong?")
+    odom, where = min(starts, key=lambda each: each[1].rms)
+    frame = compose(where.pose, inverse(odom))  # pose of odometry's frame in the map
+    matrix, distortion = camera.intrinsics.matrix, np.array(camera.intrinsics.distortion)
+    focal = 0.5 * (camera.intrinsics.fx + camera.intrinsics.fy)
+    corners = [np.concatenate([known[each.id].corners for each in found]) for _, found in seen]
+    flats = [
+        cv2.undistortPoints(np.concatenate([each.corners for each in found])[:, None, :], matrix, distortion)[
+            :, 0, :
+        ]
+        for _, found in seen
+    ]
+    by_hand = np.array([getattr(camera.mount, name) for name in MOUNT_FIELDS])
+
+    def errors(values: Floats) -> Floats:
+        mount = Mount.model_construct(**dict(zip(MOUNT_FIELDS, values[:6], strict=True)))
+        locator = Locator(camera.model_copy(update={"mount": mount}), tag_map)
+        moved = Pose(*values[6:])
+        parts = [
+            (focal / PIXEL * (locator.project(np.array(compose(moved, odom)), points) - flat)).ravel()
+            for (odom, _), points, flat in zip(seen, corners, flats, strict=True)
+        ]
+        return np.concatenate([*parts, (values[:6] - by_hand) / PRIOR])
+
+    fit = least_squares(errors, np.array([*by_hand, *frame]), loss="soft_l1", x_scale="jac")
+    rms = PIXEL * float(np.sqrt(2.0 * np.mean(np.square(errors(fit.x)[:-6]))))
+    if rms > MAX_PIXELS:
+        raise UsageError(f"the drive does not fit the tags ({rms:.1f} px): is the map right, do wheels slip?")
+    covariance = max(1.0, (rms / PIXEL) ** 2) * np.linalg.pinv(fit.jac.T @ fit.jac)
+    deviations = np.sqrt(np.diag(covariance))[:6]
+    return MountFound(
+        Mount(**{name: float(value) for name, value in zip(MOUNT_FIELDS, fit.x, strict=False)}),
+        {name: float(value) for name, value in zip(MOUNT_FIELDS, deviations, strict=True)},
+        rms,
+    )

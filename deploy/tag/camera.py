@@ -1,0 +1,167 @@
+"""Pictures of a camera: a device, a video, a folder of pictures, or an MJPEG stream over HTTP."""
+
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.core.errors import FileError, UsageError
+from rover_ncp.core.process import ClosedAtExit
+
+TIMEOUT_S = 3.0
+"""A stream that sends nothing for so long is lost; also the limit of the wait for its first picture."""
+MAX_JPEG = 8 << 20
+"""Most bytes of a picture in a stream."""
+STAMP = "X-Timestamp"
+"""Header of a picture in a stream: s since the epoch at its exposure, as mjpg-streamer sends it."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Grey levels, height × width, and the moment of the exposure in ns since the epoch."""
+
+    grey: NDArray[np.uint8]
+    wall_ns: int
+
+
+def pictures_of(source: str, delay_s: float = 0.0) -> "LiveCamera | Iterator[Picture]":
+    """Return the pictures of a source: a device's number, an http:// address, a file or a folder.
+
+    ``delay_s`` is the time from exposure to arrival of pictures without a stamp. Raises UsageError and
+    FileError.
+    """
+    if source.isdigit() or source.startswith("http://"):
+        return LiveCamera(source, delay_s)
+    path = Path(source)
+    if path.is_dir():
+        return _folder(path)
+    if not path.is_file():
+        raise FileError(f"{source}: no such file; expected a device's number, a file or http://HOST:PORT/")
+    return _video(path)
+
+
+def _folder(path: Path) -> Iterator[Picture]:
+    files = sorted(each for each in path.iterdir() if each.suffix.lower() in {".png", ".jpg", ".jpeg"})
+    if not files:
+        raise FileError(f"{path}: no pictures (.png, .jpg)")
+    for each in files:
+        picture = cv2.imread(str(each), cv2.IMREAD_GRAYSCALE)
+        if picture is None:
+            raise FileError(f"{each}: not a picture")
+        yield Picture(np.asarray(picture, np.uint8), each.stat().st_mtime_ns)
+
+
+def _video(path: Path) -> Iterator[Picture]:
+    capture = cv2.VideoCapture(str(path))
+    if not capture.isOpened():
+        raise FileError(f"{path}: not a video that OpenCV reads")
+    began_ns = path.stat().st_mtime_ns
+    while True:
+        more, frame = capture.read()
+        if not more:
+            return
+        yield Picture(
+            _grey(np.asarray(frame, np.uint8)), began_ns + round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
+        )
+
+
+class LiveCamera(ClosedAtExit):
+    """The newest picture of a camera that runs; a thread reads, so that no picture waits in a queue.
+
+    Iterating ends with UsageError when the camera sends nothing for `TIMEOUT_S`, or ends its stream.
+    """
+
+    def __init__(self, source: str, delay_s: float) -> None:
+        self._source, self._delay_ns = source, round(delay_s * 1e9)
+        self._changed = threading.Condition()
+        self._newest: Picture | None = None
+        self._lost = ""
+        self._closing = False
+        threading.Thread(target=self._run, name="camera", daemon=True).start()
+
+    def __iter__(self) -> Iterator[Picture]:
+        while True:
+            with self._changed:
+                arrived = self._changed.wait_for(lambda: self._newest or self._lost, TIMEOUT_S)
+                picture, self._newest = self._newest, None
+            if picture is not None:
+                yield picture
+            else:
+                why = self._lost if arrived else f"no picture for {TIMEOUT_S:g} s"
+                raise UsageError(f"camera {self._source}: {why}")
+
+    def close(self) -> None:
+        """End the thread at its next picture."""
+        self._closing = True
+
+    def _run(self) -> None:
+        try:
+            for picture in self._stream() if self._source.startswith("http://") else self._device():
+                if self._closing:
+                    return
+                with self._changed:
+                    self._newest = picture
+                    self._changed.notify_all()
+            self._lose("it sends no more pictures")
+        except (OSError, ValueError) as error:
+            self._lose(str(error))
+
+    def _lose(self, why: str) -> None:
+        with self._changed:
+            self._lost = why
+            self._changed.notify_all()
+
+    def _device(self) -> Iterator[Picture]:
+        capture = cv2.VideoCapture(int(self._source))
+        if not capture.isOpened():
+            raise ValueError("no such camera, or another program uses it")
+        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        while True:
+            more, frame = capture.read()
+            wall_ns = time.time_ns()
+            if not more:
+                return
+            yield Picture(_grey(np.asarray(frame, np.uint8)), wall_ns - self._delay_ns)
+
+    def _stream(self) -> Iterator[Picture]:
+        with urllib.request.urlopen(self._source, timeout=TIMEOUT_S) as stream:
+            boundary = stream.headers.get_param("boundary")
+            if not boundary:
+                raise ValueError("not an MJPEG stream")
+            while (part := _part(stream)) is not None:
+                headers, data = part
+                wall_ns = time.time_ns() - self._delay_ns
+                if STAMP.lower() in headers:
+                    wall_ns = round(float(headers[STAMP.lower()]) * 1e9)
+                frame = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+                if frame is None:
+                    raise ValueError("a picture of the stream is not a JPEG")
+                yield Picture(np.asarray(frame, np.uint8), wall_ns)
+
+
+def _part(stream: IO[bytes]) -> tuple[dict[str, str], bytes] | None:
+    """Return the headers and the content of the next part of a stream; None at its end."""
+    headers: dict[str, str] = {}
+    while line := stream.readline(4096):
+        text = line.decode("latin-1").strip()
+        name, colon, value = text.partition(":")
+        if colon:
+            headers[name.strip().lower()] = value.strip()
+        elif not text and "content-length" in headers:
+            length = int(headers["content-length"])
+            if not 0 < length <= MAX_JPEG:
+                raise ValueError(f"a picture of {length} bytes")
+            data = stream.read(length)
+            return (headers, data) if len(data) == length else None
+    return None
+
+
+def _grey(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame, np.uint8)

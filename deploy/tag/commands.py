@@ -1,0 +1,177 @@
+"""The command ``tag``: print tags, calibrate a camera, localise the rover by tags."""
+
+import re
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rover_ncp.core.console import Json, Output
+from rover_ncp.core.errors import UsageError
+
+tag = typer.Typer(
+    name="tag",
+    no_args_is_help=True,
+    add_completion=False,
+    help="Localise the rover by printed AprilTags: print them, calibrate a camera, send poses.",
+)
+
+Camera = Annotated[
+    str,
+    typer.Option(help="A device's number, an MJPEG stream (http://...), a video or a folder."),
+]
+CameraYaml = Annotated[Path, typer.Option(help="The camera's file (YAML), as 'tag calibrate' writes it.")]
+Map = Annotated[Path, typer.Option(help="The tags: sizes and places (YAML).")]
+Decimate = Annotated[
+    float, typer.Option(min=1.0, max=4.0, help="Search for tags in a picture so many times smaller.")
+]
+Namespace = Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")]
+ZenohConfig = Annotated[Path | None, typer.Option(help="Zenoh configuration (JSON5) with certificates.")]
+
+
+class Page(StrEnum):
+    """Sizes of paper."""
+
+    A4 = "a4"
+    A3 = "a3"
+    LETTER = "letter"
+
+
+@tag.command("print")
+def print_tags(
+    *,
+    ids: Annotated[str, typer.Option(help="Ids of the tags, such as 0-3,7.")] = "0,1",
+    size: Annotated[float, typer.Option(min=0.01, max=0.4, help="Edge of the black square, m.")] = 0.14,
+    board: Annotated[
+        bool, typer.Option("--board", help="Print the board that 'tag calibrate' wants, and no tags.")
+    ] = False,
+    page: Annotated[Page, typer.Option(help="The paper.")] = Page.A4,
+    out: Annotated[Path, typer.Option(help="The PDF to write.")] = Path("tags.pdf"),
+    json: Json = False,
+) -> None:
+    """Write tags to print, as a PDF true to size: one on each page, with a ruler.
+
+    Print without scaling and measure the ruler. Glue the sheets to something flat.
+
+        rover-ncp tag print --ids 0,1 --size 0.14 --out tags.pdf
+    """
+    from deploy.tag.localiser import TagPrintResult
+    from deploy.tag.sheet import Board, board_page, tag_pages
+    from rover_ncp.core.files import require_writable, write_atomic
+
+    if out.suffix != ".pdf":
+        raise UsageError(f"--out {out}: expected a .pdf")
+    require_writable(out)
+    numbers = [] if board else parse_ids(ids)
+    write_atomic(out, board_page(Board(), page) if board else tag_pages(numbers, size, page))
+    result = TagPrintResult(
+        out=str(out), ids=tuple(numbers), size=Board().size if board else size, page=str(page)
+    )
+    Output(json).result(result.model_dump(), f"wrote {out}: print it at 100 % and measure its ruler")
+
+
+@tag.command()
+def calibrate(
+    *,
+    camera: Camera,
+    camera_file: Annotated[Path, typer.Option(help="The camera's file to write, or to improve.")],
+    camera_info: Annotated[
+        Path | None, typer.Option(help="Take the intrinsics from ROS's camera_info (YAML).")
+    ] = None,
+    map: Annotated[Path | None, typer.Option(help="Find the mount: the tags (YAML).")] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="Find the mount: where the bridge listens, for odometry.")
+    ] = None,
+    seconds: Annotated[
+        float, typer.Option(min=1.0, max=600.0, help="How long to look, unless Ctrl-C ends it.")
+    ] = 60.0,
+    namespace: Namespace = "",
+    zenoh_config: ZenohConfig = None,
+    json: Json = False,
+) -> None:
+    """Calibrate a camera. Without --map: its intrinsics. With --map and --robot: its mount on the rover.
+
+    Intrinsics: show the camera the board of 'tag print --board', near and far and tilted, or take pictures of
+    it into a folder. The new file has the camera at the base's origin: write its measured place and angles
+    into it. Mount: drive and turn slowly with 'rover-ncp teleop', tags in view; the file's mount is the
+    start. Every number is shown with its standard deviation.
+
+        rover-ncp tag calibrate --camera pictures/ --camera-file camera.yaml
+        rover-ncp tag calibrate --camera 0 --camera-file camera.yaml --map tags.yaml --robot tcp/127.0.0.1
+    """
+    from deploy.tag.run import calibrate_intrinsics, calibrate_mount
+    from deploy.zenoh_client import BridgeAddress
+
+    output = Output(json)
+    if (map is None) != (robot is None):
+        raise UsageError("the mount needs --map and --robot; the intrinsics need neither")
+    if map is None or robot is None:
+        calibrate_intrinsics(camera, camera_file, camera_info, seconds=seconds, output=output)
+    else:
+        if camera_info is not None:
+            raise UsageError("--camera-info: is for the intrinsics, without --map")
+        address = BridgeAddress(robot, namespace, zenoh_config)
+        calibrate_mount(camera, camera_file, map, address=address, seconds=seconds, output=output)
+
+
+@tag.command()
+def run(
+    *,
+    camera: Camera,
+    camera_file: CameraYaml,
+    map: Map,
+    robot: Annotated[
+        str | None,
+        typer.Option(help="Where the bridge listens; without it, poses are only shown.", show_default=False),
+    ] = None,
+    decimate: Decimate = 2.0,
+    seconds: Annotated[
+        float | None, typer.Option(min=0.1, help="End after so many seconds.", show_default=False)
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="Write the newest picture, its tags outlined, to this JPEG once a second."),
+    ] = None,
+    namespace: Namespace = "",
+    zenoh_config: ZenohConfig = None,
+    json: Json = False,
+) -> int:
+    """Send the pose of the base, from the tags that a camera sees, on the key 'pose'.
+
+    The camera is on the rover and the tags on walls, or the camera on the ceiling and tags on the rover; the
+    map says which. A picture gives a pose only if all its tags fit. Others are counted by reason: no tag, a
+    tag that does not fit, two poses that fit, a frozen, dark or over-exposed picture. Ready when it prints
+    "localising". Ends at Ctrl-C.
+
+        rover-ncp tag run --camera 0 --camera-file camera.yaml --map tags.yaml --robot tcp/127.0.0.1
+    """
+    from deploy.tag.run import run_localiser
+    from deploy.zenoh_client import BridgeAddress
+
+    address = BridgeAddress(robot, namespace, zenoh_config) if robot is not None else None
+    return run_localiser(
+        camera,
+        camera_file,
+        map,
+        address=address,
+        decimate=decimate,
+        seconds=seconds,
+        picture=picture,
+        output=Output(json, controls=True),
+    )
+
+
+def parse_ids(text: str) -> list[int]:
+    """Return the numbers of ``0-3,7``. Raises UsageError."""
+    from deploy.tag.tag_map import IDS
+
+    numbers: list[int] = []
+    for part in text.split(","):
+        if not re.fullmatch(r"\d{1,4}(-\d{1,4})?", part.strip()):
+            raise UsageError(f"--ids {text}: expected numbers and ranges, such as 0-3,7")
+        first, _, last = part.strip().partition("-")
+        numbers += range(int(first), int(last or first) + 1)
+    if not numbers or max(numbers) >= IDS:
+        raise UsageError(f"--ids {text}: expected numbers from 0 to {IDS - 1}")
+    return numbers

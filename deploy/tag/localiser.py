@@ -1,0 +1,182 @@
+"""Poses of the base from the pictures of a camera, with a reason for each picture without one."""
+
+import zlib
+from collections import Counter
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.tag.camera import Picture
+from deploy.tag.detector import Detection, Detector
+from deploy.tag.locate import Located, Locator, Rejection
+from deploy.tag.tag_map import CameraFile, TagMap
+from rover_ncp.core.config import ResultModel
+from rover_ncp.core.errors import UsageError
+
+FROZEN_S = 1.0
+"""A camera whose picture has not changed by one grey level for so long is frozen: noise alone changes it."""
+MAX_AGE_S = 1.0
+"""An older picture gives no pose: the drive's estimate does not reach back so far."""
+DARK, BRIGHT = 20.0, 235.0
+"""Mean grey levels beyond which a picture without tags is dark or over-exposed."""
+FROZEN = "the camera repeats one picture"
+OLD = "the picture is too old"
+TOO_DARK, TOO_BRIGHT = "the picture is dark: is the lens covered?", "the picture is over-exposed"
+
+
+class TagPose(ResultModel):
+    """A pose of the base."""
+
+    x: float
+    """m"""
+    y: float
+    """m"""
+    theta: float
+    """rad"""
+    x_std: float
+    """m, standard deviation"""
+    y_std: float
+    """m, standard deviation"""
+    theta_std: float
+    """rad, standard deviation"""
+    tags: tuple[int, ...]
+    """ids of the tags that it is from"""
+    rms_px: float
+    """root mean square of the corners' errors in the picture, pixels"""
+
+
+class TagRunResult(ResultModel):
+    """Result of ``tag run``."""
+
+    pictures: int
+    """pictures that were read"""
+    poses: int
+    """poses that were found and sent"""
+    rejected: dict[str, int]
+    """pictures without a pose, by reason"""
+    unknown_ids: tuple[int, ...]
+    """ids of tags that were seen and are not in the map"""
+    seconds: float
+    """duration"""
+    last: TagPose | None
+    """the newest pose, or null"""
+
+
+class TagPrintResult(ResultModel):
+    """Result of ``tag print``."""
+
+    out: str
+    """the PDF"""
+    ids: tuple[int, ...]
+    """ids of the tags; empty for the board"""
+    size: float
+    """m, edge of a tag's black square"""
+    page: str
+    """the paper"""
+
+
+class TagCalibration(ResultModel):
+    """Result of ``tag calibrate``."""
+
+    out: str
+    """the camera's file"""
+    rms_px: float | None
+    """root mean square of the corners' errors, pixels; null for intrinsics of ROS's file"""
+    pictures: int
+    """pictures that were used"""
+    fx: float
+    """focal length, pixels"""
+    mount: dict[str, float] | None = None
+    """the mount on the rover, m and rad, if it was sought"""
+    deviations: dict[str, float] | None = None
+    """standard deviation of each number of the mount"""
+
+
+class Localiser:
+    """Turns pictures into poses and counts the others, by reason."""
+
+    def __init__(self, camera: CameraFile, tag_map: TagMap, decimate: float) -> None:
+        self._size = (camera.intrinsics.height, camera.intrinsics.width)
+        self._detector, self._locator = Detector(decimate), Locator(camera, tag_map)
+        self._ids = {tag.id for tag in tag_map.tags}
+        self.pictures = self.poses = 0
+        self.rejected: Counter[str] = Counter()
+        self.unknown: set[int] = set()
+        self.last: Located | None = None
+        self.state = "no picture yet"
+        """The newest pose or reason, for people."""
+        self.detections: list[Detection] = []
+        self._checksum, self._same_since_ns = 0, 0
+
+    def take(self, picture: Picture, now_ns: int | None = None) -> Located | None:
+        """Return the pose of a picture, or None; ``now_ns`` (since the epoch) also rejects old pictures.
+
+        Raises UsageError for a picture of another size than the calibration's.
+        """
+        grey = picture.grey
+        if grey.shape != self._size:
+            raise UsageError(
+                f"the camera sends {grey.shape[1]} × {grey.shape[0]} pixels, its calibration is for "
+                f"{self._size[1]} × {self._size[0]}"
+            )
+        self.pictures += 1
+        checksum = zlib.crc32(grey.tobytes())
+        if checksum != self._checksum:
+            self._checksum, self._same_since_ns = checksum, picture.wall_ns
+        reason = self._doubt(picture, now_ns)
+        if reason:
+            self._reject(reason)
+            return None
+        self.detections = self._detector.detect(grey)
+        self.unknown |= {each.id for each in self.detections} - self._ids
+        found = self._locator.locate(self.detections)
+        if isinstance(found, Rejection):
+            level = float(grey.mean())
+            if found is Rejection.NO_TAG and not DARK <= level <= BRIGHT:
+                self._reject(TOO_DARK if level < DARK else TOO_BRIGHT)
+            else:
+                self._reject(found)
+            return None
+        self.poses, self.last = self.poses + 1, found
+        self.state = (
+            f"x {found.pose.x:.3f} m  y {found.pose.y:.3f} m  θ {found.pose.theta:.3f} rad  "
+            f"tags {', '.join(map(str, found.ids))}"
+        )
+        return found
+
+    def _doubt(self, picture: Picture, now_ns: int | None) -> str:
+        if picture.wall_ns - self._same_since_ns > FROZEN_S * 1e9:
+            return FROZEN
+        return OLD if now_ns is not None and now_ns - picture.wall_ns > MAX_AGE_S * 1e9 else ""
+
+    def _reject(self, reason: str) -> None:
+        self.rejected[str(reason)] += 1
+        self.state = str(reason)
+
+
+def tag_pose(found: Located) -> TagPose:
+    """Return a pose as a result."""
+    x_std, y_std, theta_std = (float(value) for value in np.sqrt(np.diag(found.covariance)))
+    return TagPose(
+        **found.pose._asdict(),
+        x_std=x_std,
+        y_std=y_std,
+        theta_std=theta_std,
+        tags=found.ids,
+        rms_px=found.rms,
+    )
+
+
+def drawn(grey: NDArray[np.uint8], detections: Sequence[Detection], words: str) -> bytes:
+    """Return a JPEG of a picture with its tags outlined and a line of words."""
+    canvas = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+    for each in detections:
+        corners = np.rint(each.corners).astype(np.int32)
+        cv2.polylines(canvas, [corners], isClosed=True, color=(0, 200, 0), thickness=2)
+        where = (int(corners[3, 0]), int(corners[3, 1]) - 6)
+        cv2.putText(canvas, str(each.id), where, cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 0, 255), 2)
+    text = words.replace("θ", "theta").encode("ascii", "replace").decode()
+    cv2.putText(canvas, text, (8, grey.shape[0] - 10), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 255, 255), 1)
+    return bytes(cv2.imencode(".jpg", canvas)[1].tobytes())

@@ -1,0 +1,161 @@
+"""Pose of the base in the plane from the corners of tags in one picture.
+
+Heights and mounts are known, so three numbers are left: x, y and heading. They minimise the distance in the
+picture between the corners that were found and those that the pose predicts.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+
+from deploy.tag.detector import Detection
+from deploy.tag.tag_map import CameraFile, Floats, Tag, TagMap
+from rover_ncp.core.geometry import Pose, wrap_angle
+
+OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Turns OpenCV's axes of a camera (right, down, ahead) into those of a mount (forward, left, up)."""
+PIXEL = 0.3
+"""Least standard deviation of a corner, pixels: what AprilTag 3 reaches on good pictures."""
+MAX_PIXELS = 1.5
+"""Largest root mean square of a tag's corner errors, pixels: beyond, its size, place or id is wrong."""
+FLOOR_M, FLOOR_RAD = 0.002, 0.003
+"""Standard deviations that more corners do not lower: errors of the map and of the mount."""
+AMBIGUOUS = 2.0
+"""A second pose whose corner errors are less than this times those of the best may be the true one."""
+APART_M, APART_RAD = 0.03, 0.05
+"""Poses closer than this are one."""
+BEHIND = 1e3
+"""Predicted place, in focal lengths, of a corner that is not in front of the camera."""
+
+
+class Rejection(StrEnum):
+    """Why a picture gives no pose."""
+
+    NO_TAG = "no tag of the map in the picture"
+    DISAGREE = "tags disagree: the size, place or id of one is wrong, or the calibration"
+    MISFIT = "the tag does not fit: its size, place or id is wrong, or the calibration"
+    AMBIGUOUS = "two poses fit about as well"
+
+
+@dataclass(frozen=True)
+class Located:
+    """A pose with its 3 × 3 covariance (x, y, theta) from the tags ``ids``; ``rms`` of corners in pixels."""
+
+    pose: Pose
+    covariance: Floats
+    ids: tuple[int, ...]
+    rms: float
+
+
+class Locator:
+    """Computes poses for one camera and one map."""
+
+    def __init__(self, camera: CameraFile, tag_map: TagMap) -> None:
+        self._tags = {tag.id: tag for tag in tag_map.tags}
+        self._on_rover = tag_map.tags_on == "rover"
+        self._matrix = camera.intrinsics.matrix
+        self._distortion = np.array(camera.intrinsics.distortion)
+        self._focal = 0.5 * (camera.intrinsics.fx + camera.intrinsics.fy)
+        self._camera_rotation = camera.mount.rotation @ OPTICAL
+        self._camera_position = camera.mount.position
+
+    def locate(self, detections: Sequence[Detection]) -> Located | Rejection:
+        """Return the pose of the base at the moment of the picture, or why there is none."""
+        known = [each for each in detections if each.id in self._tags]
+        if not known:
+            return Rejection.NO_TAG
+        found = self.fit(known)
+        if isinstance(found, Rejection) or found.rms <= MAX_PIXELS:
+            return found
+        if len(known) == 1:
+            return Rejection.MISFIT
+        if len(known) == 2:  # nothing tells which of the two is wrong
+            return Rejection.DISAGREE
+        # The tag without which the others agree best is left out.
+        fits = [self.fit(known[:index] + known[index + 1 :]) for index in range(len(known))]
+        agreeing = [each for each in fits if isinstance(each, Located) and each.rms <= MAX_PIXELS]
+        return min(agreeing, key=lambda each: each.rms, default=Rejection.DISAGREE)
+
+    def project(self, pose: Floats, corners: Floats) -> Floats:
+        """Return where corners (n × 3, in the tags' parent) are in the picture, in focal lengths."""
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        shift = np.array([pose[0], pose[1], 0.0])
+        moved = corners @ turn.T + shift if self._on_rover else (corners - shift) @ turn
+        seen = (moved - self._camera_position) @ self._camera_rotation
+        ahead = seen[:, 2:3]
+        flat: Floats = np.where(ahead > 0.01, seen[:, :2] / np.maximum(ahead, 0.01), BEHIND)
+        return flat
+
+    def fit(self, detections: Sequence[Detection]) -> Located | Rejection:
+        """Return the best pose for tags of the map, however badly they fit."""
+        corners = np.concatenate([self._tags[each.id].corners for each in detections])
+        pixels = np.concatenate([each.corners for each in detections])
+        flat = cv2.undistortPoints(pixels[:, None, :], self._matrix, self._distortion)[:, 0, :]
+
+        def errors(pose: Floats) -> Floats:
+            difference: Floats = (self._focal * (self.project(pose, corners) - flat)).ravel()
+            return difference
+
+        fits = [least_squares(errors, start, method="lm", max_nfev=100) for start in self._starts(detections)]
+        fits.sort(key=lambda fit: float(fit.cost))
+        best = fits[0]
+        rms = _rms(errors(best.x))
+        for other in fits[1:]:
+            if _apart(best.x, other.x) and _rms(errors(other.x)) < AMBIGUOUS * max(rms, PIXEL):
+                return Rejection.AMBIGUOUS
+        information = best.jac.T @ best.jac
+        covariance = max(rms, PIXEL) ** 2 * np.linalg.pinv(information)
+        covariance += np.diag(np.square([FLOOR_M, FLOOR_M, FLOOR_RAD]))
+        x, y, theta = map(float, best.x)
+        return Located(Pose(x, y, wrap_angle(theta)), covariance, tuple(e.id for e in detections), rms)
+
+    def _starts(self, detections: Sequence[Detection]) -> list[Floats]:
+        """Return the poses from which fits start: the two of the largest tag that differ."""
+        largest = max(detections, key=lambda each: float(np.ptp(each.corners, axis=0).prod()))
+        return self._poses_of(self._tags[largest.id], largest)
+
+    def _poses_of(self, tag: Tag, detection: Detection) -> list[Floats]:
+        """Return the poses (x, y, theta) from one square: seen from afar, two tilts of it look alike."""
+        h = 0.5 * tag.size
+        # OpenCV's own order: top left, top right, bottom right, bottom left; x right, y up.
+        square = np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
+        corners = detection.corners[[3, 2, 1, 0]][:, None, :]
+        count, turns, shifts, _ = cv2.solvePnPGeneric(
+            square, corners, self._matrix, self._distortion, flags=cv2.SOLVEPNP_IPPE_SQUARE
+        )
+        # The square's axes (right, up, out of the print) in those of the tag's mount.
+        axes = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+        poses = []
+        for index in range(count):
+            turn, _ = cv2.Rodrigues(turns[index])
+            # Pose of the camera in the tag's parent frame.
+            rotation = tag.rotation @ axes @ turn.T
+            position = tag.position - rotation @ shifts[index][:, 0]
+            poses.append(self._base_of(rotation, position))
+        return poses
+
+    def _base_of(self, rotation: Floats, position: Floats) -> Floats:
+        """Return the base's pose in the plane from the camera's in the tags' parent frame."""
+        # Between the frames of map and base: from the camera's pose in both.
+        turn = self._camera_rotation @ rotation.T  # the tags' parent → the camera's parent
+        if self._on_rover:
+            theta = math.atan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
+            x, y = (self._camera_position - turn @ position)[:2]
+            return np.array([x, y, theta])
+        theta = math.atan2(turn[0, 1] - turn[1, 0], turn[0, 0] + turn[1, 1])
+        x, y = (position - turn.T @ self._camera_position)[:2]
+        return np.array([x, y, theta])
+
+
+def _rms(errors: Floats) -> float:
+    return float(np.sqrt(2.0 * np.mean(np.square(errors))))
+
+
+def _apart(a: Floats, b: Floats) -> bool:
+    return math.dist(a[:2], b[:2]) > APART_M or abs(wrap_angle(a[2] - b[2])) > APART_RAD

@@ -1,0 +1,199 @@
+"""The commands ``tag run`` and ``tag calibrate``: camera, bridge, files."""
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+
+from deploy.tag.calibrate import MOUNT_FIELDS, find_intrinsics, find_mount
+from deploy.tag.camera import LiveCamera, Picture, pictures_of
+from deploy.tag.detector import Detection, Detector
+from deploy.tag.localiser import Localiser, TagCalibration, TagRunResult, drawn, tag_pose
+from deploy.tag.locate import Located
+from deploy.tag.sheet import Board
+from deploy.tag.tag_map import CameraFile, Mount, load_camera, load_camera_info, load_tag_map
+from deploy.zenoh_client import BridgeAddress, ZenohClient
+from rover_ncp.core.config import dump_yaml
+from rover_ncp.core.console import Output
+from rover_ncp.core.errors import UsageError
+from rover_ncp.core.files import require_writable, write_atomic
+from rover_ncp.core.geometry import Pose
+from rover_ncp.core.interruption import INTERRUPTED
+from rover_ncp.core.process import Interrupts
+from rover_ncp.wire.key_table import KeySpec
+from rover_ncp.wire.messages import OdometrySample, pose_with_covariance, read_odometry
+
+PICTURE_S = 1.0
+"""Time between two files of ``--picture``."""
+
+
+class PoseLink(ZenohClient):
+    """A session with a bridge that sends poses, and keeps the newest odometry."""
+
+    def __init__(self, address: BridgeAddress) -> None:
+        self.odometry: OdometrySample | None = None
+        super().__init__(address, self._take, own=("pose",))
+
+    def _declare(self) -> None:
+        self._publisher = self._session.declare_publisher(self.key("pose"))
+
+    def _take(self, row: KeySpec, data: bytes) -> None:
+        if row.name == "odom":
+            self.odometry = read_odometry(data)
+
+    def send(self, found: Located, wall_ns: int, frame: str) -> None:
+        """Send a pose with the moment of its picture, ns since the epoch."""
+        self._publisher.put(pose_with_covariance(found.pose, found.covariance, wall_ns, frame))
+
+
+def run_localiser(
+    source: str,
+    camera_file: Path,
+    map_file: Path,
+    *,
+    address: BridgeAddress | None,
+    decimate: float,
+    seconds: float | None,
+    picture: Path | None,
+    output: Output,
+) -> int:
+    """See ``commands.run``; return the exit code."""
+    camera, tag_map = load_camera(camera_file), load_tag_map(map_file)
+    if picture is not None:
+        require_writable(picture)
+    localiser, shown = Localiser(camera, tag_map, decimate), 0.0
+    with Interrupts() as interrupts, one_thread(), contextlib.ExitStack() as stack:
+        link = stack.enter_context(PoseLink(address)) if address is not None else None
+        began = time.monotonic()
+        with opened(source, camera.delay_s) as (pictures, live), output.live(lambda: localiser.state):
+            output.announce("localising")
+            for each in until(pictures, seconds, lambda: interrupts.raised):
+                found = localiser.take(each, time.time_ns() if live else None)
+                if found is not None and link is not None:
+                    link.send(found, each.wall_ns, tag_map.frame)
+                if picture is not None and time.monotonic() - shown >= PICTURE_S:
+                    write_atomic(picture, drawn(each.grey, localiser.detections, localiser.state))
+                    shown = time.monotonic()
+        result = TagRunResult(
+            pictures=localiser.pictures,
+            poses=localiser.poses,
+            rejected=dict(localiser.rejected),
+            unknown_ids=tuple(sorted(localiser.unknown)),
+            seconds=time.monotonic() - began,
+            last=tag_pose(localiser.last) if localiser.last else None,
+        )
+    lines = [f"{result.poses} poses from {result.pictures} pictures; last: {localiser.state}"]
+    lines += [f"{count} without a pose: {reason}" for reason, count in result.rejected.items()]
+    if result.unknown_ids:
+        lines.append(f"tags that are not in the map: {', '.join(map(str, result.unknown_ids))}")
+    output.result(result.model_dump(), "\n".join(lines))
+    return INTERRUPTED if interrupts.raised else 0 if result.poses else 1
+
+
+def calibrate_intrinsics(
+    source: str, camera_file: Path, camera_info: Path | None, *, seconds: float, output: Output
+) -> None:
+    """Write a camera's intrinsics, from ROS's file or from pictures of the board; keep a file's mount."""
+    require_writable(camera_file)
+    mount = load_camera(camera_file).mount if camera_file.exists() else Mount(x=0.0, y=0.0, z=0.0)
+    if camera_info is not None:
+        intrinsics, rms, used = load_camera_info(camera_info), None, 0
+    else:
+        found: list[list[Detection]] = []
+        size = (0, 0)
+        detector, last = Detector(), 0
+        with Interrupts() as interrupts, opened(source) as (pictures, live):
+            for each in until(pictures, seconds, lambda: interrupts.raised):
+                if live and each.wall_ns - last < 0.5e9:  # neighbours show nothing new
+                    continue
+                last, size = each.wall_ns, (each.grey.shape[1], each.grey.shape[0])
+                found.append(detector.detect(each.grey))
+                output.say(f"picture {len(found)}: {len(found[-1])} tags of the board")
+        board = find_intrinsics(found, size, Board())
+        intrinsics, rms, used = board.intrinsics, board.rms, board.pictures
+    _write(camera_file, CameraFile(intrinsics=intrinsics, mount=mount))
+    result = TagCalibration(
+        out=str(camera_file), rms_px=rms, pictures=used, fx=intrinsics.fx, mount=None, deviations=None
+    )
+    quality = "" if rms is None else f"; corners fit to {rms:.2f} px in {used} pictures"
+    output.result(result.model_dump(), f"wrote {camera_file}: focal length {intrinsics.fx:.1f} px{quality}")
+
+
+def calibrate_mount(
+    source: str, camera_file: Path, map_file: Path, *, address: BridgeAddress, seconds: float, output: Output
+) -> None:
+    """Improve the mount in a camera's file by a drive in which it sees tags."""
+    camera, tag_map = load_camera(camera_file), load_tag_map(map_file)
+    if tag_map.tags_on == "rover":
+        raise UsageError(f"{map_file}: tags_on: rover: the mount of a ceiling's camera is measured by hand")
+    require_writable(camera_file)
+    samples: list[tuple[Pose, list[Detection]]] = []
+    detector = Detector()
+    with (
+        Interrupts() as interrupts,
+        one_thread(),
+        PoseLink(address) as link,
+        opened(source, camera.delay_s) as (pictures, _),
+    ):
+        output.announce("collecting: drive and turn slowly, tags in view; Ctrl-C when done")
+        for each in until(pictures, seconds, lambda: interrupts.raised):
+            if link.odometry is not None:
+                samples.append((link.odometry.pose, detector.detect(each.grey)))
+    found = find_mount(camera, tag_map, samples)
+    _write(camera_file, camera.model_copy(update={"mount": found.mount}))
+    result = TagCalibration(
+        out=str(camera_file),
+        rms_px=found.rms,
+        pictures=len(samples),
+        fx=camera.intrinsics.fx,
+        mount=found.mount.model_dump(),
+        deviations=found.deviations,
+    )
+    values = [
+        f"{name} {getattr(found.mount, name):.4f} ± {found.deviations[name]:.4f}" for name in MOUNT_FIELDS
+    ]
+    output.result(
+        result.model_dump(),
+        f"wrote {camera_file}: {', '.join(values)} (m, rad); corners fit to {found.rms:.2f} px",
+    )
+
+
+@contextlib.contextmanager
+def opened(source: str, delay_s: float = 0.0) -> Iterator[tuple[Iterator[Picture], bool]]:
+    """Open a source of pictures, and say whether it is a camera that runs."""
+    pictures = pictures_of(source, delay_s)
+    if isinstance(pictures, LiveCamera):
+        with pictures:
+            yield iter(pictures), True
+    else:
+        yield pictures, False
+
+
+def until(
+    pictures: Iterator[Picture], seconds: float | None, stopping: Callable[[], bool]
+) -> Iterator[Picture]:
+    """Yield pictures until ``seconds`` are over or ``stopping()``."""
+    began = time.monotonic()
+    for each in pictures:
+        if stopping():
+            return
+        yield each
+        if seconds is not None and time.monotonic() - began >= seconds:
+            return
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Keep OpenCV from starting threads, which would take the processor from the drive's processes."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def _write(path: Path, camera: CameraFile) -> None:
+    write_atomic(path, dump_yaml(camera.model_dump(mode="json")))

@@ -1,0 +1,111 @@
+"""Tags to print: PDF pages true to size, each with a ruler that shows whether the printer scaled them."""
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from matplotlib.backends.backend_pdf import PdfPages
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from rover_ncp.core.errors import UsageError
+
+PAGES = {"a4": (0.210, 0.297), "a3": (0.297, 0.420), "letter": (0.2159, 0.2794)}
+"""Width and height in m."""
+CELLS = 8
+"""Cells along the edge of a tag's black square; the white border around it is one cell more on each side."""
+INCH_M = 0.0254
+MARGIN_M = 0.012
+"""Border of a page that printers leave white."""
+RULER_M = 0.1
+
+
+@dataclass(frozen=True)
+class Board:
+    """A calibration board: ``columns`` × ``rows`` tags of ``size`` m whose ids count from 0, row by row."""
+
+    columns: int = 4
+    rows: int = 5
+    size: float = 0.032
+
+    @property
+    def pitch(self) -> float:
+        """Distance between neighbours' centres, m: a white border of one cell for each, and one between."""
+        return self.size * (1.0 + 3.0 / CELLS)
+
+    def centres(self) -> list[tuple[float, float]]:
+        """Return x to the right and y up of each tag in m, the first at the top left, by id."""
+        return [(c * self.pitch, -r * self.pitch) for r in range(self.rows) for c in range(self.columns)]
+
+
+def pattern(tag: int) -> NDArray[np.uint8]:
+    """Return a tag's 8 × 8 cells, 0 black and 255 white, the way AprilTag 3 counts its corners."""
+    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    # OpenCV's tags of this family stand on their heads.
+    return np.rot90(cv2.aruco.generateImageMarker(family, tag, CELLS), 2).astype(np.uint8)
+
+
+def tag_pages(ids: Sequence[int], size: float, page: str) -> bytes:
+    """Return a PDF with a tag on each page, the edge of its black square ``size`` m. Raises UsageError."""
+    width, _ = PAGES[page]
+    needed = size * (1.0 + 2.0 / CELLS) + 2 * MARGIN_M
+    if needed > width:
+        raise UsageError(
+            f"--size {size:g}: with its white border the tag needs a page as wide as {needed:.3f} m, "
+            f"{page} has {width:.3f} m"
+        )
+    return _pdf(page, [(f"tag36h11 id {tag}, {1000 * size:g} mm", size, [(tag, 0.0, 0.0)]) for tag in ids])
+
+
+def board_page(board: Board, page: str) -> bytes:
+    """Return a PDF with the calibration board. Raises UsageError if it does not fit."""
+    width, height = PAGES[page]
+    if board.columns * board.pitch + 2 * MARGIN_M > width or board.rows * board.pitch + 0.06 > height:
+        raise UsageError(f"--page {page}: the board of {board.columns} × {board.rows} tags does not fit")
+    tags = [(tag, x, y) for tag, (x, y) in enumerate(board.centres())]
+    title = f"calibration board, {board.columns} × {board.rows} tags of {1000 * board.size:g} mm"
+    return _pdf(page, [(title, board.size, tags)])
+
+
+def _pdf(page: str, sheets: Sequence[tuple[str, float, Sequence[tuple[int, float, float]]]]) -> bytes:
+    """Return a page for each (title, size, tags with their centres); the tags' middle is the page's."""
+    width, height = PAGES[page]
+    file = io.BytesIO()
+    with PdfPages(file, metadata={"Title": "AprilTags", "CreationDate": None}) as pdf:
+        for title, size, tags in sheets:
+            figure = Figure(figsize=(width / INCH_M, height / INCH_M))
+            axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+            axes.set(xlim=(0.0, width), ylim=(0.0, height))
+            axes.axis("off")
+            dx = 0.5 * width - 0.5 * (min(x for _, x, _ in tags) + max(x for _, x, _ in tags))
+            dy = 0.5 * height + 0.01 - 0.5 * (min(y for *_, y in tags) + max(y for *_, y in tags))
+            for tag, x, y in tags:
+                _draw(axes, pattern(tag), x + dx, y + dy, size)
+            y = MARGIN_M + 0.008
+            axes.text(MARGIN_M, y + 0.008, title, fontsize=9)
+            for mm in range(0, round(1000 * RULER_M) + 1, 10):
+                x = MARGIN_M + mm / 1000
+                axes.plot([x, x], [y, y + (0.005 if mm % 50 == 0 else 0.003)], "k", linewidth=0.6)
+            axes.plot([MARGIN_M, MARGIN_M + RULER_M], [y, y], "k", linewidth=0.6)
+            words = f"{1000 * RULER_M:g} mm: measure it. Print at 100 %, without scaling to the page."
+            axes.text(MARGIN_M, y - 0.006, words, fontsize=7)
+            pdf.savefig(figure)
+    return file.getvalue()
+
+
+def _draw(axes: "object", cells: NDArray[np.uint8], x: float, y: float, size: float) -> None:
+    cell = size / CELLS
+    left, top = x - 0.5 * size, y + 0.5 * size
+    # The black square first, its white cells on it: black neighbours drawn alone leave hairlines between.
+    shapes = [(left, top - size, size, "black")]
+    shapes += [
+        (left + c * cell, top - (r + 1) * cell, cell, "white")
+        for r in range(CELLS)
+        for c in range(CELLS)
+        if cells[r, c]
+    ]
+    for px, py, edge, color in shapes:
+        axes.add_patch(Rectangle((px, py), edge, edge, facecolor=color, edgecolor="none", linewidth=0))  # type: ignore[attr-defined]

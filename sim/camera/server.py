@@ -1,0 +1,127 @@
+"""The camera of a mock: a process that renders pictures from the true pose and serves them over HTTP."""
+
+import ctypes
+import multiprocessing
+import time
+from collections import deque
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from multiprocessing.connection import Connection
+from multiprocessing.sharedctypes import RawArray
+from pathlib import Path
+from typing import Any
+
+from rover_ncp.core.errors import PortInUse
+from rover_ncp.core.geometry import Pose
+from rover_ncp.core.process import ClosedAtExit
+
+BOUNDARY = "picture"
+START_S = 30.0
+"""Longest wait for the process to listen."""
+QUALITY = 92
+"""Of the JPEGs; with less, the tags' edges move."""
+
+
+class SharedPose:
+    """The true pose, written by the mock's loop and read by the camera's process, without a lock.
+
+    A lock would stop the mock if the other process were killed while holding it. A sequence number, odd
+    while the pose is being written, tells the reader to try again.
+    """
+
+    def __init__(self) -> None:
+        self.values: Any = RawArray(ctypes.c_double, 4)
+
+    def put(self, pose: Pose) -> None:
+        """Write a pose."""
+        self.values[0] += 1
+        self.values[1:] = list(pose)
+        self.values[0] += 1
+
+    def get(self) -> Pose:
+        """Read the newest pose."""
+        while True:
+            before, x, y, theta = self.values[:]
+            if before % 2 == 0 and self.values[0] == before:
+                return Pose(x, y, theta)
+            time.sleep(0)
+
+
+class MockCamera(ClosedAtExit):
+    """Starts the camera's process; ``address`` is the stream's. Raises UsageError and FileError."""
+
+    def __init__(self, camera: Path, tags: Path, listen: tuple[str, int], hz: float, seed: int) -> None:
+        from deploy.tag.tag_map import load_camera, load_tag_map
+
+        settings = load_camera(camera), load_tag_map(tags)
+        self.pose = SharedPose()
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        arguments = (self.pose, theirs, settings, listen, (hz, seed))
+        self._process = context.Process(target=_serve, args=arguments, name="camera", daemon=True)
+        self._process.start()
+        theirs.close()
+        answer = ours.recv() if ours.poll(START_S) else "its process does not start"
+        if isinstance(answer, str):
+            self.close()
+            raise PortInUse(f"camera {listen[0]}:{listen[1]}: {answer}")
+        self.address = f"http://{listen[0]}:{answer}/"
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.terminate()
+        self._process.join(2.0)
+        if self._process.is_alive():
+            self._process.kill()
+
+
+def _serve(
+    pose: SharedPose, ready: Connection, settings: Any, listen: tuple[str, int], rate: tuple[float, int]
+) -> None:
+    """Run the camera's process."""
+    import signal
+
+    import cv2
+    import numpy as np
+
+    from rover_ncp.core.streams import Domain, integer_seed
+    from sim.camera.render import Renderer
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the mock ends this process
+    cv2.setNumThreads(1)
+    (camera, tag_map), (hz, seed) = settings, rate
+    stream = np.random.default_rng(integer_seed(seed, Domain.PICTURES))
+    renderer = Renderer(camera, tag_map, stream)
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:  # the library's name
+            self.send_response(200)
+            self.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
+            self.end_headers()
+            due, waiting = time.monotonic(), deque[tuple[float, float, bytes]]()
+            while True:
+                now = time.monotonic()
+                if now >= due:
+                    due = max(due + 1.0 / hz, now)
+                    wall, where = time.time(), pose.get()
+                    jpeg = cv2.imencode(".jpg", renderer.picture(where), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+                    waiting.append((now + camera.delay_s, wall, jpeg[1].tobytes()))
+                while waiting and waiting[0][0] <= time.monotonic():
+                    _, wall, data = waiting.popleft()
+                    head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n"
+                    try:
+                        self.wfile.write(f"{head}X-Timestamp: {wall:.6f}\r\n\r\n".encode() + data + b"\r\n")
+                    except OSError:  # the client has gone
+                        return
+                time.sleep(0.002)
+
+        def log_message(self, format: str, *arguments: Any) -> None:
+            pass
+
+    try:
+        server = ThreadingHTTPServer(listen, Handler)
+    except OSError as error:
+        ready.send(error.strerror or str(error))
+        return
+    server.daemon_threads = True
+    ready.send(server.server_address[1])
+    server.serve_forever()

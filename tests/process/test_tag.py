@@ -1,0 +1,67 @@
+"""Tags as real processes: a mock renders them, `tag run` sends poses, `deploy` starts from one."""
+
+import math
+import signal
+
+import cv2
+import pytest
+from kit.tags import picture_of
+
+from deploy.tag.tag_map import CameraFile, Intrinsics, Mount, Tag, TagMap
+from rover_ncp.core.config import dump_yaml
+from rover_ncp.core.geometry import Pose
+from sim.live.live_run import LiveRun
+from sim.live.processes import Process, wait_for
+
+CAMERA = CameraFile(
+    intrinsics=Intrinsics(width=640, height=480, fx=400.0, fy=400.0, cx=319.5, cy=239.5),
+    mount=Mount(x=0.1, y=0.0, z=0.3),
+    delay_s=0.05,
+)
+TAGS = TagMap(
+    frame="course",
+    tags=tuple(Tag(id=tag, size=0.14, x=1.2, y=y, z=0.3, yaw=math.pi) for tag, y in ((0, 0.2), (1, -0.2))),
+)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tags")
+    for name, model in (("camera.yaml", CAMERA), ("tags.yaml", TAGS)):
+        (folder / name).write_text(dump_yaml(model.model_dump(mode="json")))
+    return ["--camera-file", str(folder / "camera.yaml")], ["--map", str(folder / "tags.yaml")]
+
+
+def test_drive_starts_from_the_pose_of_tags_and_camera_that_dies_ends_the_localiser(tmp_path, files):
+    (_, camera), (_, tags) = files
+    mock = ["--camera", camera, "--tags", tags, "--camera-listen", "127.0.0.1:0"]
+    with LiveRun(tmp_path, mock=mock) as live:
+        address = live.mock.wait_for_line("camera at ")
+        picture = tmp_path / "view.jpg"
+        arguments = ["run", "--camera", address, *files[0], *files[1], "--robot", live.robot]
+        run = live.start_process(
+            lambda: Process("tag", [*arguments, "--picture", str(picture), "--json"], tmp_path)
+        )
+        drive = live.deploy("--pose", "required", "--dry-run", "--duration", "0.5", "--json")
+        ended = drive.wait(60.0)
+        assert ended.result["pose"]["placed"]
+        assert wait_for(picture.exists)
+        live.mock.send_signal(signal.SIGTERM)
+        lost = run.wait(20.0)
+    assert lost.code == 2
+    assert lost.result["error"].startswith(f"camera {address}: ")
+
+
+def test_localiser_of_a_folder_needs_no_robot_and_reports(tmp_path, files):
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+
+    for index in range(3):
+        pose = Pose(0.1 * index, 0.02, 0.05)
+        cv2.imwrite(str(pictures / f"{index}.png"), picture_of(pose, CAMERA, TAGS, seed=index))
+    done = Process("tag", ["run", "--camera", str(pictures), *files[0], *files[1], "--json"], tmp_path).wait(
+        60.0
+    )
+    assert done.code == 0
+    assert (done.result["pictures"], done.result["poses"]) == (3, 3)
+    assert done.result["last"]["x"] == pytest.approx(0.2, abs=0.005)

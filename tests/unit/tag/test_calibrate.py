@@ -1,0 +1,154 @@
+"""Calibration from rendered pictures."""
+
+import math
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from deploy.tag.calibrate import find_intrinsics, find_mount
+from deploy.tag.detector import Detection, Detector
+from deploy.tag.locate import Locator
+from deploy.tag.sheet import Board, board_page, pattern, tag_pages
+from deploy.tag.tag_map import CameraFile, Intrinsics, Mount, Tag, TagMap, load_camera_info
+from rover_ncp.core.errors import ConfigError, UsageError
+from rover_ncp.core.geometry import Pose, compose
+from sim.camera.render import Renderer
+
+TRUE = Intrinsics(width=640, height=480, fx=520.0, fy=520.0, cx=325.0, cy=236.0)
+BOARD = Board()
+
+
+def board_pictures(count):
+    """Pictures of a board that hangs at x = 0, seen from tilted places."""
+    tags = tuple(
+        Tag(id=tag, size=BOARD.size, x=0.0, y=x - 0.066, z=0.088 + y, yaw=0.0)
+        for tag, (x, y) in enumerate(BOARD.centres())
+    )
+    stream = np.random.default_rng(3)
+    for index in range(count):
+        angle, height = 0.5 * math.sin(2.1 * index), 0.12 * math.cos(1.3 * index)
+        away = 0.28 + 0.05 * (index % 3)
+        camera = CameraFile(
+            intrinsics=TRUE,
+            mount=Mount(
+                x=away * math.cos(angle),
+                y=away * math.sin(angle),
+                z=height,
+                yaw=math.pi + angle,
+                pitch=math.atan2(height, away),
+                roll=0.3 * math.sin(index),
+            ),
+        )
+        # The camera's place is all that moves: the rover stays at the origin.
+        yield Detector().detect(Renderer(camera, TagMap(tags=tags), stream).picture(Pose(0.0, 0.0, 0.0)))
+
+
+def test_intrinsics_come_back_from_pictures_of_the_board():
+    found = find_intrinsics(list(board_pictures(12)), (640, 480), BOARD)
+    assert found.pictures == 12
+    assert found.rms < 0.3
+    assert found.intrinsics.fx == pytest.approx(TRUE.fx, rel=0.01)
+    assert found.intrinsics.fy == pytest.approx(TRUE.fy, rel=0.01)
+    assert found.intrinsics.cx == pytest.approx(TRUE.cx, abs=5.0)
+    assert found.intrinsics.cy == pytest.approx(TRUE.cy, abs=5.0)
+
+
+def test_too_few_pictures_of_the_board_are_refused():
+    with pytest.raises(UsageError, match="seen well in 2 of 3 pictures"):
+        find_intrinsics([*board_pictures(2), []], (640, 480), BOARD)
+
+
+WALL = TagMap(
+    tags=tuple(
+        Tag(id=tag, size=0.14, x=2.0, y=y, z=z, yaw=math.pi)
+        for tag, y, z in ((0, 0.5, 0.3), (1, 0.0, 0.35), (2, -0.5, 0.25))
+    )
+)
+MOUNT = Mount(x=0.15, y=-0.03, z=0.3, yaw=0.04, pitch=0.05, roll=0.01)
+
+
+def drive(turn):
+    """Odometry, which begins at another place and heading than the map, and what is seen."""
+    start, stream = Pose(0.4, 0.1, 0.1), np.random.default_rng(5)
+    locator = Locator(CameraFile(intrinsics=TRUE, mount=MOUNT), WALL)
+    for index in range(24):
+        odom = Pose(0.03 * index, 0.02 * math.sin(index), turn * math.sin(0.5 * index))
+        pose = np.array(compose(start, odom))
+        seen = []
+        for tag in WALL.tags:
+            exact = TRUE.fx * locator.project(pose, tag.corners) + (TRUE.cx, TRUE.cy)
+            seen.append(Detection(tag.id, exact + stream.normal(0.0, 0.1, (4, 2))))
+        yield odom, seen
+
+
+def test_mount_comes_back_from_a_drive_with_turns():
+    by_hand = MOUNT.model_copy(update={"x": 0.18, "y": 0.0, "yaw": 0.0, "pitch": 0.0, "roll": 0.0})
+    found = find_mount(CameraFile(intrinsics=TRUE, mount=by_hand), WALL, list(drive(0.35)))
+    for name in ("x", "y", "yaw", "pitch", "roll"):
+        error = abs(getattr(found.mount, name) - getattr(MOUNT, name))
+        assert error < max(3.0 * found.deviations[name], 0.002), name
+    assert found.deviations["x"] < 0.02
+    assert found.deviations["yaw"] < 0.02
+
+
+def test_mount_is_refused_after_a_drive_without_a_turn():
+    with pytest.raises(UsageError, match="turns by"):
+        find_mount(CameraFile(intrinsics=TRUE, mount=MOUNT), WALL, list(drive(0.05)))
+
+
+def test_printed_tags_are_true_to_size(monkeypatch):
+    drawn = []
+    monkeypatch.setattr(
+        "matplotlib.backends.backend_pdf.PdfPages.savefig", lambda self, figure: drawn.append(figure)
+    )
+    tag_pages([5, 17], 0.14, "a4")
+    board_page(BOARD, "a4")
+    edges = []
+    for figure in drawn:
+        for found in Detector().detect(grey(figure, 150)):
+            edges += [(found.id, math.dist(found.corners[0], found.corners[1]) / 150 * 0.0254)]
+    assert [edge for edge in edges if edge[0] in (5, 17) and edge[1] > 0.1] == [
+        (5, pytest.approx(0.14, abs=3e-4)),
+        (17, pytest.approx(0.14, abs=3e-4)),
+    ]
+    on_board = [edge for _, edge in edges if edge < 0.1]
+    assert len(on_board) == BOARD.columns * BOARD.rows
+    assert np.mean(on_board) == pytest.approx(BOARD.size, abs=2e-4)
+
+
+def grey(figure: Figure, dpi: int):
+    """Draw a figure on grey levels."""
+    figure.set_dpi(dpi)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[:, :, 0])
+
+
+def test_tag_too_large_for_the_page_is_refused():
+    with pytest.raises(UsageError, match=r"--size 0\.3"):
+        tag_pages([0], 0.3, "a4")
+
+
+def test_all_patterns_of_a_few_ids_differ():
+    assert len({pattern(tag).tobytes() for tag in range(20)}) == 20
+
+
+def test_intrinsics_of_ros_are_read(tmp_path):
+    file = tmp_path / "info.yaml"
+    file.write_text(
+        "image_width: 640\nimage_height: 480\ncamera_name: cam\n"
+        "camera_matrix: {rows: 3, cols: 3, data: [500.5, 0, 320, 0, 501, 241, 0, 0, 1]}\n"
+        "distortion_model: plumb_bob\n"
+        "distortion_coefficients: {rows: 1, cols: 5, data: [0.1, -0.2, 0.001, 0.002, 0.0]}\n"
+    )
+    found = load_camera_info(file)
+    assert (found.fx, found.fy, found.cx, found.cy) == (500.5, 501.0, 320.0, 241.0)
+    assert found.distortion == (0.1, -0.2, 0.001, 0.002, 0.0)
+    file.write_text("image_width: 640\n")
+    with pytest.raises(ConfigError, match="camera_info"):
+        load_camera_info(file)
+    file.write_text(file.read_text() + "camera_matrix: 3\n")
+    with pytest.raises(ConfigError, match="camera_info"):
+        load_camera_info(file)

@@ -1,0 +1,170 @@
+"""Pictures of a camera that works, and of cameras that do not."""
+
+import http.server
+import itertools
+import threading
+import time
+
+import cv2
+import numpy as np
+import pytest
+from kit.tags import CAMERA, WALL, picture_of
+
+from deploy.tag.camera import Picture, pictures_of
+from deploy.tag.localiser import FROZEN, OLD, TOO_BRIGHT, TOO_DARK, Localiser, drawn
+from deploy.tag.locate import Rejection
+from deploy.tag.run import until
+from rover_ncp.core.errors import FileError, UsageError
+from rover_ncp.core.geometry import Pose
+from sim.camera.render import PictureErrors
+
+POSE = Pose(0.9, 0.05, 0.1)
+SECOND_NS = 1_000_000_000
+
+
+@pytest.fixture
+def localiser():
+    return Localiser(CAMERA, WALL, 2.0)
+
+
+def test_pose_of_a_good_picture(localiser):
+    found = localiser.take(Picture(picture_of(POSE), SECOND_NS), 2 * SECOND_NS)
+    assert found.pose.x == pytest.approx(POSE.x, abs=0.01)
+    assert (localiser.pictures, localiser.poses, localiser.rejected) == (1, 1, {})
+    assert "tags 7, 8, 9" in localiser.state
+
+
+@pytest.mark.parametrize(
+    ("gain", "reason"), [(0.0, TOO_DARK), (0.05, TOO_DARK), (12.0, TOO_BRIGHT), (1.0, str(Rejection.NO_TAG))]
+)
+def test_picture_without_tags_says_why(localiser, gain, reason):
+    away = Pose(0.9, 0.0, 3.0) if gain == 1.0 else POSE
+    image = picture_of(away, errors=PictureErrors(gain=gain))
+    assert localiser.take(Picture(image, SECOND_NS)) is None
+    assert localiser.rejected == {reason: 1}
+
+
+def test_frozen_camera_gives_no_more_poses(localiser):
+    image = picture_of(POSE)
+    got = [localiser.take(Picture(image, index * SECOND_NS // 4)) is not None for index in range(1, 9)]
+    assert got == [True] * 5 + [False] * 3
+    assert localiser.rejected == {FROZEN: 3}
+    assert localiser.take(Picture(picture_of(POSE, seed=2), 3 * SECOND_NS)) is not None
+
+
+def test_picture_of_two_seconds_ago_gives_no_pose(localiser):
+    assert localiser.take(Picture(picture_of(POSE), SECOND_NS), 3 * SECOND_NS) is None
+    assert localiser.rejected == {OLD: 1}
+
+
+def test_other_resolution_than_the_calibrations_is_an_error(localiser):
+    small = cv2.resize(picture_of(POSE), (320, 240))
+    with pytest.raises(UsageError, match="sends 320 × 240 pixels, its calibration is for 640 × 480"):
+        localiser.take(Picture(small, SECOND_NS))
+
+
+def test_tags_that_are_not_in_the_map_are_named():
+    known = WALL.model_copy(update={"tags": WALL.tags[:2]})
+    localiser = Localiser(CAMERA, known, 2.0)
+    assert localiser.take(Picture(picture_of(POSE), SECOND_NS)) is not None
+    assert localiser.unknown == {9}
+
+
+def test_picture_for_people_marks_the_tags(localiser):
+    image = picture_of(POSE)
+    localiser.take(Picture(image, SECOND_NS))
+    shown = cv2.imdecode(np.frombuffer(drawn(image, localiser.detections, "θ"), np.uint8), cv2.IMREAD_COLOR)
+    x, y = localiser.detections[0].corners[0].round().astype(int)
+    blue, green, red = shown[y, x].astype(int)
+    assert green > 100 > max(blue, red)
+
+
+def test_folder_of_pictures_is_read_in_order(tmp_path):
+    for index, grey in enumerate((10, 200)):
+        cv2.imwrite(str(tmp_path / f"{index}.png"), np.full((48, 64), grey, np.uint8))
+    assert [int(each.grey[0, 0]) for each in pictures_of(str(tmp_path))] == [10, 200]
+    (tmp_path / "2.png").write_bytes(b"no picture")
+    with pytest.raises(FileError, match=r"2\.png: not a picture"):
+        list(pictures_of(str(tmp_path)))
+
+
+def test_missing_source_is_one_line(tmp_path):
+    with pytest.raises(FileError, match="no such file"):
+        pictures_of(str(tmp_path / "nothing.mp4"))
+
+
+class Stream:
+    """An MJPEG server with ``parts``, of which each is bytes to send or seconds to wait."""
+
+    def __init__(self, parts):
+        class Handler(http.server.BaseHTTPRequestHandler):
+            def do_GET(self):
+                self.send_response(200)
+                self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=b")
+                self.end_headers()
+                for part in parts:
+                    if isinstance(part, bytes):
+                        self.wfile.write(part)
+                    else:
+                        time.sleep(part)
+
+            def log_message(self, *arguments):
+                pass
+
+        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self._server.daemon_threads = True
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+        self.address = f"http://127.0.0.1:{self._server.server_address[1]}/"
+
+    def close(self):
+        self._server.shutdown()
+        self._server.server_close()
+
+
+def part(level, stamp=None):
+    data = cv2.imencode(".jpg", np.full((48, 64), level, np.uint8))[1].tobytes()
+    header = f"--b\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n"
+    header += f"X-Timestamp: {stamp}\r\n" if stamp else ""
+    return f"{header}\r\n".encode() + data + b"\r\n"
+
+
+@pytest.fixture
+def stream():
+    servers = []
+
+    def serve(*parts):
+        servers.append(Stream(parts))
+        return pictures_of(servers[-1].address, delay_s=0.25)
+
+    yield serve
+    for server in servers:
+        server.close()
+
+
+def test_stream_gives_the_newest_picture_with_its_moment(stream):
+    with stream(part(50, "12.5"), 0.4, part(90), 1.0) as camera:
+        pictures = iter(camera)
+        first, second = next(pictures), next(pictures)
+    assert (first.wall_ns, int(first.grey[0, 0])) == (12_500_000_000, 50)
+    assert int(second.grey[0, 0]) == 90
+    assert 0.2e9 < time.time_ns() - second.wall_ns < 5e9
+
+
+@pytest.mark.parametrize(
+    ("parts", "words"),
+    [
+        ((part(50),), "sends no more pictures"),
+        ((part(50), b"--b\r\nContent-Length: 4\r\n\r\nabcd"), "not a JPEG"),
+        ((part(50), b"--b\r\nContent-Length: 99999999999\r\n\r\n"), "a picture of 99999999999 bytes"),
+        ((part(50), 3.5), "no picture for 3 s|timed out"),
+    ],
+)
+def test_camera_that_dies_ends_the_command_with_one_line(stream, parts, words):
+    with stream(*parts) as camera, pytest.raises(UsageError, match=words):
+        list(itertools.islice(iter(camera), 10))
+
+
+def test_reading_ends_when_the_user_wants():
+    pictures = (Picture(np.zeros((2, 2), np.uint8), index) for index in range(100))
+    stop = iter([False, False, True])
+    assert len(list(until(pictures, None, lambda: next(stop)))) == 2

@@ -1,0 +1,93 @@
+"""Poses from rendered pictures, whose true pose is known."""
+
+import math
+
+import numpy as np
+import pytest
+from kit.tags import CAMERA, PICTURE, WALL, picture_of
+
+from deploy.tag.detector import Detector
+from deploy.tag.locate import MAX_PIXELS, Located, Locator, Rejection
+from deploy.tag.tag_map import CameraFile, Mount, Tag, TagMap
+from rover_ncp.core.geometry import Pose, wrap_angle
+
+CEILING = CameraFile(intrinsics=PICTURE, mount=Mount(x=1.0, y=0.5, z=2.5, yaw=0.3, pitch=math.pi / 2))
+ON_ROVER = TagMap(
+    tags_on="rover", tags=(Tag(id=3, size=0.2, x=-0.05, y=0.02, z=0.4, yaw=0.2, pitch=-math.pi / 2),)
+)
+
+
+def located(camera, drawn, known, pose):
+    return Locator(camera, known).locate(Detector().detect(picture_of(pose, camera, drawn)))
+
+
+def with_tag(tag_map, index, **changes):
+    tags = list(tag_map.tags)
+    tags[index] = tags[index].model_copy(update=changes)
+    return tag_map.model_copy(update={"tags": tuple(tags)})
+
+
+@pytest.mark.parametrize("pose", [Pose(0.9, 0.05, 0.1), Pose(1.2, -0.1, -0.12), Pose(0.3, 0.1, 0.05)])
+def test_camera_on_the_rover_finds_the_pose(pose):
+    found = located(CAMERA, WALL, WALL, pose)
+    assert isinstance(found, Located)
+    assert found.ids == (7, 8, 9)
+    assert math.dist(found.pose[:2], pose[:2]) < 0.01
+    assert abs(wrap_angle(found.pose.theta - pose.theta)) < math.radians(0.6)
+    error = np.array(found.pose) - pose
+    assert error @ np.linalg.inv(found.covariance) @ error < 11.3  # 99 % of a chi-squared of 3
+
+
+@pytest.mark.parametrize("pose", [Pose(0.8, 0.3, 0.0), Pose(1.3, 0.7, 2.0), Pose(1.0, 0.5, -3.0)])
+def test_camera_on_the_ceiling_finds_the_pose_in_every_direction(pose):
+    found = located(CEILING, ON_ROVER, ON_ROVER, pose)
+    assert isinstance(found, Located)
+    assert math.dist(found.pose[:2], pose[:2]) < 0.008
+    assert abs(wrap_angle(found.pose.theta - pose.theta)) < math.radians(0.6)
+
+
+@pytest.mark.parametrize("wrong", [{"size": 0.10}, {"y": 0.08}, {"yaw": 2.6}])
+def test_one_wrong_tag_of_three_is_left_out(wrong):
+    pose = Pose(0.9, 0.0, 0.0)
+    found = located(CAMERA, WALL, with_tag(WALL, 2, **wrong), pose)
+    assert isinstance(found, Located)
+    assert found.ids == (7, 8)
+    assert math.dist(found.pose[:2], pose[:2]) < 0.01
+
+
+def test_two_tags_that_contradict_each_other_give_no_pose():
+    two = WALL.model_copy(update={"tags": WALL.tags[:2]})
+    assert located(CAMERA, two, with_tag(two, 0, y=0.3), Pose(0.9, 0.0, 0.0)) is Rejection.DISAGREE
+
+
+def test_one_tag_of_a_wrong_size_gives_no_pose():
+    high = TagMap(tags=(Tag(id=7, size=0.14, x=2.0, y=0.0, z=0.6, yaw=math.pi),))
+    assert located(CAMERA, high, with_tag(high, 0, size=0.10), Pose(1.0, 0.0, 0.0)) is Rejection.MISFIT
+
+
+def test_tags_that_are_not_in_the_map_give_no_pose():
+    assert located(CAMERA, WALL, ON_ROVER.model_copy(update={"tags_on": "ground"}), Pose(0.9, 0.0, 0.0)) is (
+        Rejection.NO_TAG
+    )
+
+
+def test_id_that_is_seen_twice_is_not_used():
+    twin = Tag(id=7, size=0.14, x=2.0, y=-0.2, z=0.3, yaw=math.pi)
+    image = picture_of(Pose(0.9, 0.0, 0.0))
+    other = picture_of(Pose(0.9, 0.0, 0.0), tag_map=TagMap(tags=(twin,)))
+    both = np.concatenate([image, other], axis=0)
+    assert {each.id for each in Detector().detect(both)} == {8, 9}
+
+
+def test_far_single_tag_says_how_unsure_it_is():
+    far = TagMap(tags=(Tag(id=7, size=0.14, x=3.0, y=0.0, z=0.3, yaw=math.pi),))
+    errors, bounds = [], []
+    for seed in range(8):
+        detections = Detector().detect(picture_of(Pose(0.5, 0.1, 0.0), tag_map=far, seed=seed))
+        found = Locator(CAMERA, far).locate(detections)
+        if isinstance(found, Located):
+            errors.append(np.abs(np.array(found.pose) - (0.5, 0.1, 0.0)))
+            bounds.append(np.sqrt(np.diag(found.covariance)))
+            assert found.rms <= MAX_PIXELS
+    # Rejected as ambiguous, or with deviations that hold the errors.
+    assert all((error < 3.5 * bound).all() for error, bound in zip(errors, bounds, strict=True))

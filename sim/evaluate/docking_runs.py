@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -32,12 +33,12 @@ class DockingResult(Evaluation):
 
 
 def evaluate_docking(
-    trials: DockTrials, count: int, processes: int | None, output: Output, **about: str | None
+    trials: DockTrials, count: int, processes: int | None, output: Output, **about: Any
 ) -> DockingResult:
-    """Drive trials, and return how they ended. Raises WorkerDied."""
+    """Drive trials, and return how they ended, ``about`` with it. Raises WorkerDied."""
     with progress(output, count) as done:
         driven = drive_all(trials, count, processes, done)
-    ended = [Ended(math.hypot(*trial.errors[:2]), abs(trial.errors[2]), _reason(trial)) for trial in driven]
+    ended = [Ended(_off_m(trial), abs(trial.off.yaw_rad), _reason(trial)) for trial in driven]
     good = [trial for trial in driven if not _reason(trial)]
     fine = [trial for trial in good if _off_m(trial) <= FINE_M and abs(trial.off.yaw_rad) <= FINE_RAD]
     return DockingResult(

@@ -31,15 +31,10 @@ BASES = "rover_ncp.bases"
 
 
 class ByteCounts(Protocol):
-    """Bytes to and from a base."""
+    """Numbers of bytes from and to a base."""
 
-    @property
-    def bytes_in(self) -> int:
-        """Bytes from the base."""
-
-    @property
-    def bytes_out(self) -> int:
-        """Bytes to it."""
+    bytes_in: int
+    bytes_out: int
 
 
 class CountedBase(Base, ByteCounts, Protocol):
@@ -58,7 +53,6 @@ class ChosenBase:
     """
 
     address: str
-    model: str
     description: RobotDescription | None
     ros2: RosAddress | None = None
     entry_point: EntryPoint | None = None
@@ -75,23 +69,23 @@ def choose_base(address: str, model: str, zenoh_config: Path | None = None) -> C
     other = next(iter(entry_points(group=BASES, name=address.partition("/")[0])), None)
     if model == "auto":
         if ros2 is None and other is None:
-            return ChosenBase(address, model, None)
+            return ChosenBase(address, None)
         known = ", ".join(shipped_names("robots"))
         raise UsageError(f"--model auto: only a Pioneer says what it is; name a file, or {known}")
     description = load_description(model)
     if other is not None:
-        return ChosenBase(address, model, description, entry_point=other)
+        return ChosenBase(address, description, entry_point=other)
     if ros2 is None:
         if description.arcos is None:
             raise UsageError(
                 f"--model {model}: it has no arcos, which a Pioneer has; expected auto, {', '.join(ROBOTS)}"
             )
-        return ChosenBase(address, model, description)
+        return ChosenBase(address, description)
     if description.topics is None:
         raise UsageError(f"--model {model}: the description has no topics, which a ROS 2 robot needs")
     changed = {name: value or None for name, value in ros2.topics.items()}
     topics = validated(description.topics.model_dump() | changed, Topics, f"base {address}")
-    return ChosenBase(address, model, description.model_copy(update={"topics": topics}), ros2)
+    return ChosenBase(address, description.model_copy(update={"topics": topics}), ros2)
 
 
 def gate_limits(file: Path | None, description: RobotDescription | None) -> Limits:
@@ -139,9 +133,13 @@ def open_base(
     """
     if chosen.entry_point is not None:
         assert chosen.description is not None  # choose_base checks it
-        open_other = _load(chosen.entry_point)
         try:
-            base = open_other(chosen.address.partition("/")[2], chosen.description, inbox.put)
+            opens: OpenBase = chosen.entry_point.load()
+        except Exception as error:
+            found = chosen.entry_point
+            raise UsageError(f"base {found.name} ({found.value}) cannot be loaded: {error}") from error
+        try:
+            base = opens(chosen.address.partition("/")[2], chosen.description, inbox.put)
         except RoverNcpError:
             raise
         except Exception as error:
@@ -156,11 +154,3 @@ def open_base(
     link.watch_robot_side(f"{LOOP_KEY}/{line.nonce}", lambda there: inbox.put(LoopSeen(there)))
     ros2 = Ros2Base(line, chosen.description, unsafe=no_base_watchdog)
     return line, ros2, ros2.note
-
-
-def _load(found: EntryPoint) -> OpenBase:
-    try:
-        loaded: OpenBase = found.load()
-    except Exception as error:
-        raise UsageError(f"base {found.name} ({found.value}) cannot be loaded: {error}") from error
-    return loaded

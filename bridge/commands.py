@@ -1,5 +1,6 @@
 """Commands of this package; heavy libraries load only when one runs."""
 
+import signal
 import socket
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +11,10 @@ from bridge.ros2.discovery import Convention
 from rover_ncp.core.console import Json, Output, reject
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
+from rover_ncp.core.interruption import INTERRUPTED
+
+OPEN_FILES = 100
+"""Zenoh and the line to the base use about 20, and each driver one: without any left, no driver connects."""
 
 
 def bridge(
@@ -74,7 +79,7 @@ def bridge(
         ),
     ] = False,
     json: Json = False,
-) -> int | None:
+) -> int:
     """Connect a Pioneer or a ROS 2 robot to Zenoh: one driver at a time drives it, within limits.
 
     Publishes odometry, transforms, battery, sonar, bumpers and diagnostics as ROS 2 messages, and passes
@@ -83,24 +88,63 @@ def bridge(
     ready when it prints
     "ready zenoh=... base=..."; Ctrl-C or SIGTERM stops the rover and ends it.
     """
-    from bridge.app import run_bridge
+    from bridge.bases import choose_base, gate_limits, open_base
+    from bridge.inbox import Inbox
+    from bridge.node import BridgeResult, Node
+    from bridge.ros2.messages import gate_status
+    from bridge.zenoh.link import ZenohLink
+    from rover_ncp.core.process import Interrupts, require_open_files
 
     if not base.startswith("ros2/"):
         reject("is for a ROS 2 robot (ros2/tcp/HOST)", no_base_watchdog=no_base_watchdog)
-    return run_bridge(
+    require_open_files(OPEN_FILES)
+    output = Output(json, controls=True)
+    chosen = choose_base(base, model, base_zenoh_config)
+    allowed = gate_limits(limits, chosen.description)
+    inbox = Inbox()
+    with (
+        Interrupts() as interrupts,
+        ZenohLink(
+            listen, namespace, zenoh_config, inbox, insecure=insecure, ros=ros or [Convention.ROS2DDS]
+        ) as link,
+    ):
+        line, driven, note = open_base(
+            chosen,
+            allowed,
+            inbox,
+            link,
+            no_base_watchdog=no_base_watchdog,
+            interrupted=lambda: interrupts.raised,
+            say=output.say,
+        )
+
+        def ready() -> None:
+            link.announce()
+            if note:
+                output.say(note)
+            output.announce(f"ready zenoh={link.locator} base={base}")
+
+        node = Node(driven, link, inbox, limits=allowed, accept_ros=accept_ros, ready=ready)
+        node.run(lambda: interrupts.raised)
+    status = gate_status(node.gate)
+    result = BridgeResult(
+        zenoh=link.locator,
         base=base,
-        listen=listen,
-        namespace=namespace,
-        model=model,
-        limits=limits,
-        zenoh_config=zenoh_config,
-        base_zenoh_config=base_zenoh_config,
-        ros=ros or [Convention.ROS2DDS],
-        accept_ros=accept_ros,
-        insecure=insecure,
-        no_base_watchdog=no_base_watchdog,
-        as_json=json,
+        bytes_to_base=line.bytes_out,
+        bytes_from_base=line.bytes_in,
+        accepted=status.accepted,
+        dropped=status.dropped,
+        limited=status.limited,
+        stops=status.stops,
+        reconnects=max(node.reconnects, 0),
+        flooded=inbox.flooded,
     )
+    output.result(
+        result.model_dump(),
+        f"{status.accepted} commands passed, {sum(status.dropped.values())} dropped, "
+        f"{sum(status.stops.values())} stops; {line.bytes_out} bytes to the base, {line.bytes_in} from it",
+    )
+    return INTERRUPTED if signal.SIGINT in interrupts.received else 0
 
 
 def urdf(
@@ -114,7 +158,6 @@ def urdf(
     """
     from bridge.ros2.urdf import UrdfResult
     from bridge.ros2.urdf import urdf as urdf_of
-    from rover_ncp.core.console import Output
     from rover_ncp.robot.description import load_description
 
     text = urdf_of(load_description(model))

@@ -23,11 +23,9 @@ class GuardedBase:
         """The exception by which the base is lost; "" without one."""
 
     def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:
-        """See Base."""
         return self._events(lambda: self._base.receive(arrival, now))
 
     def drive(self, setpoint: Setpoint, now: float) -> Sequence[BaseEvent]:
-        """See Base."""
         self._driven = True
         return self._events(lambda: self._base.drive(setpoint, now))
 
@@ -36,21 +34,18 @@ class GuardedBase:
         return self._text(self._base.reset_odometry)
 
     def health(self) -> LinkHealth:
-        """See Base."""
         with suppress(Exception):
             return self._base.health()
         return LinkHealth(damaged=True, counters={})
 
     @property
     def base_timeout(self) -> BaseTimeout:
-        """See Base."""
         try:
             return self._base.base_timeout
         except Exception as error:
             return BaseTimeout(TimeoutState.UNKNOWN, None, _words(error))
 
     def measure_base_timeout(self, now: float) -> str:
-        """See Base."""
         return self._text(lambda: self._base.measure_base_timeout(now))
 
     def shut_down(self, now: float) -> list[str]:

@@ -15,6 +15,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Protocol
 
+from pydantic import BaseModel, Field
+
 from bridge.base import (
     Base,
     BaseEvent,
@@ -50,6 +52,21 @@ SUSPENDED_S = 0.1
 """A suspend of the computer for longer than this ends the lease."""
 STATUS_S = 0.1
 SLOW_S = 1.0
+
+
+class BridgeResult(BaseModel):
+    """Result of the command ``bridge``."""
+
+    zenoh: str = Field(description="the locator for drivers")
+    base: str = Field(description="its address")
+    bytes_to_base: int = Field(description="those of payloads, if the base is a ROS 2 robot")
+    bytes_from_base: int = Field(description="those of payloads, if the base is a ROS 2 robot")
+    accepted: int = Field(description="commands that the gate passed")
+    dropped: dict[str, int] = Field(description="commands, by reason")
+    limited: dict[str, int] = Field(description="commands, by reason")
+    stops: dict[str, int] = Field(description="by reason")
+    reconnects: int = Field(description="to the base")
+    flooded: int = Field(description="messages dropped because too many of their key or topic waited")
 
 
 class Arrivals(Protocol):

@@ -14,7 +14,6 @@ from bridge.gate.state import (
     Enable,
     GateEvent,
     GateState,
-    Lease,
     Reason,
     Release,
     ReleaseStop,
@@ -106,14 +105,11 @@ class Answers:
         if verdict.refusal is not None:
             return _refusal(verdict.refusal, gate)
         assert verdict.lease is not None  # it was granted
-        return self._grant(verdict.lease, new=verdict.lease.secret == secret, now=now)
-
-    def _grant(self, lease: Lease, new: bool, now: float) -> MotorsReply:
         limits = self._limits
         return MotorsReply(
             granted=True,
-            lease=lease.number,
-            key=lease.secret.hex() if new and lease.secret is not None else "",
+            lease=verdict.lease.number,
+            key=secret.hex() if verdict.lease.secret == secret else "",
             lease_s=limits.lease_s,
             received_ns=round(now * 1e9),
             limits={
@@ -157,19 +153,14 @@ class Answers:
 
     def _reset(self, gate: GateState) -> ResetReply:
         if gate.base is None:
-            return ResetReply(ok=False, reason=describe(Reason.NO_BASE, gate))
-        if gate.lease is not None:
-            return ResetReply(
-                ok=False,
-                reason="a driver holds the lease: its pose would jump; reset odometry after the drive",
-            )
-        if self._limits.fence is not None:
-            return ResetReply(
-                ok=False,
-                reason="the fence would move with odom: put the rover where both are to begin, and restart "
-                "the bridge",
-            )
-        problem = self._base.reset_odometry()
+            problem = describe(Reason.NO_BASE, gate)
+        elif gate.lease is not None:
+            problem = "a driver holds the lease: its pose would jump; reset odometry after the drive"
+        elif self._limits.fence is not None:
+            start = "put the rover where both are to begin, and restart the bridge"
+            problem = f"the fence would move with odom: {start}"
+        else:
+            problem = self._base.reset_odometry()
         return ResetReply(ok=not problem, reason=problem)
 
 

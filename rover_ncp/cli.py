@@ -25,23 +25,11 @@ GROUP = "rover_ncp.commands"
 
 # Which extra brings a library that a command found missing.
 _EXTRAS = {
-    "numba": "drive",
-    "filterpy": "drive",
-    "scipy": "drive",
-    "pymunk": "train",
-    "cmaes": "train",
-    "psutil": "train",
-    "gymnasium": "train",
-    "matplotlib": "train",
+    **dict.fromkeys(("numba", "filterpy", "scipy"), "drive"),
+    **dict.fromkeys(("pymunk", "cmaes", "psutil", "gymnasium", "matplotlib"), "train"),
     "mujoco": "mujoco",
-    "imageio": "paper",
-    "stable_baselines3": "paper",
-    "torch": "paper",
-    "jinja2": "report",
-    "plotly": "report",
-    "starlette": "report",
-    "uvicorn": "report",
-    "websockets": "report",
+    **dict.fromkeys(("imageio", "stable_baselines3", "torch"), "paper"),
+    **dict.fromkeys(("jinja2", "plotly", "starlette", "uvicorn", "websockets"), "report"),
     "cryptography": "keys",
     "distributed": "cluster",
     "apriltag": "tag",
@@ -114,12 +102,6 @@ def _fail(message: str, kind: str, code: int, as_json: bool) -> int:
     return code
 
 
-def _file_error(error: OSError) -> FileError:
-    """Return a system error as a FileError, such as the use of a deleted folder."""
-    place = f"{error.filename}: " if error.filename else ""
-    return FileError(f"{place}{error.strerror or error}")
-
-
 def _failed(error: Exception, as_json: bool) -> int:
     """Report a user's mistake and return its exit code; raise any other error, which is a bug."""
     if isinstance(error, _WrongCommandLine):
@@ -130,8 +112,9 @@ def _failed(error: Exception, as_json: bool) -> int:
         library = (error.name or "").split(".")[0]
         if library in _EXTRAS:
             error = MissingExtra(library, _EXTRAS[library])
-    if isinstance(error, OSError):
-        error = _file_error(error)
+    if isinstance(error, OSError):  # such as the use of a deleted folder
+        place = f"{error.filename}: " if error.filename else ""
+        error = FileError(f"{place}{error.strerror or error}")
     if isinstance(error, RoverNcpError):
         return _fail(str(error), type(error).__name__, error.exit_code, as_json)
     raise error

@@ -109,8 +109,7 @@ def evaluate(
     attribute ``signals`` names what it observes, by default x, y, theta and start. Its method ``reset``, if
     there is one, begins each trial. With ``stack`` the trials go through firmware, bridge and driver.
     """
-    from sim.evaluate.evaluate import evaluate as run
-    from sim.evaluate.evaluate import tally
+    from sim.evaluate.evaluate import drive_trials, tally
     from sim.stack.trials import Stack, drive_all
     from sim.world.described import ranges_for
 
@@ -119,7 +118,7 @@ def evaluate(
     if stack:
         # A function may be unknown to other processes.
         return tally(drive_all(Stack(driver, tuple(courses), ranges, seed), trials, 1))
-    return run(driver, courses, ranges, trials=trials, seed=seed)
+    return tally(drive_trials(driver, courses, ranges, trials=trials, seed=seed))
 
 
 def rollout(policy: "Policy | str | Path", course: "Course | str | Path" = "parking") -> "Rollout":
@@ -131,7 +130,7 @@ def rollout(policy: "Policy | str | Path", course: "Course | str | Path" = "park
 
 
 def explain(source: str | Path, course: str | None = None) -> "Explanation":
-    """Explain a policy or a recording, as ``rover-ncp explain``; its ``fields()`` are plain values."""
+    """Explain a policy or a recording, as ``rover-ncp explain``; its ``result()`` has plain values."""
     from sim.explain.explain import explain as run
 
     return run(str(source), course)

@@ -17,16 +17,12 @@ from typing import NamedTuple
 HEADER = b"\xfa\xfb"
 MIN_COUNT, MAX_COUNT = 3, 252
 """COUNT is unsigned: a real CONFIGpac has 137. The manuals say up to 249, receive buffers allow more."""
-
 MAX_MAGNITUDE = 32767
 """Largest integer argument, either sign."""
-
 POSITIVE, NEGATIVE = 0x3B, 0x1B
 """Type bytes of integer arguments."""
-
 HOSTBAUD_RATES = (9600, 19200, 38400, 57600, 115200)
 """Rates of a serial line by the argument of HOSTBAUD."""
-
 PAUSE_S = 0.05
 """A sender writes each frame at once. One that pauses for longer may have a damaged COUNT (see Decoder)."""
 

@@ -14,27 +14,16 @@ WATCHDOG_S = 2.0
 
 
 class Connection(Protocol):
-    """A line to the base, as `bridge.pioneer.base_connection.BaseConnection`, which has the documentation."""
+    """A line to the base; `bridge.pioneer.base_connection.BaseConnection` documents the methods."""
 
     endpoint: str
 
-    def use(self) -> None:
-        """Write to the line that was opened last."""
-
-    def drop(self) -> None:
-        """Answer `Broken`."""
-
-    def reopen(self, reason: str) -> None:
-        """Replace the line."""
-
-    def write(self, data: bytes) -> None:
-        """Send bytes."""
-
-    def set_baudrate(self, baudrate: int) -> None:
-        """Change the line's rate."""
-
-    def close(self) -> None:
-        """Close the line."""
+    def use(self) -> None: ...
+    def drop(self) -> None: ...
+    def reopen(self, reason: str) -> None: ...
+    def write(self, data: bytes) -> None: ...
+    def set_baudrate(self, baudrate: int) -> None: ...
+    def close(self) -> None: ...
 
 
 class ArcosBase:
@@ -46,7 +35,6 @@ class ArcosBase:
         self._was_ready = self._reopening = False
 
     def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:
-        """See Base."""
         events: list[SessionEvent] = []
         match arrival:
             case Received(data):
@@ -62,7 +50,6 @@ class ArcosBase:
         return self._pass_on(events)
 
     def drive(self, setpoint: Setpoint, now: float) -> Sequence[BaseEvent]:
-        """See Base."""
         last, self._last = self._last, setpoint
         if setpoint.motors != last.motors or setpoint.lease not in {0, last.lease}:
             self._session.enable(setpoint.motors)
@@ -72,26 +59,21 @@ class ArcosBase:
         return self._pass_on(self._session.tick(now))
 
     def reset_odometry(self) -> None:
-        """See Base."""
         self._session.reset_odometry()
 
     def health(self) -> LinkHealth:
-        """See Base."""
         decoder = self._session.decoder
         counters = {name: getattr(decoder, name) for name in ("packets", "bad_checksums", "skipped_bytes")}
         return LinkHealth(decoder.bad_checksums > 0, counters)
 
     @property
     def base_timeout(self) -> BaseTimeout:
-        """See Base."""
         return BaseTimeout(TimeoutState.PUBLISHED, WATCHDOG_S)
 
     def measure_base_timeout(self, now: float) -> str:
-        """See Base."""
         return "the manual of a Pioneer gives its timeout"
 
     def close(self, now: float) -> None:
-        """See Base."""
         self._session.close(now)
         self._pass_on([])
         self._connection.close()

@@ -144,6 +144,9 @@ class BaseConnection:
                 try:
                     if transport is None:
                         transport = self._open()
+                        if self._closing.is_set():  # `close` may have stopped waiting for this line
+                            transport.abort()
+                            return
                     data = transport.read(READ_S)
                     if self._broken is not None:
                         raise self._broken

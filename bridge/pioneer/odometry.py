@@ -12,17 +12,16 @@ from collections.abc import Iterable
 
 from bridge.base import BaseReport
 from bridge.pioneer.packets import ConfigPac, Flag, Sip
+from rover_ncp.core.geometry import ORIGIN, Pose
 from rover_ncp.robot.description import RobotDescription, load_description
 
 ROBOTS = {name: load_description(name) for name in ("p3at", "p3at-sh", "p3dx", "p3dx-sh")}
 """The Pioneers by the subtype that the base reports in SYNC2 (``-sh``: the SH2 controller with ARCOS)."""
-
 COUNTER_BITS, HEADING_BITS = 15, 12
 HEADING_RAD = math.tau / 4096
 """Radians per unit of THPOS, for every client."""
 WHEEL_SPEED_M_S = 0.001
 """Metres per second per unit of wheel speed."""
-
 _RESET_NEAR_M, _RESET_NEAR_RAD = 0.1, 0.2
 """A requested reset has happened when the counters are this near to zero."""
 _RANGE_VALID_S = 1.0
@@ -55,8 +54,7 @@ class Odometer:
         """Whether a reset was requested and no SIP has shown it yet."""
         self._last: Sip | None = None
         # Where the base is and where it was at connect or reset, both in the base's own odometry frame.
-        self._x = self._y = self._theta = 0.0
-        self._x0 = self._y0 = self._theta0 = 0.0
+        self._pose = self._origin = ORIGIN
         headings = [abs(sonar.theta) for sonar in robot.sonar_poses]
         self._ahead = [k for k, heading in enumerate(headings) if heading <= _AHEAD_RAD]
         self._behind = [k for k, heading in enumerate(headings) if heading >= math.pi - _AHEAD_RAD]
@@ -68,8 +66,9 @@ class Odometer:
         self._accumulate(sip)
         sonar = {number: range_mm / 1000 for number, range_mm in sip.sonar}
         self._ranges |= {number: (range_m, now) for number, range_m in sonar.items()}
-        cos, sin = math.cos(self._theta0), math.sin(self._theta0)
-        dx, dy = self._x - self._x0, self._y - self._y0
+        pose, origin = self._pose, self._origin
+        cos, sin = math.cos(origin.theta), math.sin(origin.theta)
+        dx, dy = pose.x - origin.x, pose.y - origin.y
         if sip.rotvel is None:
             omega = (sip.right - sip.left) / 2 * WHEEL_SPEED_M_S / self._half_track_m
         else:
@@ -77,7 +76,7 @@ class Odometer:
         return BaseReport(
             x=cos * dx + sin * dy,
             y=cos * dy - sin * dx,
-            theta=self._theta - self._theta0,
+            theta=pose.theta - origin.theta,
             v=(sip.left + sip.right) / 2 * WHEEL_SPEED_M_S,
             omega=omega,
             battery_v=(sip.battery_x10 or sip.battery_dv) / 10,
@@ -102,16 +101,16 @@ class Odometer:
         if self.reset_pending and near_zero:
             # If these are still the old counters, near zero by chance, the jump that follows is as small and
             # counts as motion: the pose is right again after it.
-            self._x, self._y, self._theta = x, y, theta
-            self._x0 = self._y0 = self._theta0 = 0.0
-            self.reset_pending = False
+            self._pose, self._origin, self.reset_pending = Pose(x, y, theta), ORIGIN, False
         elif self._last is None:
-            self._x, self._y, self._theta = x, y, theta
-            self._x0, self._y0, self._theta0 = x, y, theta
+            self._pose = self._origin = Pose(x, y, theta)
         else:
-            self._x += counter_difference(sip.x, self._last.x, COUNTER_BITS) * distance
-            self._y += counter_difference(sip.y, self._last.y, COUNTER_BITS) * distance
-            self._theta += counter_difference(sip.theta, self._last.theta, HEADING_BITS) * HEADING_RAD
+            last, pose = self._last, self._pose
+            self._pose = Pose(
+                pose.x + counter_difference(sip.x, last.x, COUNTER_BITS) * distance,
+                pose.y + counter_difference(sip.y, last.y, COUNTER_BITS) * distance,
+                pose.theta + counter_difference(sip.theta, last.theta, HEADING_BITS) * HEADING_RAD,
+            )
         self._last = sip
 
     def _bumpers(self, sip: Sip) -> tuple[int, int]:

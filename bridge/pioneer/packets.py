@@ -4,7 +4,7 @@ Each packet is a dataclass whose fields stand in the order of the wire, each wit
 serves decoding and encoding. Firmware versions end their packets at different fields: a field that did not
 arrive keeps its default, and encoding ends at the first None.
 
-Formats: B, b, H, h, I, i as in ``struct`` (little-endian), S a string that a NUL ends.
+Formats: B, b, H, h, I, 17s as in ``struct`` (little-endian), S a string that a NUL ends.
 Sources: ARIA's ArRobot::processMotorPacket, ArRobotConfigPacketReader, AMRISim's EmulatePioneer (order of
 fields; facts only), Adept Pioneer 3 manual p. 43 (FLAGS); ARIA's ArAnalogGyro (GYROpac).
 """
@@ -45,11 +45,8 @@ class Flag(IntFlag):
     MOTORS = 1 << 0
     SONAR_1 = 1 << 1
     SONAR_2 = 1 << 2
-    SONAR_3 = 1 << 3
-    SONAR_4 = 1 << 4
     STOP_BUTTON = 1 << 5
     E_STALL = 1 << 6
-    CHARGER = 1 << 10
 
 
 def _wire(format_: str, default: Any = None) -> Any:
@@ -220,25 +217,8 @@ class ConfigPac:
     ticks_mm: int = _wire("H", 0)
     shutdown_volts: int = _wire("H", 0)
     version: str = _wire("S", "")
-    gyro_cw: int = _wire("H", 0)
-    gyro_ccw: int = _wire("H", 0)
-    kinematics_delay: int = _wire("B", 0)
-    lat_vel_top: int = _wire("H", 0)
-    lat_acc_top: int = _wire("H", 0)
-    lat_vel_max: int = _wire("H", 0)
-    lat_acc: int = _wire("H", 0)
-    lat_decel: int = _wire("H", 0)
-    charge_threshold: int = _wire("H", 0)
-    pdb_port: int = _wire("B", 0)
-    gyro_rate_limit: int = _wire("H", 0)
-    high_temp_shutdown: int = _wire("b", 0)
-    power_bits: int = _wire("H", 0)
-    battery_type: int = _wire("B", 0)
-    charge_low: int = _wire("H", 0)
-    charge_shutdown: int = _wire("H", 0)
-    bootloader_version: str = _wire("S", "")
-    config_flags: int = _wire("I", 0)
-    gyro_version: int = _wire("H", 0)
+    gyro_to_charge: bytes = _wire("17s", bytes(17))  # 9 fields; AMRISim ends here
+    power_to_gyro: bytes = _wire("18s", bytes(18))  # 10 fields
 
     @classmethod
     def decode(cls, payload: bytes) -> Self:

@@ -27,19 +27,14 @@ from rover_ncp.robot.description import RobotDescription
 
 CONFIG_S, OPEN_S = 1.0, 2.0
 """Time to wait for a CONFIGpac, which a ready base is asked for again as often, and for the first SIP."""
-
 GYRO_CLIENT_SIDE = 1
 """HASGYRO of a base that sends readings when asked; with 2 its headings have the gyro in them already."""
-
 POLITE_TRIES, SILENT_TRIES = 1, 6
 """Silent handshakes before CLOSE goes first; before giving up."""
-
 TRIES_AGAIN = 3
 """Silent handshakes before giving up a line to a base that was ready before."""
-
 CONNECT_S = 15.0
 """A base that answers but is not ready after this time is given up: the search of both rates takes 8 s."""
-
 FAST_RATE = 38400
 """Rate to ask for on a slower line, as ARIA does: at 9600 a SIP with 16 sonars fills 93 of its 100 ms.
 
@@ -47,7 +42,6 @@ A client that vanished leaves the base at this rate. CLOSE restores the rate in 
 """
 CAN_SWITCH = 2
 """AUTOBAUD of a base that takes another rate in a session (ARIA switches only then)."""
-
 NO_CONFIG = (
     "the base has not sent its configuration (CONFIGpac): its bumpers do not stop the rover before that; "
     "the bridge asks for it once a second"
@@ -188,7 +182,10 @@ class Session:
         if state is not None:
             self.state = state
             self._deadline = self._now + PATIENCE_S[state]
-        getattr(self, "_do_" + action)()
+        if isinstance(action, Command):
+            self._send(action)
+        elif action is not None:
+            getattr(self, "_do_" + action)()
 
     def _drain(self) -> list[SessionEvent]:
         events, self._events = self._events, []
@@ -219,9 +216,6 @@ class Session:
 
     # Actions.
 
-    def _do_nothing(self) -> None:
-        pass
-
     def _do_listen(self) -> None:
         self._setpoints.clear()
         self._out.clear()
@@ -233,12 +227,6 @@ class Session:
     def _do_sync0(self) -> None:
         self._tries += 1
         self._send(Command.PULSE)
-
-    def _do_sync1(self) -> None:
-        self._send(Command.OPEN)
-
-    def _do_sync2(self) -> None:
-        self._send(Command.CLOSE)
 
     def _do_try_again(self) -> None:
         self._silent_tries += 1
@@ -384,9 +372,6 @@ class Session:
         self._setpoints.clear()
         self._send_zeros()
         self._send(Command.ENABLE, 0)
-        self._send(Command.CLOSE)
-
-    def _do_say_close(self) -> None:
         self._send(Command.CLOSE)
 
     def _send_zeros(self) -> None:

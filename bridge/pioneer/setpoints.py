@@ -7,8 +7,8 @@ Speeds other than zero are sent only while the SIPs say that the motors are on.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 from bridge.base import BaseReport
 from bridge.pioneer.arcos import Command
@@ -16,16 +16,12 @@ from rover_ncp.core.geometry import STANDSTILL, Velocity
 
 PULSE_S, REFRESH_S = 0.5, 0.2
 """Period of PULSE while the motors are off (the watchdog waits 2 s), of the setpoints while they are on."""
-
 VERIFY_S, ENABLE_TRIES = 0.3, 3
 """A request that the SIPs do not show after this time is repeated; the motors' ENABLE 1 so many times."""
-
 STANDING = 0.002
 """Dead band in m/s and rad/s: commands within both ask for a standing rover. It is the allowed mean error."""
-
 HOLD_S, MAX_HOLD_S = 0.05, 0.25
 """Least duration of a turn setpoint, unless the command changes, and the longest that is accounted for."""
-
 _EARLY_S = 0.002
 """Tolerance for a loop at 20 Hz that runs a little early; without it half of its ticks would be lost."""
 
@@ -79,17 +75,10 @@ class Quantiser:
         return self._chosen
 
 
-class Send(Protocol):
-    """Sends one command with its argument."""
-
-    def __call__(self, command: Command, argument: int | None = None) -> None:
-        """Send a command."""
-
-
 class Setpoints:
     """The requests to one base. Its session calls what sends only while the base is ready."""
 
-    def __init__(self, limits: MotionLimits, send: Send) -> None:
+    def __init__(self, limits: MotionLimits, send: Callable[[Command, int | None], None]) -> None:
         self._limits = limits
         self._send = send
         self._quantiser = Quantiser()
@@ -122,7 +111,7 @@ class Setpoints:
 
     def emergency_stop(self, now: float) -> None:
         """Stop now, beyond the deceleration limit."""
-        self._send(Command.E_STOP)
+        self._send(Command.E_STOP, None)
         self.zero(now)
 
     def zero(self, now: float) -> None:
@@ -137,7 +126,7 @@ class Setpoints:
 
     def reset_odometry(self, now: float) -> None:
         """Request a reset of the counters."""
-        self._send(Command.SETO)
+        self._send(Command.SETO, None)
         self._reset_s = now
 
     def tick(self, report: BaseReport | None, reset_pending: bool, now: float) -> None:
@@ -156,7 +145,7 @@ class Setpoints:
         if speeds != self._sent or (self._wanted and now - self._sent_s >= REFRESH_S):
             self._send_speeds(*speeds, now)
         elif now - self._sent_s >= PULSE_S:
-            self._send(Command.PULSE)
+            self._send(Command.PULSE, None)
             self._sent_s = now
 
     def _clear_motion(self) -> None:

@@ -13,6 +13,8 @@ import math
 from enum import Enum
 from typing import TypeAlias
 
+from bridge.pioneer.arcos import Command
+
 
 class SessionState(Enum):
     """The state of a connection to a base."""
@@ -51,7 +53,6 @@ class Input(Enum):
 
 LOSS_S = 0.5
 """Without a SIP for this long a base counts as lost (design, safety requirement 1)."""
-
 PATIENCE_S = {
     SessionState.IDLE: math.inf,
     SessionState.LISTENING: 0.25,  # an open session speaks each 0.1 s
@@ -66,52 +67,51 @@ PATIENCE_S = {
     SessionState.FASTER: 0.9,  # as long as ARIA waits for a packet
 }
 """How long a state lasts by itself, in seconds."""
-
-Entry: TypeAlias = tuple[SessionState | None, str]
+Entry: TypeAlias = tuple[SessionState | None, Command | str | None]
 
 _ENDING: dict[Input, Entry] = {
-    Input.CLOSE: (SessionState.IDLE, "say_close"),
-    Input.LINK_DOWN: (SessionState.IDLE, "nothing"),
+    Input.CLOSE: (SessionState.IDLE, Command.CLOSE),
+    Input.LINK_DOWN: (SessionState.IDLE, None),
 }
 _SYNCING: dict[Input, Entry] = _ENDING | {
     Input.SIP: (SessionState.HANGING_UP, "hang_up"),
-    Input.RESET: (SessionState.LISTENING, "nothing"),
+    Input.RESET: (SessionState.LISTENING, None),
     Input.EXPIRED: (SessionState.LISTENING, "try_again"),
     Input.GAVE_UP: (SessionState.IDLE, "give_up"),
 }
 _OPEN: dict[Input, Entry] = {
-    Input.RESET: (SessionState.LISTENING, "nothing"),
+    Input.RESET: (SessionState.LISTENING, None),
     Input.CLOSE: (SessionState.IDLE, "leave"),
-    Input.LINK_DOWN: (SessionState.IDLE, "nothing"),
+    Input.LINK_DOWN: (SessionState.IDLE, None),
 }
 # The wrong echo starts over. A late echo of an earlier try is ignored.
-_WRONG: Entry = (SessionState.LISTENING, "nothing")
+_WRONG: Entry = (SessionState.LISTENING, None)
 
 TABLE: dict[SessionState, dict[Input, Entry]] = {
     SessionState.IDLE: {Input.CONNECT: (SessionState.LISTENING, "listen")},
     SessionState.LISTENING: {
         Input.SIP: (SessionState.HANGING_UP, "hang_up"),
-        Input.RESET: (SessionState.LISTENING, "nothing"),
+        Input.RESET: (SessionState.LISTENING, None),
         # A late echo still shows which packet the base expects next.
-        Input.ECHO0: (SessionState.SYNC1, "sync1"),
-        Input.ECHO1: (SessionState.SYNC2, "sync2"),
+        Input.ECHO0: (SessionState.SYNC1, Command.OPEN),
+        Input.ECHO1: (SessionState.SYNC2, Command.CLOSE),
         Input.NAMES: (SessionState.CONFIGURING, "open"),
         Input.STRANGER: (SessionState.IDLE, "refuse"),
         Input.EXPIRED: (SessionState.SYNC0, "sync0"),
         Input.GAVE_UP: (SessionState.IDLE, "give_up"),
-        Input.CLOSE: (SessionState.IDLE, "nothing"),
-        Input.LINK_DOWN: (SessionState.IDLE, "nothing"),
+        Input.CLOSE: (SessionState.IDLE, None),
+        Input.LINK_DOWN: (SessionState.IDLE, None),
     },
     SessionState.SYNC0: _SYNCING
     | {
-        Input.ECHO0: (SessionState.SYNC1, "sync1"),
+        Input.ECHO0: (SessionState.SYNC1, Command.OPEN),
         Input.ECHO1: _WRONG,
         Input.NAMES: _WRONG,
         Input.STRANGER: _WRONG,
     },
     SessionState.SYNC1: _SYNCING
     | {
-        Input.ECHO1: (SessionState.SYNC2, "sync2"),
+        Input.ECHO1: (SessionState.SYNC2, Command.CLOSE),
         Input.NAMES: _WRONG,
         Input.STRANGER: _WRONG,
     },
@@ -123,7 +123,7 @@ TABLE: dict[SessionState, dict[Input, Entry]] = {
     },
     SessionState.HANGING_UP: _ENDING
     | {
-        Input.RESET: (SessionState.LISTENING, "nothing"),
+        Input.RESET: (SessionState.LISTENING, None),
         Input.EXPIRED: (SessionState.SYNC0, "sync0"),
         Input.GAVE_UP: (SessionState.IDLE, "give_up"),
     },
@@ -134,7 +134,7 @@ TABLE: dict[SessionState, dict[Input, Entry]] = {
         Input.EXPIRED: (SessionState.CONFIGURING, "ask_again"),
         Input.SETTLED: (SessionState.READY, "be_ready"),
         Input.SLOW: (SessionState.ASKING_FASTER, "ask_faster"),
-        Input.GAVE_UP: (SessionState.LISTENING, "nothing"),
+        Input.GAVE_UP: (SessionState.LISTENING, None),
     },
     SessionState.ASKING_FASTER: _OPEN | {Input.EXPIRED: (SessionState.FASTER, "switch")},
     SessionState.FASTER: _OPEN
@@ -142,24 +142,23 @@ TABLE: dict[SessionState, dict[Input, Entry]] = {
         Input.SIP: (SessionState.READY, "be_ready"),
         Input.EXPIRED: (SessionState.READY, "switch_back"),
     },
-    SessionState.READY: {
+    SessionState.READY: _OPEN
+    | {
         Input.SIP: (SessionState.READY, "publish"),
         Input.CONFIG: (None, "configure"),
         Input.EXPIRED: (SessionState.LOST, "lose"),
         Input.RESET: (SessionState.LISTENING, "lose_to_reset"),
         # Only a base that waits for a client echoes: it took our PULSE for SYNC0.
         Input.ECHO0: (SessionState.LISTENING, "lose_to_reset"),
-        Input.CLOSE: (SessionState.IDLE, "leave"),
         Input.LINK_DOWN: (SessionState.IDLE, "lose_line"),
     },
-    SessionState.LOST: {
+    SessionState.LOST: _OPEN
+    | {
         Input.SIP: (SessionState.READY, "recover"),
         # The line may hold old setpoints back. The base, halted by its watchdog, would obey them later.
         Input.EXPIRED: (SessionState.IDLE, "replace_line"),
         Input.RESET: (SessionState.LISTENING, "listen"),
         Input.ECHO0: (SessionState.LISTENING, "listen"),
-        Input.CLOSE: (SessionState.IDLE, "leave"),
-        Input.LINK_DOWN: (SessionState.IDLE, "nothing"),
     },
 }
-"""state: {input: (next state or None, action)}; the session's method ``_do_ACTION`` is what is done."""
+"""state: {input: (next state or None, action)}; the action is a command, or the session's ``_do_ACTION``."""

@@ -24,27 +24,21 @@ from rover_ncp.wire.address import parse_address
 
 DEFAULT_PORT = 8101
 """TCP port of a base in ARIA, p2os and AMRISim."""
-
 DEFAULT_BAUD = 9600
 """The base's FLASH default."""
-
 CONNECT_TIMEOUT_S = 5.0
 BACKLOG_S = 0.5
 """A line is broken if bytes wait for longer than this in it: later commands would only arrive late."""
 BITS_PER_BYTE = 10
 """On a serial line: start bit, 8 data bits, stop bit."""
-
 LINGER_S = 0.3
 """How long closing waits for the base to hang up too."""
-
 ABORT = struct.pack("ii", 1, 0)
 """SO_LINGER: close by a reset, and drop undelivered bytes."""
-
 CHUNK_BYTES = 4096
 
 _ERRORS = (OSError, ValueError, TypeError)
 """Errors of sockets and of pyserial, whose SerialException is an OSError."""
-
 _FORM = "expected tcp/HOST[:8101] or serial//dev/ttyUSB0[#baudrate=9600]"
 
 
@@ -64,8 +58,7 @@ class Transport(ABC):
     def fileno(self) -> int:
         """Return the descriptor, which never waits."""
 
-    @abstractmethod
-    def set_baudrate(self, baudrate: int) -> None:
+    def set_baudrate(self, baudrate: int) -> None:  # noqa: B027
         """Run at another rate from now on, if the line has one. Raises NoRobot when the line is gone."""
 
     @abstractmethod
@@ -142,11 +135,7 @@ class TcpTransport(Transport):
         """When a write last found that number grown, or no byte outstanding."""
 
     def fileno(self) -> int:
-        """See Transport."""
         return self._socket.fileno()
-
-    def set_baudrate(self, baudrate: int) -> None:
-        """See Transport: this line has no rate."""
 
     def _stuck(self) -> bool:
         """Return whether bytes are outstanding and the far end has acknowledged none for `BACKLOG_S`.
@@ -166,7 +155,6 @@ class TcpTransport(Transport):
         return int.from_bytes(fcntl.ioctl(self._socket, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
 
     def close(self) -> None:
-        """See Transport."""
         with suppress(OSError, ValueError):
             self._socket.shutdown(socket.SHUT_WR)
             # Closing over unread bytes would reset the connection and might take our last command with it.
@@ -179,7 +167,6 @@ class TcpTransport(Transport):
             self._socket.close()
 
     def abort(self) -> None:
-        """See Transport."""
         with suppress(OSError):
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, ABORT)
         with suppress(OSError):
@@ -200,7 +187,6 @@ class SerialTransport(Transport):
         self.baudrate = baudrate
 
     def set_baudrate(self, baudrate: int) -> None:
-        """See Transport."""
         try:
             self._port.baudrate = baudrate
         except _ERRORS as error:
@@ -208,20 +194,17 @@ class SerialTransport(Transport):
         self.baudrate = baudrate
 
     def fileno(self) -> int:
-        """See Transport."""
         return int(self._port.fileno())
 
     def _stuck(self) -> bool:
         return bool(self._port.out_waiting * BITS_PER_BYTE / self._port.baudrate > BACKLOG_S)
 
     def close(self) -> None:
-        """See Transport."""
         # The system sends what was written; waiting for it here could wait for ever on a dead port.
         with suppress(OSError):
             self._port.close()
 
     def abort(self) -> None:
-        """See Transport."""
         with suppress(*_ERRORS):
             self._port.reset_output_buffer()
         self.close()

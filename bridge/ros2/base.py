@@ -1,4 +1,4 @@
-"""A ROS 2 robot as a `Base`: Odometry in, Twist out. Pure; the sessions are in `line.py`.
+"""A ROS 2 robot as a `Base`: Odometry in, Twist out. Pure; the sessions are in `connection.py`.
 
 Rules of this file:
 
@@ -94,24 +94,17 @@ class LoopSeen:
 
 
 class Connection(Protocol):
-    """The session with the robot, as `bridge.ros2.connection.RosConnection`."""
+    """The session with the robot; `bridge.ros2.connection.RosConnection` documents the methods."""
 
     endpoint: str
     zid: str
     source: bytes | None
     """Our own source in messages, where the form has one."""
 
-    def topic(self, name: str) -> str:
-        """Return a topic with the namespace."""
-
-    def publish(self, payload: bytes) -> None:
-        """Send a command."""
-
-    def wait(self, seconds: float) -> None:
-        """Let time pass."""
-
-    def close(self) -> None:
-        """End the session."""
+    def topic(self, name: str) -> str: ...
+    def publish(self, payload: bytes) -> None: ...
+    def wait(self, seconds: float) -> None: ...
+    def close(self) -> None: ...
 
 
 def command(topics: Topics, velocity: Velocity, stamp_ns: int) -> bytes:
@@ -159,12 +152,14 @@ class Ros2Base:
         self._measurement: TimeoutMeasurement | None = None
 
     def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:
-        """See Base."""
-        events, notices = list[BaseEvent](), list[BaseEvent]()
+        events, changes = list[BaseEvent](), list[BaseEvent]()
         match arrival:
             case RobotMessage():
                 events = self._message(arrival)
-                notices = self._clock_notices(arrival.topic, self._odometer.set_back_s)
+                back_s = self._odometer.set_back_s if arrival.topic == self._topics.odom else 0.0
+                if 0.0 < back_s <= CLOCK_BACK_S:  # beyond it, it is a restart
+                    topic = self._line.topic(arrival.topic)
+                    changes.append(Notice(f"the clock that stamps {topic} was set back by {back_s:.2f} s"))
             case TokenSeen(token, there):
                 if not there:
                     self._tokens.pop(token, None)
@@ -172,11 +167,10 @@ class Ros2Base:
                     self._tokens[token] = None
             case LoopSeen(there):
                 self._loop = there
-        changes = [*notices, *self._watch(now)]
+        changes += self._watch(now)
         return [*changes, *events] if self._ready else changes
 
     def drive(self, setpoint: Setpoint, now: float) -> Sequence[BaseEvent]:
-        """See Base."""
         events = self._watch(now)
         velocity = setpoint.velocity if setpoint.motors and self._ready else STANDSTILL
         same_lease, self._lease = setpoint.lease == self._lease, setpoint.lease
@@ -199,11 +193,9 @@ class Ros2Base:
         return events
 
     def reset_odometry(self) -> None:
-        """See Base."""
         self._odometer.reset()
 
     def health(self) -> LinkHealth:
-        """See Base."""
         counters = self._odometer.counters
         return LinkHealth(counters["unreadable"] > 0, counters)
 
@@ -214,14 +206,12 @@ class Ros2Base:
 
     @property
     def base_timeout(self) -> BaseTimeout:
-        """See Base."""
         known = self._timeout
         if self._measurement is not None:
             return BaseTimeout(TimeoutState.RUNNING, None, known.refusal or _MEASURING)
         return BaseTimeout(known.state, known.timeout_s, known.refusal)
 
     def measure_base_timeout(self, now: float) -> str:
-        """See Base."""
         # With a zero already sent, it would measure how the robot obeys and not how it halts by itself.
         if not self._ready or abs(self._speed) < MOVING_M_S or self._out == STANDSTILL:
             return "the wheels do not turn by a command"
@@ -231,7 +221,6 @@ class Ros2Base:
         return ""
 
     def close(self, now: float) -> None:
-        """See Base."""
         try:
             for number in range(LAST_ZEROS):
                 self._send(STANDSTILL, now + number * REFRESH_S)
@@ -313,11 +302,6 @@ class Ros2Base:
         who = " or ".join(others) or "a publisher without a name"
         self._contradictions[f"{who} publishes {where} too"] = now
         self._odometer.counters["foreign"] += 1
-
-    def _clock_notices(self, topic: str, back_s: float) -> list[BaseEvent]:
-        if topic != self._topics.odom or not 0.0 < back_s <= CLOCK_BACK_S:  # beyond it, it is a restart
-            return []
-        return [Notice(f"the clock that stamps {self._line.topic(topic)} was set back by {back_s:.2f} s")]
 
     def _announced(self, topic: str, published: bool) -> list[Announced]:
         """Return what others announce of a topic."""

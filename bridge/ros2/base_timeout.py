@@ -50,20 +50,12 @@ class TimeoutRecord:
         """Why no driver but the check may drive; "" if every driver may."""
         if self.unsafe or (self.described_s is not None and self._newest is TimeoutState.MEASURED):
             return ""
-        if self._newest is TimeoutState.NONE:
-            remedy = f"to drive it, {_UNSAFE}"
-        elif self._newest is TimeoutState.UNKNOWN:
-            remedy = f"put it on blocks and run 'rover-ncp check', or {_UNSAFE}"
-        else:
-            remedy = (
-                "add the line that 'rover-ncp check' printed to its description and start the bridge anew"
-            )
-        return f"the robot {self._known}; {remedy}"
+        return "the robot {}; {}".format(*self._words)
 
     @property
     def note(self) -> str:
         """Text for the log at each start."""
-        return f"if this bridge dies: {self.refusal or f'the robot {self._known}'}"
+        return f"if this bridge dies: {self.refusal or f'the robot {self._words[0]}'}"
 
     @property
     def _newest(self) -> TimeoutState:
@@ -72,14 +64,20 @@ class TimeoutRecord:
         return TimeoutState.NONE if self.measured else TimeoutState.UNKNOWN
 
     @property
-    def _known(self) -> str:
+    def _words(self) -> tuple[str, str]:
+        """What is known, and what to do before every driver may drive."""
         match self._newest:
             case TimeoutState.NONE:
-                return "does not halt by itself when its commands stop"
+                return "does not halt by itself when its commands stop", f"to drive it, {_UNSAFE}"
             case TimeoutState.UNKNOWN:
-                return "is not known to halt by itself when its commands stop"
+                return (
+                    "is not known to halt by itself when its commands stop",
+                    f"put it on blocks and run 'rover-ncp check', or {_UNSAFE}",
+                )
             case _:
-                return f"halts {self.timeout_s:.1f} s after its last command (measured)"
+                known = f"halts {self.timeout_s:.1f} s after its last command (measured)"
+                line = "the line that 'rover-ncp check' printed"
+                return known, f"add {line} to its description and start the bridge anew"
 
 
 class TimeoutMeasurement:

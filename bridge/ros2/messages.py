@@ -79,8 +79,7 @@ def turn_rate(rate: float, robot: RobotDescription, stamp_ns: int) -> bytes:
 
 def gate_status(state: GateState) -> GateStatus:
     """Return the gate's state as it goes out on ``rover/gate``."""
-    lease = state.lease
-    held = state.held
+    lease, held = state.lease, state.held
     return GateStatus(
         lease=lease.number if lease else 0,
         driver_name=lease.name if lease else "",

@@ -1,9 +1,9 @@
 """A LaserScan as the room before and behind a robot, in place of sonars. Pure."""
 
 import math
-from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.errors import FormatError
@@ -19,9 +19,6 @@ BEAMS_APART = 1.5
 """A direction was scanned if a beam lies within this many steps of it."""
 LOOKS_RAD = math.radians(20.0)
 """The room in a direction is known only if at least one beam within this angle, or those steps, is valid."""
-
-_Numbers: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.float64]]"
-_Flags: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.bool_]]"
 
 
 class ScanRoom:
@@ -67,13 +64,11 @@ class ScanRoom:
         return self._room if now - self._at_s <= VALID_S else (math.nan, math.nan)
 
 
-def _least(room: _Numbers) -> float:
+def _least(room: NDArray[np.float64]) -> float:
     return max(float(room.min()), 0.0) if len(room) else math.inf
 
 
-def _scanned(angles: _Numbers, sees: _Flags, direction: float, step: float) -> bool:
-    apart, near = (
-        np.abs(np.remainder(angles - direction + math.pi, math.tau) - math.pi),
-        BEAMS_APART * abs(step),
-    )
+def _scanned(angles: NDArray[np.float64], sees: NDArray[np.bool_], direction: float, step: float) -> bool:
+    apart = np.abs(np.remainder(angles - direction + math.pi, math.tau) - math.pi)
+    near = BEAMS_APART * abs(step)
     return bool(apart.min() <= near and np.any(sees & (apart <= max(near, LOOKS_RAD))))

@@ -90,10 +90,8 @@ def _require_authentication(settings: zenoh.Config, endpoints: list[str]) -> Non
 
     A router that we connect to brings all who are connected to it.
     """
-    open_ = [where for where in endpoints if not _local(where)]
-    open_ += [
-        where for where in _of_router(json.loads(settings.get_json("connect/endpoints"))) if not _local(where)
-    ]
+    connects = _of_router(json.loads(settings.get_json("connect/endpoints")))
+    open_ = [where for where in [*endpoints, *connects] if not _local(where)]
     mutual = json.loads(settings.get_json(_MTLS)) is True
     if not open_ or (mutual and all(where.partition("/")[0] in _ENCRYPTED_PROTOCOLS for where in open_)):
         return

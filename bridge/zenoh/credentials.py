@@ -21,7 +21,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from pydantic import BaseModel, Field
 
-from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, Role, key
+from rover_ncp.wire.key_table import KEYS, Kind, Role, key
 
 
 class KeysResult(BaseModel):
@@ -189,25 +189,24 @@ def access_control(namespace: str) -> dict[str, Any]:
 
     Raises UsageError for a namespace that is no key.
     """
-    policies = []
-    rules = []
-    for role in PEERS:
-        of_role = list(_rules(role, namespace))
-        rules += of_role
-        policies.append({"rules": [rule["id"] for rule in of_role], "subjects": [role.value]})
+    rules = {role.value: _rules(role, namespace) for role in PEERS}
     return {
         "enabled": True,
         "default_permission": "deny",
-        "rules": rules,
-        "subjects": [{"id": role.value, "cert_common_names": [role.value]} for role in PEERS],
-        "policies": policies,
+        "rules": [rule for of_role in rules.values() for rule in of_role],
+        "subjects": [{"id": name, "cert_common_names": [name]} for name in rules],
+        "policies": [
+            {"rules": [rule["id"] for rule in of_role], "subjects": [name]} for name, of_role in rules.items()
+        ],
     }
 
 
 def _rules(role: Role, namespace: str) -> list[dict[str, Any]]:
     allowed: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for row in KEYS:
-        for flow_and_messages in _rights(role, row):
+        sends = _SENDS[row.kind] if role in row.senders else ()
+        receives = _RECEIVES[row.kind] if role in row.receivers else ()
+        for flow_and_messages in (*sends, *receives):
             allowed.setdefault(flow_and_messages, []).append(key(namespace, row.name))
     return [
         {
@@ -219,12 +218,3 @@ def _rules(role: Role, namespace: str) -> list[dict[str, Any]]:
         }
         for (flow, messages), key_exprs in allowed.items()
     ]
-
-
-def _rights(role: Role, row: KeySpec) -> list[tuple[str, tuple[str, ...]]]:
-    rights: list[tuple[str, tuple[str, ...]]] = []
-    if role in row.senders:
-        rights += _SENDS[row.kind]
-    if role in row.receivers:
-        rights += _RECEIVES[row.kind]
-    return rights

@@ -54,7 +54,6 @@ class ZenohLink(ClosedAtExit):
             # ROS nodes find each other through the router they are connected to, which we are then.
             settings.insert_json5("scouting/gossip/enabled", "true")
         self._session = _open(settings, endpoints)
-        self._token: Any = None
         self._held: list[Any] = []
         try:
             self.locator = self._locator(endpoints)
@@ -66,13 +65,12 @@ class ZenohLink(ClosedAtExit):
 
     def announce(self) -> None:
         """Announce the bridge, and its topics to ROS bridges."""
-        if self._token is None:
-            tokens = self._session.liveliness()
-            if Convention.ROS2DDS in self._ros:
-                self._held += [tokens.declare_token(key) for key in self._ros2dds_tokens()]
-            if self._rmw is not None:
-                self._rmw.announce()
-            self._token = tokens.declare_token(self.key("rover/alive/bridge"))
+        tokens = self._session.liveliness()
+        if Convention.ROS2DDS in self._ros:
+            self._held += [tokens.declare_token(key) for key in self._ros2dds_tokens()]
+        if self._rmw is not None:
+            self._rmw.announce()
+        self._held.append(tokens.declare_token(self.key("rover/alive/bridge")))
 
     def watch_robot_side(self, key: str, seen: Callable[[bool], None]) -> None:
         """Call ``seen`` when a token of the robot's network appears here or goes: the two are connected."""

@@ -53,13 +53,15 @@ def circuit_from_bnn(text: str, name: str, source: str) -> Circuit:
         try:
             if not size:
                 size = _size(words)
-            elif words[0] in _SYNAPSES:
-                synapses.append(_synapse(words, size))
+                continue
+            word, indices, numbers = _statement(words, size)
+            if word in _SYNAPSES:
+                weight, sigma, *_ = (*numbers, DEFAULTS[ParameterKind.SIGMA])
+                synapses.append((_SYNAPSES[word], indices[0], indices[1], weight, sigma))
+            elif (word, *indices) in values:
+                raise ValueError(f"{word} {indices[0]} appears twice")
             else:
-                key, value = _value(words, size)
-                if key in values:
-                    raise ValueError(f"{key[0]} {key[1]} appears twice")
-                values[key] = value
+                values[word, indices[0]] = numbers[0]
         except ValueError as error:
             problems.append(f"line {number}: {error}")
             if not size:  # no index can be checked without it
@@ -104,29 +106,15 @@ def _size(words: list[str]) -> int:
     return int(count)
 
 
-def _value(words: list[str], size: int) -> tuple[tuple[str, int], float]:
-    match words:
-        case [word, neuron, value] if word in _VALUES:
-            return (word, _index(neuron, size)), _number(value)
-    raise _wrong(words)
-
-
-def _synapse(words: list[str], size: int) -> _Synapse:
-    match words:
-        case [word, origin, destination, weight]:
-            sigma = DEFAULTS[ParameterKind.SIGMA]
-        case ["ex" | "inh" as word, origin, destination, weight, text]:
-            sigma = _number(text)
-        case _:
-            raise _wrong(words)
-    return _SYNAPSES[word], _index(origin, size), _index(destination, size), _number(weight), sigma
-
-
-def _wrong(words: list[str]) -> ValueError:
-    word = words[0]
-    if word in _USAGE:
-        return ValueError(f"expected '{word} {_USAGE[word]}', got {len(words) - 1} values")
-    return ValueError(f"unknown statement {word[:20]!r} (expected one of {', '.join(_USAGE)})")
+def _statement(words: list[str], size: int) -> tuple[str, list[int], list[float]]:
+    """Return a statement's word, its neurons and its numbers."""
+    word, *texts = words
+    if word not in _USAGE:
+        raise ValueError(f"unknown statement {word[:20]!r} (expected one of {', '.join(_USAGE)})")
+    neurons, usage = (2 if word in _SYNAPSES else 1), _USAGE[word].split()
+    if not neurons + 1 <= len(texts) <= len(usage):
+        raise ValueError(f"expected '{word} {_USAGE[word]}', got {len(texts)} values")
+    return word, [_index(text, size) for text in texts[:neurons]], [_number(text) for text in texts[neurons:]]
 
 
 def _index(text: str, size: int) -> int:

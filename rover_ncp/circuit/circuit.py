@@ -119,15 +119,15 @@ class Circuit:
 
     def __post_init__(self) -> None:
         for name in ("kind", "source", "destination"):
-            object.__setattr__(self, name, _frozen(getattr(self, name), np.int64))
+            object.__setattr__(self, name, read_only(getattr(self, name), np.int64))
         for kind in (*_SYNAPSE_ARRAYS, *_NEURON_ARRAYS):
-            object.__setattr__(self, kind, _frozen(getattr(self, kind), np.float64))
+            object.__setattr__(self, kind, read_only(getattr(self, kind), np.float64))
         problems = self._shape_problems() or self._value_problems()
         if problems:
             raise ConfigError(f"circuit {self.name}" if is_name(self.name) else "circuit", problems)
         gaps = self.kind == SynapseKind.GAP
         sigma = np.where(gaps, DEFAULTS[ParameterKind.SIGMA], self.sigma)
-        object.__setattr__(self, "sigma", _frozen(sigma, np.float64))
+        object.__setattr__(self, "sigma", read_only(sigma, np.float64))
 
     @property
     def size(self) -> int:
@@ -230,7 +230,8 @@ def time_constants(circuit: Circuit, potentials: FloatArray) -> FloatArray:
     return tau
 
 
-def _frozen(values: ArrayLike, dtype: type) -> NDArray[Any]:
+def read_only(values: ArrayLike, dtype: type) -> NDArray[Any]:
+    """Return a copy that cannot be written to."""
     array: NDArray[Any] = np.array(values, dtype)
     array.flags.writeable = False
     return array

@@ -16,15 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.circuit import RESTING_MV, Circuit, ParameterKind, SynapseKind
+from rover_ncp.circuit.circuit import RESTING_MV, Circuit, FloatArray, IntArray, ParameterKind, SynapseKind
 from rover_ncp.circuit.motors import MotorMap
 from rover_ncp.circuit.policy import ParameterLayout, Policy
 from rover_ncp.circuit.sensing import SensorMap
 from rover_ncp.kernels.jit import kernel
 from rover_ncp.kernels.vectors import WIDTH, RowArray, aligned_zeros
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 LOG2_E = 1.4426950408889634
 
@@ -39,25 +36,17 @@ class Integrated(NamedTuple):
     capacitance_at: IntArray
 
 
-class Chemical(NamedTuple):
-    """Chemical synapses by destination, the excitatory ones of a neuron before its inhibitory ones."""
+class Synapses(NamedTuple):
+    """Chemical synapses or gap junctions by destination, the inhibitory ones of a neuron last."""
 
     source: IntArray
     weight_at: IntArray
     sigma_at: IntArray
+    """Of chemical ones; (0,) for gap junctions."""
     first: RowArray
     """(d + 1,) where the synapses of each integrated neuron begin; the next entry is where they end."""
     first_inhibitory: RowArray
     """(d,) where its inhibitory ones begin."""
-
-
-class Gaps(NamedTuple):
-    """Gap junctions by destination."""
-
-    source: IntArray
-    weight_at: IntArray
-    first: RowArray
-    """(d + 1,) where the junctions of each integrated neuron begin."""
 
 
 class Program(NamedTuple):
@@ -70,10 +59,10 @@ class Program(NamedTuple):
     substeps: int
     sensors: SensorMap
     integrated: Integrated
-    input_synapses: Chemical
-    recurrent_synapses: Chemical
-    input_gaps: Gaps
-    recurrent_gaps: Gaps
+    input_synapses: Synapses
+    recurrent_synapses: Synapses
+    input_gaps: Synapses
+    recurrent_gaps: Synapses
     motors: MotorMap
     motor_low: float
     motor_scale: float
@@ -146,10 +135,10 @@ def make_program(policy: Policy) -> Program:
             leak_at=neurons_at(ParameterKind.LEAK),
             capacitance_at=neurons_at(ParameterKind.CAPACITANCE),
         ),
-        input_synapses=_chemical(circuit, layout, integrated, live & chemical & from_sensory),
-        recurrent_synapses=_chemical(circuit, layout, integrated, live & chemical & ~from_sensory),
-        input_gaps=_gaps(circuit, integrated, live & ~chemical & from_sensory),
-        recurrent_gaps=_gaps(circuit, integrated, live & ~chemical & ~from_sensory),
+        input_synapses=_synapses(circuit, layout, integrated, live & chemical & from_sensory),
+        recurrent_synapses=_synapses(circuit, layout, integrated, live & chemical & ~from_sensory),
+        input_gaps=_synapses(circuit, layout, integrated, live & ~chemical & from_sensory),
+        recurrent_gaps=_synapses(circuit, layout, integrated, live & ~chemical & ~from_sensory),
         motors=policy.motors.map_from(circuit),
         motor_low=policy.motors.low_mV,
         motor_scale=1.0 / (policy.motors.high_mV - policy.motors.low_mV),
@@ -163,11 +152,10 @@ def make_program(policy: Policy) -> Program:
 def dead_parameters(policy: Policy) -> NDArray[np.bool_]:
     """Return which parameters (P,) have no effect on the outputs: those of sensory neurons, mostly."""
     program = make_program(policy)
-    chemical = (program.input_synapses, program.recurrent_synapses)
+    groups = program.input_synapses, program.recurrent_synapses, program.input_gaps, program.recurrent_gaps
     read = [
         *program.integrated[1:],
-        *(places for synapses in chemical for places in (synapses.weight_at, synapses.sigma_at)),
-        *(gaps.weight_at for gaps in (program.input_gaps, program.recurrent_gaps)),
+        *(places for synapses in groups for places in (synapses.weight_at, synapses.sigma_at)),
         program.input_layer_at.ravel(),
         program.output_layer_at.ravel(),
     ]
@@ -183,7 +171,7 @@ def allocate_lanes(program: Program, policy: Policy, count: int) -> LaneParamete
     """
     blocks, count_integrated = -(-count // WIDTH), len(program.integrated.neuron)
 
-    def rows(number: int, blocks: int = blocks) -> NDArray[np.float64]:
+    def rows(number: int, blocks: int = blocks) -> FloatArray:
         return aligned_zeros(blocks, number, WIDTH)
 
     lanes = LaneParameters(
@@ -211,7 +199,7 @@ def allocate_lanes(program: Program, policy: Policy, count: int) -> LaneParamete
     return lanes
 
 
-def resting_potentials(policy: Policy, count: int) -> NDArray[np.float64]:
+def resting_potentials(policy: Policy, count: int) -> FloatArray:
     """Return the potentials (n, count) in mV at the start of a run."""
     potentials = aligned_zeros(policy.circuit.size, count)
     potentials[:] = RESTING_MV
@@ -243,7 +231,7 @@ def fill_lane(program: Program, lanes: LaneParameters, lane: int, vector: FloatA
 
 @kernel
 def fill_synapses(
-    synapses: Chemical, weight: FloatArray, slope: FloatArray, vector: FloatArray, lane: int
+    synapses: Synapses, weight: FloatArray, slope: FloatArray, vector: FloatArray, lane: int
 ) -> None:
     """Set one lane's chemical synapses."""
     block, place = lane // WIDTH, lane % WIDTH
@@ -254,7 +242,7 @@ def fill_synapses(
 
 
 @kernel
-def fill_gaps(gaps: Gaps, weight: FloatArray, total: FloatArray, vector: FloatArray, lane: int) -> None:
+def fill_gaps(gaps: Synapses, weight: FloatArray, total: FloatArray, vector: FloatArray, lane: int) -> None:
     """Set one lane's gap junctions, and add them to the conductances of their destinations."""
     block, place = lane // WIDTH, lane % WIDTH
     first, weight_at = gaps.first, gaps.weight_at
@@ -269,51 +257,31 @@ def _with_held(sensors: SensorMap, circuit: Circuit) -> SensorMap:
     held = [i for i in sorted(circuit.held) if i not in sensors.neuron]
     held_mV = np.array([circuit.held[i] for i in held], np.float64)
     zeros = np.zeros(len(held))
-    return SensorMap(
-        neuron=np.concatenate([sensors.neuron, np.array(held, np.int64)]),
-        channel=np.concatenate([sensors.channel, zeros.astype(np.int64)]),
-        base=np.concatenate([sensors.base, zeros]),
-        gain=np.concatenate([sensors.gain, zeros]),
-        lower=np.concatenate([sensors.lower, held_mV]),
-        upper=np.concatenate([sensors.upper, held_mV]),
-    )
+    added = SensorMap(np.array(held, np.int64), zeros.astype(np.int64), zeros, zeros, held_mV, held_mV)
+    return SensorMap._make(np.concatenate(pair) for pair in zip(sensors, added, strict=True))
 
 
-def _chemical(
+def _synapses(
     circuit: Circuit, layout: ParameterLayout, integrated: IntArray, chosen: NDArray[np.bool_]
-) -> Chemical:
+) -> Synapses:
     synapses = np.flatnonzero(chosen)
     inhibitory = circuit.kind[synapses] == SynapseKind.INHIBITORY
     order = np.lexsort((inhibitory, circuit.destination[synapses]))
     synapses, inhibitory = synapses[order], inhibitory[order]
-    first = _first(circuit, integrated, synapses)
-    excitatory = [np.count_nonzero(~inhibitory[a:b]) for a, b in pairwise(first)]
-    sigma_at = np.cumsum(circuit.chemical) - 1
-    if len(synapses):
+    begin = np.searchsorted(circuit.destination[synapses], integrated)
+    first = np.append(begin, len(synapses)).astype(np.uint64)
+    others = [np.count_nonzero(~inhibitory[a:b]) for a, b in pairwise(first)]
+    chemical = synapses[circuit.chemical[synapses]]
+    sigma_at = np.cumsum(circuit.chemical)[chemical] - 1
+    if len(chemical):
         sigma_at += layout.block(ParameterKind.SIGMA).slice.start
-    return Chemical(
+    return Synapses(
         source=circuit.source[synapses],
         weight_at=synapses,
-        sigma_at=sigma_at[synapses],
+        sigma_at=sigma_at,
         first=first,
-        first_inhibitory=first[:-1] + np.array(excitatory, np.uint64),
+        first_inhibitory=first[:-1] + np.array(others, np.uint64),
     )
-
-
-def _gaps(circuit: Circuit, integrated: IntArray, chosen: NDArray[np.bool_]) -> Gaps:
-    junctions = np.flatnonzero(chosen)
-    junctions = junctions[np.argsort(circuit.destination[junctions], kind="stable")]
-    return Gaps(
-        source=circuit.source[junctions],
-        weight_at=junctions,
-        first=_first(circuit, integrated, junctions),
-    )
-
-
-def _first(circuit: Circuit, integrated: IntArray, synapses: IntArray) -> RowArray:
-    """Return where the synapses of each integrated neuron begin, and as the last entry where all end."""
-    begin = np.searchsorted(circuit.destination[synapses], integrated)
-    return np.append(begin, len(synapses)).astype(np.uint64)
 
 
 def _layer_at(policy: Policy, layout: ParameterLayout, kind: ParameterKind) -> IntArray:

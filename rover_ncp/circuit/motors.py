@@ -66,24 +66,17 @@ class Motors(StrictModel):
 
 def parking_motors() -> Motors:
     """Return the paper's motors for parking: forward speed in m/s, turn rate in rad/s (left positive)."""
-    return Motors(
-        outputs=("v", "omega"),
-        channels=(
-            Channel(name="v", positive="FWD", maximum=0.16),
-            Channel(name="omega", positive="LFT", maximum=0.18, negative="RGT", minimum=-0.18),
-        ),
-    )
+    return _steered(Channel(name="v", positive="FWD", maximum=0.16))
 
 
 def four_dof_motors() -> Motors:
     """Return the motors for parking forward and in reverse; the paper calls them four degrees of freedom."""
-    return Motors(
-        outputs=("v", "omega"),
-        channels=(
-            Channel(name="v", positive="FWD", maximum=0.16, negative="REV", minimum=-0.16),
-            Channel(name="omega", positive="LFT", maximum=0.18, negative="RGT", minimum=-0.18),
-        ),
-    )
+    return _steered(Channel(name="v", positive="FWD", maximum=0.16, negative="REV", minimum=-0.16))
+
+
+def _steered(v: Channel) -> Motors:
+    omega = Channel(name="omega", positive="LFT", maximum=0.18, negative="RGT", minimum=-0.18)
+    return Motors(outputs=("v", "omega"), channels=(v, omega))
 
 
 def course_motors() -> Motors:

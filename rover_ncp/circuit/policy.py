@@ -9,15 +9,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from rover_ncp.circuit.circuit import BOUNDS, Circuit, ParameterKind
+from rover_ncp.circuit.circuit import BOUNDS, Circuit, FloatArray, ParameterKind, read_only
 from rover_ncp.circuit.motors import Motors, course_motors, four_dof_motors, parking_motors
 from rover_ncp.circuit.sensing import Sensing, course_sensing, parking_sensing
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import Course
-
-FloatArray = NDArray[np.float64]
 
 
 class ParameterBlock(NamedTuple):
@@ -84,9 +82,7 @@ class Policy:
     def __post_init__(self) -> None:
         for name in ("input_layer", "output_layer"):
             if getattr(self, name) is not None:
-                layer = np.array(getattr(self, name), np.float64)
-                layer.flags.writeable = False
-                object.__setattr__(self, name, layer)
+                object.__setattr__(self, name, read_only(getattr(self, name), np.float64))
         problems = [
             *self._name_problems(),
             *_layer_problems("input_layer", self.input_layer, self._channels[0], self.sensing.inputs),

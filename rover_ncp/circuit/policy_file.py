@@ -16,9 +16,18 @@ from rover_ncp.circuit.circuit import BOUNDS, DEFAULTS, Circuit, ParameterKind, 
 from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.sensing import Sensing
-from rover_ncp.core.config import Name, StrictModel, dump_yaml, name_from, parse_yaml, read_yaml
-from rover_ncp.core.errors import ConfigError, FileError
-from rover_ncp.core.files import read_text, resolve, write_atomic
+from rover_ncp.core.config import (
+    Name,
+    StrictModel,
+    dump_yaml,
+    load_yaml,
+    name_from,
+    parse_yaml,
+    read_filled,
+    read_yaml,
+)
+from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.files import resolve, write_atomic
 
 
 def _number(kind: ParameterKind, meaning: str) -> Any:
@@ -95,10 +104,9 @@ def load_policy(name_or_path: str | Path) -> Policy:
     not clamped, as it was trained. It is named for its file. Raises FileError or ConfigError.
     """
     path = resolve("policies", name_or_path)
-    text = _text(path)
     if path.suffix != ".bnn":
-        return policy_from_yaml(text, str(path))
-    circuit = circuit_from_bnn(text, name_from(path, "circuit"), str(path))
+        return policy_from_yaml(read_filled(path), str(path))
+    circuit = load_circuit(path)
     if "RGT" not in circuit.neurons or "FWD" not in circuit.neurons:
         raise ConfigError(
             str(path),
@@ -113,10 +121,9 @@ def load_policy(name_or_path: str | Path) -> Policy:
 def load_circuit(name_or_path: str | Path) -> Circuit:
     """Load a shipped circuit by name, or a circuit file (YAML or ``.bnn``) by path."""
     path = resolve("circuits", name_or_path)
-    text = _text(path)
     if path.suffix == ".bnn":
-        return circuit_from_bnn(text, name_from(path, "circuit"), str(path))
-    return _circuit(parse_yaml(text, _CircuitFile, str(path)), str(path), "$")
+        return circuit_from_bnn(read_filled(path), name_from(path, "circuit"), str(path))
+    return _circuit(load_yaml(path, _CircuitFile), str(path), "$")
 
 
 def load_start(name_or_path: str | Path) -> Circuit | Policy:
@@ -124,7 +131,7 @@ def load_start(name_or_path: str | Path) -> Circuit | Policy:
     path = resolve("circuits", name_or_path)
     if path.suffix == ".bnn":
         return load_circuit(path)
-    data = read_yaml(_text(path), str(path))
+    data = read_yaml(read_filled(path), str(path))
     return load_policy(path) if isinstance(data, dict) and "sensing" in data else load_circuit(path)
 
 
@@ -184,13 +191,6 @@ def circuit_to_yaml(circuit: Circuit) -> str:
     return dump_yaml({"format": 1, **_circuit_data(circuit)})
 
 
-def _text(path: Path) -> str:
-    text = read_text(path)
-    if not text.strip():
-        raise FileError(f"{path}: the file is empty")
-    return text
-
-
 def _layer(rows: Layer | None, name: str) -> NDArray[np.float64] | None:
     try:
         return None if rows is None else np.array(rows, np.float64)
@@ -228,27 +228,25 @@ def _circuit(file: _Circuit, source: str, where: str) -> Circuit:
 
 
 def _circuit_data(circuit: Circuit) -> dict[str, Any]:
-    neurons = []
-    for i, name in enumerate(circuit.neurons):
-        row = {
+    neurons = [
+        {
             "name": name,
             "capacitance": float(circuit.capacitance[i]),
             "leak": float(circuit.leak[i]),
             "leak_potential": float(circuit.leak_potential[i]),
+            "held_mV": circuit.held.get(i),
         }
-        if i in circuit.held:
-            row["held_mV"] = float(circuit.held[i])
-        neurons.append(row)
-    synapses = []
-    for s in range(circuit.synapse_count):
-        kind = SynapseKind(circuit.kind[s])
-        row = {
-            "kind": kind.name.lower(),
+        for i, name in enumerate(circuit.neurons)
+    ]
+    synapses = [
+        {
+            "kind": SynapseKind(circuit.kind[s]).name.lower(),
             "source": circuit.neurons[circuit.source[s]],
             "destination": circuit.neurons[circuit.destination[s]],
             "weight": float(circuit.weight[s]),
+            "sigma": float(circuit.sigma[s]) if circuit.chemical[s] else None,
         }
-        if kind is not SynapseKind.GAP:
-            row["sigma"] = float(circuit.sigma[s])
-        synapses.append(row)
-    return {"name": circuit.name, "neurons": neurons, "synapses": synapses}
+        for s in range(circuit.synapse_count)
+    ]
+    data = {"name": circuit.name, "neurons": neurons, "synapses": synapses}
+    return _Circuit.model_validate(data).model_dump(exclude_none=True)

@@ -4,15 +4,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rover_ncp.circuit.circuit import RESTING_MV
+from rover_ncp.circuit.circuit import RESTING_MV, FloatArray
 from rover_ncp.circuit.compiled import allocate_lanes, make_program
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.solver import tick_lanes
 from rover_ncp.core.errors import UsageError
-
-FloatArray = NDArray[np.float64]
 
 
 class Runner:

@@ -9,9 +9,8 @@ constant over a tick, so their synapses are summed up once a tick.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rover_ncp.circuit.circuit import MIDPOINT_MV
+from rover_ncp.circuit.circuit import MIDPOINT_MV, FloatArray
 from rover_ncp.circuit.compiled import LaneParameters, Program
 from rover_ncp.kernels.jit import inlined_kernel, kernel
 from rover_ncp.kernels.vectors import (
@@ -25,8 +24,6 @@ from rover_ncp.kernels.vectors import (
     store,
     store_lanes,
 )
-
-FloatArray = NDArray[np.float64]
 
 INHIBITORY_MV = -90.0  # circuit.REVERSAL_MV; the excitatory reversal potential is 0 and drops out
 

@@ -176,10 +176,15 @@ def validated(data: Any, model: type[ModelT], source: str) -> ModelT:
 
 def load_yaml(path: Path, model: type[ModelT]) -> ModelT:
     """Read a YAML file into ``model``. Raises FileError (unreadable) or ConfigError (wrong)."""
+    return parse_yaml(read_filled(path), model, str(path))
+
+
+def read_filled(path: Path) -> str:
+    """Return the text of a file. Raises FileError if it cannot be read or is empty."""
     text = read_text(path)
     if not text.strip():
         raise FileError(f"{path}: the file is empty")
-    return parse_yaml(text, model, str(path))
+    return text
 
 
 def dump_yaml(data: dict[str, Any]) -> str:

@@ -11,7 +11,6 @@ import inspect
 import io
 import json
 import logging
-import math
 import os
 import select
 import sys
@@ -19,10 +18,10 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import is_dataclass
 from typing import Annotated, Any, TextIO
 
 import typer
+from pydantic_core import to_jsonable_python
 from rich.console import Console
 
 from rover_ncp.core.errors import UsageError
@@ -50,9 +49,7 @@ def reject(reason: str, **options: Any) -> None:
 
     None, False and what is empty were not given.
     """
-    given = [
-        name for name, value in options.items() if value is not None and value is not False and value != ""
-    ]
+    given = [name for name, value in options.items() if not (value is None or value is False or value == "")]
     if given:
         names = ", ".join(f"--{name.rstrip('_').replace('_', '-')}" for name in given)
         raise UsageError(f"{names}: {reason}")
@@ -248,29 +245,12 @@ class Output(logging.Handler):
             yield
 
     def result(self, fields: Mapping[str, Any], text: str) -> None:
-        """End a command: the fields as JSON, or the text."""
+        """End a command: the fields as JSON, or the text. A number that is not finite becomes null."""
         Output.ended = True
         if self.as_json:
-            keep(sys.stdout, json.dumps(_plain(fields), allow_nan=False) + "\n")
+            # numpy's numbers and arrays have tolist.
+            plain = to_jsonable_python(fields, inf_nan_mode="null", fallback=lambda value: value.tolist())
+            keep(sys.stdout, json.dumps(plain, allow_nan=False) + "\n")
         else:
             for line in text.split("\n"):
                 self.announce(line)
-
-
-def _plain(value: Any) -> Any:
-    """Turn numpy values and the fields of classes into JSON; a number that is not finite becomes null."""
-    if is_dataclass(value):
-        value = vars(value)
-    elif hasattr(value, "_asdict"):  # a NamedTuple
-        value = value._asdict()
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if value is None or isinstance(value, str | int | float | bool):
-        return value
-    return str(value)

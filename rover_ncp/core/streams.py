@@ -20,7 +20,6 @@ class Domain(Enum):
     CAMERA = (2, 0)
     BASE_SENSORS = (2, 1)
     IDENTIFICATION = (3,)
-    DISPLACEMENT = (4,)
     COURSE = (5,)
     TRIAL_SKID = (6,)
     TRAINING = (7,)

@@ -144,22 +144,20 @@ def _checkpoint(t: float, pose: Pose) -> Checkpoint:
 def _from_csv(path: Path) -> PoseList:
     lines = read_text(path).splitlines(keepends=True)
     delimiter = ";" if lines and ";" in lines[0] and "," not in lines[0] else ","
-    places = []
-    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
+    reader = csv.DictReader(lines, delimiter=delimiter, skipinitialspace=True, restval="")
     try:
-        header = [name.strip() for name in next(reader, [])]
+        reader.fieldnames = header = [name.strip() for name in reader.fieldnames or []]
         if missing := [name for name in Pose._fields if name not in header]:
             raise FileError(
                 f"{path}: its first line lacks {', '.join(missing)} (expected x, y, theta, "
                 f"got {_SHORT.repr(', '.join(header))})"
             )
-        columns = [header.index(name) for name in Pose._fields]
-        for row in reader:
-            if row:
-                cells = [row[column] if column < len(row) else "" for column in columns]
-                places.append(_numbers(cells, f"{path}: line {reader.line_num}"))
+        places = [
+            _numbers([row[name] for name in Pose._fields], f"{path}: line {reader.line_num}")
+            for row in reader
+        ]
     except csv.Error as error:
-        raise FileError(f"{path}: line {reader.line_num}: no CSV: {error}") from error
+        raise FileError(f"{path}: line {reader.reader.line_num}: no CSV: {error}") from error
     if len(places) < 2:
         raise FileError(f"{path}: a course needs two poses at least, got {len(places)}")
     return _listed(path, places)

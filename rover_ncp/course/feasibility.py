@@ -10,16 +10,22 @@ from enum import StrEnum
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rover_ncp.core.config import ResultModel
 from rover_ncp.core.files import DEFAULT_ROBOT
-from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.core.geometry import Pose, distance
 from rover_ncp.course.course import TICK_S, Checkpoint, Course, Obstacle
-from rover_ncp.course.reference import OMEGA_MAX, V_MAX, Deviation, Reference, deviations, plan_reference
+from rover_ncp.course.reference import (
+    OMEGA_MAX,
+    V_MAX,
+    Deviation,
+    FloatArray,
+    Reference,
+    chord,
+    deviations,
+    plan_reference,
+)
 from rover_ncp.robot.description import RobotDescription, load_description
-
-FloatArray = NDArray[np.float64]
 
 GOAL_SHARE = 0.25
 SIDEWAYS = 0.5
@@ -148,7 +154,7 @@ def _demands(course: Course) -> list[tuple[int, Cause, str]]:
         points.insert(0, Checkpoint(t=0.0, x=0.0, y=0.0, theta=0.0))
     skipped = len(points) - len(course.checkpoints)
     for number, (a, b) in enumerate(pairwise(points), 2 - skipped):
-        ahead, left, turn = _way(a.pose, b.pose)
+        ahead, left, turn = chord(a.pose, b.pose)
         seconds = b.t - a.t
         speed, rate = math.hypot(ahead, left) / seconds, abs(turn) / seconds
         if speed > v_max:
@@ -161,15 +167,6 @@ def _demands(course: Course) -> list[tuple[int, Cause, str]]:
         elif rate > omega_max:
             found.append((number, Cause.TURN, f"{rate:.2f} rad/s (at most {omega_max:.3g} rad/s)"))
     return found
-
-
-def _way(a: Pose, b: Pose) -> tuple[float, float, float]:
-    """Return the distances along and across the mean heading, and the turn; an arc has none across."""
-    turn = wrap_angle(b.theta - a.theta)
-    heading = a.theta + 0.5 * turn
-    cos, sin = math.cos(heading), math.sin(heading)
-    dx, dy = b.x - a.x, b.y - a.y
-    return cos * dx + sin * dy, cos * dy - sin * dx, turn
 
 
 def _rest(course: Course, reference: Reference) -> list[Problem]:

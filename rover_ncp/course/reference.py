@@ -93,17 +93,19 @@ def drive_profile(start: Pose, v: Sequence[float], omega: Sequence[float]) -> Re
     return Reference(np.array(poses), np.column_stack([v, omega]).astype(np.float64))
 
 
-def plan_reference(course: Course, v_max: float = V_MAX, omega_max: float = OMEGA_MAX) -> Reference:
+def plan_reference(course: Course) -> Reference:
     """Return the reference of a course, which begins at its first checkpoint if that is due at 0 s.
 
     Otherwise it begins at the origin, as the rover does. It goes backward only where the course does.
     """
-    v_max, omega_max = v_max / course.slower, omega_max / course.slower
+    v_max, omega_max = V_MAX / course.slower, OMEGA_MAX / course.slower
     # scipy takes half a second to import, and only policies that follow a reference need it.
     from scipy.optimize import least_squares
 
     fit = _Fit(course)
-    backward = v_max if _goes_backward(course, fit.start) else 0.0
+    poses = [fit.start, *(point.pose for point in course.checkpoints)]
+    goes_backward = any(chord(a, b)[0] < -_BACKWARD_M for a, b in pairwise(poses))
+    backward = v_max if goes_backward else 0.0
     v, omega = np.zeros(fit.knots), np.zeros(fit.knots)
     if fit.free.any():
         count = np.count_nonzero(fit.free)
@@ -131,17 +133,16 @@ def deviations(course: Course, reference: Reference) -> list[Deviation]:
     return found
 
 
-def _goes_backward(course: Course, start: Pose) -> bool:
-    """Whether a chord between neighbouring poses points against the mean of their headings."""
-    poses = [start, *(point.pose for point in course.checkpoints)]
-    return any(_chord(a, b)[0] < -_BACKWARD_M for a, b in pairwise(poses))
+def chord(a: Pose, b: Pose) -> tuple[float, float, float]:
+    """Return how far ``b`` is from ``a`` along and across the mean of their headings, and the turn.
 
-
-def _chord(a: Pose, b: Pose) -> tuple[float, float]:
-    """Return how far ahead (m) of the mean of their headings ``b`` is from ``a``, and the turn (rad)."""
+    In m, to the left, and rad. An arc has no distance across.
+    """
     turn = wrap_angle(b.theta - a.theta)
     heading = a.theta + 0.5 * turn
-    return (b.x - a.x) * math.cos(heading) + (b.y - a.y) * math.sin(heading), turn
+    cos, sin = math.cos(heading), math.sin(heading)
+    dx, dy = b.x - a.x, b.y - a.y
+    return dx * cos + dy * sin, dy * cos - dx * sin, turn
 
 
 class _Fit:
@@ -170,7 +171,7 @@ class _Fit:
         times = TICK_S * KNOT_TICKS * np.arange(self.knots)[self.free]
         middles, v, omega = [], [], []
         for (t_a, a), (t_b, b) in pairwise(self._points):
-            ahead, turn = _chord(a, b)
+            ahead, _, turn = chord(a, b)
             middles.append(0.5 * (t_a + t_b))
             v.append(ahead / (t_b - t_a))
             omega.append(turn / (t_b - t_a))

@@ -10,15 +10,10 @@ from importlib import resources
 from string import Template
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rover_ncp.circuit import solver
-from rover_ncp.circuit.circuit import MIDPOINT_MV, RESTING_MV
-from rover_ncp.circuit.compiled import Chemical, Gaps, allocate_lanes, make_program
+from rover_ncp.circuit.circuit import MIDPOINT_MV, RESTING_MV, FloatArray
+from rover_ncp.circuit.compiled import Synapses, allocate_lanes, make_program
 from rover_ncp.circuit.policy import Policy
-
-FloatArray = NDArray[np.float64]
 
 _FLOAT_DEGREE = 7
 """The next term of the exponential is below 6e-9 of it, a tenth of a float's last bit."""
@@ -161,7 +156,7 @@ class _Writer:
 
 
 def _chemical(
-    synapses: Chemical, numbers: tuple[FloatArray, FloatArray], neuron: int, sums: tuple[str, str]
+    synapses: Synapses, numbers: tuple[FloatArray, FloatArray], neuron: int, sums: tuple[str, str]
 ) -> list[str]:
     """Return the statements that add a neuron's chemical synapses, excitatory ones first as in the solver.
 
@@ -182,7 +177,7 @@ def _chemical(
     return lines
 
 
-def _gaps(gaps: Gaps, weight: FloatArray, neuron: int, current: str) -> list[str]:
+def _gaps(gaps: Synapses, weight: FloatArray, neuron: int, current: str) -> list[str]:
     """Return the statements that add a neuron's gap junctions."""
     return [
         f"{current} += {literal(weight[0, s, 0])} * V[{gaps.source[s]}];"

@@ -6,8 +6,18 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from pydantic import BaseModel, Field
 
 from rover_ncp.core.console import Json, Output, reject
+
+
+class Exported(BaseModel):
+    """Result of the command ``export``."""
+
+    policy: str = Field(description="its name or file")
+    to: str = Field(description="the format")
+    name: str = Field(description="with which the names of the files begin")
+    files: list[str] = Field(description="the files that were written")
 
 
 class Target(StrEnum):
@@ -42,17 +52,21 @@ def export(
 
     To yaml: NAME.yaml, the policy file, to begin one of your own with (train --circuit NAME.yaml).
     """
-    from rover_ncp.circuit.policy_file import load_policy
+    from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
     from rover_ncp.core.files import require_writable, write_atomic
     from rover_ncp.course.course import load_course
-    from rover_ncp.export.export import Exported, exported
+    from rover_ncp.export.vectors import c_files
 
     if to is Target.YAML:
         reject("--to yaml needs no course", course=course)
     name = re.sub(r"[^a-z0-9]+", "_", Path(policy).stem.lower()).strip("_")[:64]
     name = name if name[:1].isalpha() else f"policy_{name}".rstrip("_")
     require_writable(out / name)
-    files = exported(load_policy(policy), to, name, load_course(course or "parking"))
+    loaded = load_policy(policy)
+    if to is Target.YAML:
+        files = {f"{name}.yaml": policy_to_yaml(loaded)}
+    else:
+        files = c_files(loaded, name, load_course(course or "parking"))
     for file, content in files.items():
         write_atomic(out / file, content)
     paths = [str(out / file) for file in files]

@@ -34,7 +34,8 @@ def course_files(
         fields=f"\n    {name}_real{fields};" if reference else "",
         **common,
     )
-    expressions = {signal.name: signal.c.format(start_tick=_start_tick(course)) for signal in TABLE}
+    start_tick = next((k for k in range(course.ticks) if course.start_signal(k * TICK_S)), course.ticks)
+    expressions = {signal.name: signal.c.format(start_tick=start_tick) for signal in TABLE}
     observation = "\n".join(
         f"    observation[{i}] = {expressions[name]};" for i, name in enumerate(policy.sensing.inputs)
     )
@@ -70,8 +71,3 @@ def _rows(values: NDArray[np.float64]) -> str:
     """Return constants of C, eight a line."""
     rows = [values[i : i + 8] for i in range(0, len(values), 8)]
     return "\n".join("    " + ", ".join(literal(value) for value in row) + "," for row in rows)
-
-
-def _start_tick(course: Course) -> int:
-    """Return the first tick with the start signal."""
-    return next((k for k in range(course.ticks) if course.start_signal(k * TICK_S)), course.ticks)

@@ -1,20 +1,20 @@
-"""Test vectors of an exported policy: what the solver answers, for the C check."""
+"""All C files of a policy, and test vectors for the check among them: what the solver answers."""
 
+from importlib.metadata import version
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rover_ncp.circuit.circuit import FloatArray
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import TICK_S, Course
-from rover_ncp.course.reference import Reference
-from rover_ncp.course.signals import SIGNALS, signals
-from rover_ncp.export.circuit_c import fill, literal
-
-FloatArray = NDArray[np.float64]
+from rover_ncp.course.reference import Reference, plan_reference
+from rover_ncp.course.signals import SIGNALS, needs_reference, signals
+from rover_ncp.export.circuit_c import circuit_files, fill, literal
+from rover_ncp.export.course_c import course_files
 
 TICKS = 120
 _FAR = (0.1, 0.1, 0.2)
@@ -35,14 +35,24 @@ class Vectors(NamedTuple):
     """(T, n) mV, after each tick."""
 
 
+def c_files(policy: Policy, name: str, course: Course) -> dict[str, str]:
+    """Return the text of each C file; ``name`` is a C identifier."""
+    reference = plan_reference(course) if needs_reference(policy.sensing.inputs) else None
+    made_by = version("rover-ncp")
+    files = circuit_files(policy, name, made_by)
+    if drives(policy):
+        files |= course_files(policy, course, reference, name, made_by)
+    return files | {f"{name}_check.c": check_file(make_vectors(policy, course, reference), name)}
+
+
 def drives(policy: Policy) -> bool:
     """Whether a course gives all that a policy observes."""
     return set(policy.sensing.inputs) <= set(SIGNALS)
 
 
-def make_vectors(policy: Policy, course: Course, reference: Reference | None, seed: int = 0) -> Vectors:
+def make_vectors(policy: Policy, course: Course, reference: Reference | None) -> Vectors:
     """Run a policy on random observations: poses near the course, or numbers in -1..1 without one."""
-    generator = random_stream(seed, Domain.EXPORT_VECTORS)
+    generator = random_stream(0, Domain.EXPORT_VECTORS)
     poses = None
     observations = generator.uniform(-1.0, 1.0, (TICKS, len(policy.sensing.inputs)))
     if drives(policy):

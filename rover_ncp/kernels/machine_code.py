@@ -84,12 +84,10 @@ class MachineCode(NullCache):
         except FileError as error:
             _report(f"{error}; kernels are compiled at each start")
 
-    @contextlib.contextmanager
-    def locked(self, sig: Any) -> Iterator[None]:
+    def locked(self, sig: Any) -> contextlib.AbstractContextManager[None]:
         """Let one process at a time look for a kernel and, if it is not there, compile it."""
         path = self.path(sig)
-        with _locked(path.with_suffix(".lock")) if path else contextlib.nullcontext():
-            yield
+        return _locked(path.with_suffix(".lock")) if path else contextlib.nullcontext()
 
     def path(self, sig: Any) -> Path | None:
         """Return the file of the machine code for the types of arguments; None where there can be none."""

@@ -63,9 +63,7 @@ def _broadcast(context: Any, builder: Any, value: Any, kind: Any) -> Any:
     if isinstance(kind, VectorType):
         return value
     number = context.cast(builder, value, kind, types.float64)
-    first = builder.insert_element(
-        ir.Constant(_DOUBLES, ir.Undefined), number, ir.Constant(ir.IntType(32), 0)
-    )
+    first = builder.insert_element(ir.Constant(_DOUBLES, ir.Undefined), number, _integer(0))
     zeros = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH)
     return builder.shuffle_vector(first, first, zeros)
 
@@ -144,10 +142,6 @@ def _integer(value: int) -> Any:
     return ir.Constant(ir.IntType(64), value)
 
 
-def _place(value: int) -> Any:
-    return ir.Constant(ir.IntType(32), value)
-
-
 @intrinsic
 def load_lanes(typing_context: Any, array: Any, row: Any, start: Any) -> Any:
     """Return eight lanes of a row of a C-contiguous (rows, L) array as a vector; beyond the last lane, that
@@ -169,7 +163,7 @@ def load_lanes(typing_context: Any, array: Any, row: Any, start: Any) -> Any:
                     is_there = builder.icmp_signed("<", _integer(i), last)
                     place = builder.select(is_there, _integer(i), last)
                     number = builder.load(builder.gep(first, [place]))
-                    gathered = builder.insert_element(gathered, number, _place(i))
+                    gathered = builder.insert_element(gathered, number, _integer(i))
                 part_block = builder.block
         value = builder.phi(_DOUBLES)
         value.add_incoming(together, whole_block)
@@ -196,7 +190,7 @@ def store_lanes(typing_context: Any, array: Any, row: Any, start: Any, value: An
                 for i in range(WIDTH):
                     place = builder.add(arguments[2], _integer(i))
                     with builder.if_then(builder.icmp_signed("<", place, lanes)):
-                        number = builder.extract_element(arguments[3], _place(i))
+                        number = builder.extract_element(arguments[3], _integer(i))
                         builder.store(number, builder.gep(first, [_integer(i)]))
         return context.get_dummy_value()
 
@@ -264,7 +258,7 @@ def gather(typing_context: Any, addresses: Any, start: Any, offset: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         gathered = ir.Constant(_DOUBLES, ir.Undefined)
         for i, place in enumerate(_places(context, builder, signature, arguments)):
-            gathered = builder.insert_element(gathered, builder.load(place), _place(i))
+            gathered = builder.insert_element(gathered, builder.load(place), _integer(i))
         return gathered
 
     return _vector(addresses, types.intp, types.intp), generate
@@ -277,7 +271,7 @@ def scatter(typing_context: Any, addresses: Any, start: Any, offset: Any, value:
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         for i, place in enumerate(_places(context, builder, signature, arguments)):
-            builder.store(builder.extract_element(arguments[3], _place(i)), place)
+            builder.store(builder.extract_element(arguments[3], _integer(i)), place)
         return context.get_dummy_value()
 
     return types.void(addresses, types.intp, types.intp, value), generate
@@ -288,7 +282,7 @@ def total(typing_context: Any, vector: Any) -> Any:
     """Return the sum of a vector's eight numbers, added from the first to the last."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        numbers = [builder.extract_element(arguments[0], _place(i)) for i in range(WIDTH)]
+        numbers = [builder.extract_element(arguments[0], _integer(i)) for i in range(WIDTH)]
         return functools.reduce(builder.fadd, numbers)
 
     return types.float64(_vector), generate

@@ -55,17 +55,7 @@ _READERS: dict[int, Callable[[ReadDataStream], McapRecord]] = {
     Opcode.DATA_END: DataEnd.read,
 }
 """Parsers of the records in use, messages aside. Indices are skipped."""
-_DAMAGE = (
-    McapError,
-    ZstdError,
-    struct.error,
-    zlib.error,
-    UnicodeDecodeError,
-    KeyError,
-    ValueError,
-    RuntimeError,
-    OverflowError,
-)
+_DAMAGE = (McapError, ZstdError, struct.error, KeyError, ValueError, RuntimeError, OverflowError)
 
 
 def read_records(path: Path, file: IO[bytes]) -> Iterator[McapRecord]:

@@ -330,13 +330,12 @@ def _merged(name_or_path: str, depth: int) -> dict[str, Any]:
         )
     merged = _merged(base, depth - 1)
     merged.pop("measured_base_timeout_s", None)  # that robot was measured, not this one
-    inherited = merged.get("sources")
     for key, value in data.items():
         known = merged.get(key)
         if isinstance(known, dict) and isinstance(value, dict) and key != "footprint":
             merged[key] = {**known, **value}
+        elif key == "sources" and isinstance(known, list) and isinstance(value, list):
+            merged[key] = [*value, *known]
         else:
             merged[key] = value
-    if isinstance(inherited, list) and isinstance(merged.get("sources"), list):
-        merged["sources"] = [*merged["sources"], *inherited] if "sources" in data else inherited
     return merged

@@ -33,6 +33,7 @@ class Kind(Enum):
 
 
 ALL = frozenset({Role.BRIDGE, Role.DRIVER, Role.VIEWER})
+BRIDGE, DRIVER = frozenset({Role.BRIDGE}), frozenset({Role.DRIVER})
 
 
 @dataclass(frozen=True)
@@ -43,72 +44,45 @@ class KeySpec:
     """
 
     name: str
-    kind: Kind
     type: str
-    senders: frozenset[Role]
-    receivers: frozenset[Role]
     max_bytes: int
     about: str
+    senders: frozenset[Role] = BRIDGE
+    receivers: frozenset[Role] = ALL
+    kind: Kind = Kind.MESSAGE
     latched: bool = False
 
 
-def _from_bridge(name: str, ros_type: str, max_bytes: int, about: str, *, latched: bool = False) -> KeySpec:
-    return KeySpec(name, Kind.MESSAGE, ros_type, frozenset({Role.BRIDGE}), ALL, max_bytes, about, latched)
-
-
-def _from_driver(name: str, ros_type: str, max_bytes: int, about: str) -> KeySpec:
-    return KeySpec(name, Kind.MESSAGE, ros_type, frozenset({Role.DRIVER}), ALL, max_bytes, about)
-
-
 def _query(name: str, model: str, about: str) -> KeySpec:
-    return KeySpec(
-        name, Kind.QUERYABLE, model, frozenset({Role.DRIVER}), frozenset({Role.BRIDGE}), 4096, about
-    )
+    return KeySpec(name, model, 4096, about, DRIVER, BRIDGE, Kind.QUERYABLE)
 
+
+_POSE, _STRING = "geometry_msgs/msg/PoseWithCovarianceStamped", "std_msgs/msg/String"
+_TF, _TWIST = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/TwistStamped"
 
 KEYS: tuple[KeySpec, ...] = (
-    _from_bridge("odom", "nav_msgs/msg/Odometry", 4096, "pose and velocity of the base, each SIP"),
-    _from_bridge(
-        "imu", "sensor_msgs/msg/Imu", 4096, "rate of turn of a base with a gyro of its own, each SIP"
-    ),
-    _from_bridge("tf", "tf2_msgs/msg/TFMessage", 4096, "odom → base_link, each SIP"),
-    _from_bridge(
-        "tf_static", "tf2_msgs/msg/TFMessage", 1 << 16, "poses of the sensors on the base", latched=True
-    ),
-    _from_bridge("battery_state", "sensor_msgs/msg/BatteryState", 4096, "once a second"),
-    _from_bridge("sonar", "sensor_msgs/msg/PointCloud2", 1 << 16, "the echoes of one SIP, in base_link"),
-    _from_bridge(
-        "bumpers", "std_msgs/msg/UInt8MultiArray", 4096, "front and rear bits, 1 = pressed, each SIP"
-    ),
-    _from_bridge("diagnostics", "diagnostic_msgs/msg/DiagnosticArray", 1 << 16, "base, link and gate"),
+    KeySpec("odom", "nav_msgs/msg/Odometry", 4096, "pose and velocity of the base, each SIP"),
+    KeySpec("imu", "sensor_msgs/msg/Imu", 4096, "rate of turn of a base with a gyro of its own, each SIP"),
+    KeySpec("tf", _TF, 4096, "odom → base_link, each SIP"),
+    KeySpec("tf_static", _TF, 1 << 16, "poses of the sensors on the base", latched=True),
+    KeySpec("battery_state", "sensor_msgs/msg/BatteryState", 4096, "once a second"),
+    KeySpec("sonar", "sensor_msgs/msg/PointCloud2", 1 << 16, "the echoes of one SIP, in base_link"),
+    KeySpec("bumpers", "std_msgs/msg/UInt8MultiArray", 4096, "front and rear bits, 1 = pressed, each SIP"),
+    KeySpec("diagnostics", "diagnostic_msgs/msg/DiagnosticArray", 1 << 16, "base, link and gate"),
     # The gate's output: the command that reached the base, and the reasons for dropped ones.
-    _from_bridge(
-        "rover/cmd_out", "geometry_msgs/msg/TwistStamped", 512, "the command that the gate accepted"
-    ),
-    _from_bridge("rover/gate", "std_msgs/msg/String", 4096, "GateStatus as JSON: driver, stop, counters"),
-    KeySpec(
-        "cmd_vel",
-        Kind.MESSAGE,
-        "geometry_msgs/msg/TwistStamped",
-        frozenset({Role.DRIVER}),
-        ALL,
-        512,
-        "the driver's command; the attachment is a signed CommandTag",
-    ),
+    KeySpec("rover/cmd_out", _TWIST, 512, "the command that the gate accepted"),
+    KeySpec("rover/gate", _STRING, 4096, "GateStatus as JSON: driver, stop, counters"),
+    KeySpec("cmd_vel", _TWIST, 512, "the driver's command; the attachment is a signed CommandTag", DRIVER),
     KeySpec(
         "pose",
-        Kind.MESSAGE,
-        "geometry_msgs/msg/PoseWithCovarianceStamped",
-        frozenset({Role.DRIVER, Role.LOCALISER}),
-        ALL,
+        _POSE,
         4096,
         "optional external localisation, in the frame of the course or of the place; also a PoseStamped",
+        frozenset({Role.DRIVER, Role.LOCALISER}),
     ),
-    _from_driver(
-        "rover/estimate", "geometry_msgs/msg/PoseWithCovarianceStamped", 4096, "the driver's own estimate"
-    ),
-    _from_driver("rover/neurons", "std_msgs/msg/Float64MultiArray", 1 << 16, "potentials in mV, labelled"),
-    _from_driver("rover/status", "std_msgs/msg/String", 4096, "DriverStatus as JSON"),
+    KeySpec("rover/estimate", _POSE, 4096, "the driver's own estimate", DRIVER),
+    KeySpec("rover/neurons", "std_msgs/msg/Float64MultiArray", 1 << 16, "potentials in mV, labelled", DRIVER),
+    KeySpec("rover/status", _STRING, 4096, "DriverStatus as JSON", DRIVER),
     _query(
         "rover/motors",
         "MotorsRequest → MotorsReply",
@@ -117,8 +91,8 @@ KEYS: tuple[KeySpec, ...] = (
     _query("rover/stop", "StopRequest → StopReply", "stop, latched until released"),
     _query("rover/reset_odometry", "ResetRequest → ResetReply", "make the present pose odom's origin"),
     _query("rover/base", "BaseRequest → BaseReply", "model and timeout of the base; measure the timeout"),
-    KeySpec("rover/alive/bridge", Kind.TOKEN, "", frozenset({Role.BRIDGE}), ALL, 0, "the bridge runs"),
-    KeySpec("rover/alive/driver", Kind.TOKEN, "", frozenset({Role.DRIVER}), ALL, 0, "a driver runs"),
+    KeySpec("rover/alive/bridge", "", 0, "the bridge runs", kind=Kind.TOKEN),
+    KeySpec("rover/alive/driver", "", 0, "a driver runs", DRIVER, kind=Kind.TOKEN),
 )
 
 _BY_NAME = {row.name: row for row in KEYS}

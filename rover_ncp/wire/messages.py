@@ -10,10 +10,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.wire.cdr import decode, encode
+
+FloatArray = NDArray[np.float64]
 
 ODOM_FRAME = "odom"
 BASE_FRAME = "base_link"
@@ -82,7 +85,7 @@ class PoseSample(NamedTuple):
     stamp_ns: int
     frame: str
     pose: Pose
-    covariance: np.ndarray[Any, np.dtype[np.float64]]
+    covariance: FloatArray
 
 
 class Transform(NamedTuple):
@@ -151,7 +154,7 @@ def twist_stamped(velocity: Velocity, stamp_ns: int) -> bytes:
     return encode(TWIST_STAMPED, header=_header(stamp_ns, BASE_FRAME), twist=_twist(velocity))
 
 
-def read_twist(data: bytes, max_bytes: int = 512) -> TwistSample:
+def read_twist(data: bytes) -> TwistSample:
     """Read a Twist or a TwistStamped, which differ in length. Raises FormatError.
 
     Only linear.x and angular.z are used: the base moves neither sideways nor vertically.
@@ -159,7 +162,7 @@ def read_twist(data: bytes, max_bytes: int = 512) -> TwistSample:
     if len(data) <= TWIST_BYTES:
         twist, stamp_ns = decode(TWIST, data), None
     else:
-        message = decode(TWIST_STAMPED, data, max_bytes)
+        message = decode(TWIST_STAMPED, data, max_bytes=512)
         twist, stamp_ns = message.twist, _stamp_ns(message.header) or None
     return TwistSample(Velocity(twist.linear.x, twist.angular.z), stamp_ns)
 
@@ -181,9 +184,7 @@ def path(poses: Sequence[Pose], stamp_ns: int, frame: str) -> bytes:
     return encode("nav_msgs/msg/Path", header=header, poses=stamped)
 
 
-def pose_with_covariance(
-    pose: Pose, covariance: np.ndarray[Any, np.dtype[np.float64]], stamp_ns: int, frame: str
-) -> bytes:
+def pose_with_covariance(pose: Pose, covariance: FloatArray, stamp_ns: int, frame: str) -> bytes:
     """Return a PoseWithCovarianceStamped; ``covariance`` is 3 × 3 of (x, y, theta)."""
     full = np.diag([0.0, 0.0, *[_UNKNOWN] * 3, 0.0])
     full[np.ix_(_PLANAR, _PLANAR)] = covariance
@@ -206,9 +207,7 @@ def read_pose(data: bytes) -> PoseSample:
     )
 
 
-def laser_scan(
-    ranges: np.ndarray[Any, np.dtype[np.float64]], range_limits: tuple[float, float], stamp_ns: int
-) -> bytes:
+def laser_scan(ranges: FloatArray, range_limits: tuple[float, float], stamp_ns: int) -> bytes:
     """Return a LaserScan of a whole turn, the first beam ahead; infinite ranges met nothing."""
     return encode(
         LASER_SCAN,
@@ -256,17 +255,14 @@ def read_imu(data: bytes) -> TurnSample:
     return TurnSample(_stamp_ns(message.header), message.angular_velocity.z)
 
 
-def battery_state(
-    voltage: float, stamp_ns: int, charge: float | None = None, charging: bool | None = None
-) -> bytes:
-    """Return a BatteryState of a lead-acid pack: volts; ``charge`` 0..1; None = not known."""
-    unknown = dict.fromkeys(("temperature", "current", "charge", "capacity", "design_capacity"), math.nan)
+def battery_state(voltage: float, stamp_ns: int, charging: bool | None = None) -> bytes:
+    """Return a BatteryState of a lead-acid pack; ``charging`` None: not known."""
+    unknown = ("temperature", "current", "charge", "capacity", "design_capacity", "percentage")
     return encode(
         BATTERY_STATE,
         header=_header(stamp_ns, BASE_FRAME),
         voltage=voltage,
-        **unknown,
-        percentage=math.nan if charge is None else charge,
+        **dict.fromkeys(unknown, math.nan),
         power_supply_status=0 if charging is None else 1 if charging else 2,
         power_supply_technology=0,  # ROS's list has no lead-acid
         present=True,
@@ -292,14 +288,12 @@ def read_hazards(data: bytes) -> frozenset[int]:
     return frozenset(int(found.type) for found in decode(HAZARDS, data).detections)
 
 
-def point_cloud(
-    points: Sequence[tuple[float, float, float]], stamp_ns: int, frame: str = BASE_FRAME
-) -> bytes:
-    """Return a PointCloud2 of x, y, z in metres as float32."""
+def point_cloud(points: Sequence[tuple[float, float, float]], stamp_ns: int) -> bytes:
+    """Return a PointCloud2 in base_link of x, y, z in metres as float32."""
     cloud = np.asarray(points, dtype="<f4").reshape(-1, 3)
     return encode(
         "sensor_msgs/msg/PointCloud2",
-        header=_header(stamp_ns, frame),
+        header=_header(stamp_ns, BASE_FRAME),
         height=1,
         width=len(cloud),
         fields=[{"name": name, "offset": 4 * i, "datatype": 7, "count": 1} for i, name in enumerate("xyz")],
@@ -336,7 +330,7 @@ def diagnostics(items: Sequence[Diagnostic], stamp_ns: int, hardware_id: str = "
     return encode("diagnostic_msgs/msg/DiagnosticArray", header=_header(stamp_ns, BASE_FRAME), status=status)
 
 
-def neurons(potentials: Sequence[float] | np.ndarray[Any, Any], names: Sequence[str]) -> bytes:
+def neurons(potentials: Sequence[float] | FloatArray, names: Sequence[str]) -> bytes:
     """Return potentials in mV as a Float64MultiArray whose label is the names, joined by commas."""
     data = np.asarray(potentials, dtype=np.float64)
     return encode(FLOATS, layout=_layout(",".join(names), len(data)), data=data)

@@ -246,7 +246,7 @@ def _drive_trials(options: EvalOptions) -> int:
     """Drive random trials; return 1 if a single one was driven and did not park."""
     from rover_ncp.course.course import load_course
     from rover_ncp.robot.description import load_description
-    from sim.evaluate.evaluate import evaluate, fitted_courses, unseen_courses
+    from sim.evaluate.evaluate import drive_trials, fitted_courses, tally, unseen_courses
     from sim.evaluate.results import TrialsResult
     from sim.evaluate.trial_runs import evaluate_stack, result_words
     from sim.learn.engine.driver import load_driver
@@ -268,7 +268,7 @@ def _drive_trials(options: EvalOptions) -> int:
         found, in_stack = evaluate_stack(stack, trials, options.processes, output)
     else:
         model = described_rover(robot) if robot else None
-        found = evaluate(driver, courses, ranges, trials=trials, seed=seed, model=model)
+        found = tally(drive_trials(driver, courses, ranges, trials=trials, seed=seed, model=model))
     result = TrialsResult(
         **vars(found),
         randomize=options.randomization or ranges.name,

@@ -65,19 +65,6 @@ class Evaluation(BaseModel):
     failures: dict[str, int] = Field(description="by the first condition that was missed: number of trials")
 
 
-def evaluate(
-    driver: Driver,
-    courses: Sequence[Course],
-    ranges: Randomization,
-    *,
-    trials: int,
-    seed: int,
-    model: RoverModel | None = None,
-) -> Evaluation:
-    """Drive ``trials`` trials of a seed and sum them up; arguments and errors as `drive_trials`."""
-    return tally(drive_trials(driver, courses, ranges, trials=trials, seed=seed, model=model))
-
-
 def drive_trials(
     driver: Driver,
     courses: Sequence[Course],
@@ -92,7 +79,7 @@ def drive_trials(
         raise UsageError(f"at least one trial must be driven, got {trials}")
     model = model or default_rover()
     ticks = max(course.ticks for course in courses)
-    drive = _drive_lanes(driver, courses, model) if driver.lanes else _drive_runner(driver, courses, model)
+    drive = (_drive_lanes if driver.lanes else _drive_runner)(driver, courses, model)
     found = list[Ended]()
     for first in range(0, trials, _BATCH):
         count = min(_BATCH, trials - first)
@@ -106,14 +93,10 @@ def _drive_lanes(
     """Return what drives trials, of which the first has a number, in the lanes of an episode kernel."""
     assert driver.lanes is not None
     commander, vector = driver.lanes()
-    engine: Evaluator | None = None
+    engine = Evaluator(driver.signals, courses, model, commander=commander)
 
     def drive(trials: Trials, first: int) -> list[Ended]:
-        nonlocal engine
-        if engine is None:
-            engine = Evaluator(driver.signals, courses, model, trials, commander=commander)
-        else:
-            engine.change_trials(trials, first)
+        engine.change_trials(trials, first)
         found = engine.outcomes(vector)
         rules = [courses[(first + i) % len(courses)].parked for i in range(trials.size)]
         position, heading = np.array([(rule.position_m, rule.heading_rad) for rule in rules]).T
@@ -141,23 +124,21 @@ def _drive_runner(
     references = [plan_reference(course) if needs_reference else None for course in courses]
     runner = driver.runner()
 
-    def drive(trials: Trials, first: int) -> list[Ended]:
-        found = []
-        for row in range(trials.size):
-            place = (first + row) % len(courses)
-            verdict = rollout(
-                driver.signals,
-                courses[place],
-                model,
-                trials=trials,
-                row=row,
-                reference=references[place],
-                runner=runner,
-            ).verdict
-            found.append(Ended(verdict.error_m, verdict.error_rad, verdict.failure))
-        return found
+    def ended(trials: Trials, row: int, place: int) -> Ended:
+        run = rollout(
+            driver.signals,
+            courses[place],
+            model,
+            trials=trials,
+            row=row,
+            reference=references[place],
+            runner=runner,
+        )
+        return Ended(run.verdict.error_m, run.verdict.error_rad, run.verdict.failure)
 
-    return drive
+    return lambda trials, first: [
+        ended(trials, row, (first + row) % len(courses)) for row in range(trials.size)
+    ]
 
 
 def tally(ended: "Sequence[Ended | Driven]") -> Evaluation:

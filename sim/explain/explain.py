@@ -30,6 +30,19 @@ FloatArray = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 
+class Simulated(ResultModel):
+    """The intact circuit in simulation."""
+
+    total: float = Field(serialization_alias="return")
+    """of the drive, or the mean of the episodes"""
+    returns: tuple[float, ...]
+    """of the drive, or of each episode"""
+    enough: float | None
+    """the return that counts as solved; null for a course"""
+    parked: bool | None
+    """whether it parks; null for a task"""
+
+
 @dataclass(frozen=True, eq=False)
 class Explanation:
     """Result of ``rover-ncp explain``; a course or a task is None."""
@@ -41,11 +54,8 @@ class Explanation:
     task: str | None
     verdict: Verdict | None
     """Verdict on the explained drive, simulated or recorded."""
-    intact: Outcome
-    """Simulated result of the whole circuit, to which the what-ifs are compared."""
-    returns: tuple[float, ...]
-    """Of the simulated drive, or of the episodes."""
-    enough: float | None
+    simulated: Simulated
+    """Result of the whole circuit, to which the what-ifs are compared."""
     findings: Findings
     knock_outs: tuple[Knockout, ...]
     sensitivities: tuple[Sensitivity, ...]
@@ -65,13 +75,13 @@ class Explanation:
     def ending(self) -> str:
         """The run's end in words."""
         if self.verdict is None:
-            return f"mean return {number(self.intact.total)} of {len(self.returns)} episodes"
+            return f"mean return {number(self.simulated.total)} of {len(self.simulated.returns)} episodes"
         reason = self.verdict.reason and f": {self.verdict.reason}"
-        return f"{self.verdict.words}{reason}; return in simulation {number(self.intact.total)}"
+        return f"{self.verdict.words}{reason}; return in simulation {number(self.simulated.total)}"
 
     def result(self, files: Sequence[Path] = ()) -> "Result":
         """Return everything but the potentials, with the files that were written."""
-        findings, verdict = self.findings, self.intact.verdict
+        findings = self.findings
         return Result(
             source=self.source,
             policy=self.policy.circuit.name,
@@ -79,12 +89,7 @@ class Explanation:
             task=self.task,
             run=self.verdict,
             verdict=None if self.verdict is None else self.verdict.words,
-            simulated=Simulated(
-                total=self.intact.total,
-                returns=self.returns,
-                enough=self.enough,
-                parked=None if verdict is None else verdict.parked,
-            ),
+            simulated=self.simulated,
             phases=findings.phases,
             contributions=tuple(
                 findings.contributions[a, b] for b in findings.motors for a in findings.sources
@@ -94,19 +99,6 @@ class Explanation:
             sensitivities=self.sensitivities,
             files=tuple(map(str, files)),
         )
-
-
-class Simulated(ResultModel):
-    """The intact circuit in simulation."""
-
-    total: float = Field(serialization_alias="return")
-    """of the drive, or the mean of the episodes"""
-    returns: tuple[float, ...]
-    """of the drive, or of each episode"""
-    enough: float | None
-    """the return that counts as solved; null for a course"""
-    parked: bool | None
-    """whether it parks; null for a task"""
 
 
 class Result(ResultModel):
@@ -181,7 +173,7 @@ def explain_drive(
 
     return explain_run(
         trace,
-        Outcome(run.total, run.verdict),
+        Simulated(total=run.total, returns=(run.total,), enough=None, parked=run.verdict.parked),
         simulate,
         Evaluator(policy, course).returns,
         on_progress,
@@ -190,14 +182,12 @@ def explain_drive(
         course=course,
         task=None,
         verdict=verdict,
-        returns=(run.total,),
-        enough=None,
     )
 
 
 def explain_run(
     trace: Trace,
-    intact: Outcome,
+    simulated: Simulated,
     simulate: Callable[[Policy], Outcome],
     score: Callable[[FloatArray], FloatArray],
     on_progress: Progress,
@@ -207,10 +197,10 @@ def explain_run(
     policy = trace.policy
     parts = policy.circuit.size + policy.circuit.synapse_count
     on_progress(f"simulating without each of {parts} neurons and synapses")
-    without = knock_outs(policy, simulate, intact.total)
+    without = knock_outs(policy, simulate, simulated.total)
     on_progress(f"moving each of {policy.layout().size} parameters a little")
     return Explanation(
-        intact=intact,
+        simulated=simulated,
         findings=analyse(trace),
         knock_outs=without,
         sensitivities=sensitivities(policy, score),

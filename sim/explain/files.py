@@ -117,7 +117,11 @@ def page(found: Explanation) -> str:
 
     verdict = found.verdict
     if verdict is None:
-        headline = f"mean return {number(found.intact.total)}", "", f"of {len(found.returns)} episodes"
+        headline = (
+            f"mean return {number(found.simulated.total)}",
+            "",
+            f"of {len(found.simulated.returns)} episodes",
+        )
     else:
         headline = verdict.words.capitalize(), KINDS[verdict.words], verdict.reason
     drives = found.course is not None
@@ -132,7 +136,7 @@ def page(found: Explanation) -> str:
             Table(
                 "Without a part",
                 f"The simulation without each neuron and each synapse. The return of the whole circuit is "
-                f"{number(found.intact.total)}.",
+                f"{number(found.simulated.total)}.",
                 ["without", "return", *(["m from the goal", "parks"] if drives else [])],
                 [(_part(row), -row.change) for row in parts],
             ),
@@ -162,7 +166,7 @@ def _sensitivity(row: Sensitivity) -> list[str]:
 
 
 def _without(found: Explanation) -> Section:
-    parks = found.intact.verdict is not None and found.intact.verdict.parked
+    parks = found.simulated.parked
     worse = [row for row in found.knock_outs if (not row.parked if parks else row.change <= -MIN_CHANGE)]
     needed = sorted(worse, key=lambda row: row.total)
     spared = [row.title for row in found.knock_outs if row not in needed and abs(row.change) < MIN_CHANGE]
@@ -170,7 +174,7 @@ def _without(found: Explanation) -> Section:
         f"Without any of these {len(needed)} it does not park:"
         if parks
         else "The whole circuit does not park in simulation; its return is "
-        f"{number(found.intact.total, '.2f')}. Without any of these {len(needed)} the return is lower:"
+        f"{number(found.simulated.total, '.2f')}. Without any of these {len(needed)} the return is lower:"
     )
     return Section(
         "Without a part",
@@ -182,11 +186,12 @@ def _without(found: Explanation) -> Section:
 
 
 def _without_in_task(found: Explanation) -> Section:
-    least = MIN_SHARE * abs(found.intact.total)
+    least = MIN_SHARE * abs(found.simulated.total)
     rows = sorted((row for row in found.knock_outs if abs(row.change) >= least), key=lambda row: row.total)
+    total, count = number(found.simulated.total), len(found.simulated.returns)
     return Section(
         "Without a part",
-        f"Mean return of {len(found.returns)} episodes; {number(found.intact.total)} with all parts.",
+        f"Mean return of {count} episodes; {total} with all parts.",
         ["without", "return"],
         [_part(row) for row in rows],
         _spared([row.title for row in found.knock_outs if abs(row.change) < least]),

@@ -4,10 +4,8 @@ One episode is explained; the what-ifs are mean returns of the same few episodes
 """
 
 from pathlib import Path
-from typing import Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deploy.view.trace import Trace
 from rover_ncp.circuit.policy import Policy
@@ -15,33 +13,22 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.streams import Domain, episode_seeds
 from rover_ncp.course.course import load_course
-from sim.explain.explain import Explanation, Progress, command_line, explain_drive, explain_run
+from sim.explain.explain import (
+    Explanation,
+    Progress,
+    Simulated,
+    command_line,
+    explain_drive,
+    explain_run,
+)
 from sim.explain.what_if import Outcome
-from sim.learn.engine.environment import EnvironmentEvaluator, Play
-from sim.learn.search.base import Seeds
+from sim.learn.engine.environment import EnvironmentEvaluator
 from sim.paper.interpretation import BenchmarkEpisodes, best_circuit, trained
 from sim.paper.results import ResultStore
 from sim.paper.score_file import benchmark_policy
 from sim.paper.tasks import TASKS, Benchmark, Task
 
-FloatArray = NDArray[np.float64]
-
 EPISODES = 8
-
-
-class Episodes(Protocol):
-    """Episodes of a task with one policy."""
-
-    enough: float | None
-
-    def returns(self, vectors: FloatArray, seeds: Seeds) -> FloatArray:
-        """Return the returns (n, k) of vectors (n, P), each in the episodes of seeds (k,)."""
-
-    def play(self, seed: int) -> Play:
-        """Play one episode of the policy."""
-
-    def of(self, policy: Policy) -> Self:
-        """Return those of another policy with the same inputs and outputs."""
 
 
 RUNS = Path("results")
@@ -78,7 +65,12 @@ def explain_task(
 
     return explain_run(
         Trace(policy, times, np.zeros((count + 1, 3)), play.outputs, play.potentials),
-        Outcome(float(returns.mean())),
+        Simulated(
+            total=float(returns.mean()),
+            returns=tuple(returns.tolist()),
+            enough=episodes.enough,
+            parked=None,
+        ),
         simulate,
         lambda rows: episodes.returns(rows, seeds).mean(axis=1),
         on_progress,
@@ -87,8 +79,6 @@ def explain_task(
         course=None,
         task=task,
         verdict=None,
-        returns=tuple(returns.tolist()),
-        enough=episodes.enough,
     )
 
 
@@ -102,7 +92,9 @@ def stored_policy(task: Task, runs: Path = RUNS) -> tuple[str, Policy]:
     return f"paper run {best.name}", trained(best)
 
 
-def _subject(source: str | None, task: str, runs: Path) -> tuple[str, Policy, Episodes]:
+def _subject(
+    source: str | None, task: str, runs: Path
+) -> tuple[str, Policy, BenchmarkEpisodes | EnvironmentEvaluator]:
     known = TASKS.get(task)
     if isinstance(known, Benchmark):
         if source is None:

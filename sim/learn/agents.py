@@ -23,7 +23,7 @@ from rover_ncp.circuit.compiled import dead_parameters
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.streams import Domain, random_stream
 from sim.learn.engine.evaluator import Evaluator, Stream
-from sim.learn.search.base import SearchState, Strategy, Vector
+from sim.learn.search.base import SearchState, Vector
 from sim.learn.search.strategies import start_search
 from sim.learn.workers import Workers, made_in_each_process
 
@@ -132,15 +132,6 @@ def note_improvement(improvements: list[tuple[int, float]], iteration: int, valu
     improvements.append((iteration, value))
 
 
-def revive(plan: Plan, agent: AgentState) -> Strategy:
-    """Return the agent's search."""
-    generator = random_stream(plan.root_seed, Domain.AGENT, agent.number)
-    search = start_search(plan.strategy, plan.start.layout(), plan.start.parameters(), generator, plan.inert)
-    if agent.search is not None:
-        search.restore(agent.search)
-    return search
-
-
 class Batch:
     """Advances agents side by side in the lanes of one evaluator."""
 
@@ -175,7 +166,11 @@ class _Runner:
     """An agent on its way to its targets."""
 
     def __init__(self, plan: Plan, agent: AgentState, targets: Sequence[int]) -> None:
-        self.search = revive(plan, agent)
+        generator = random_stream(plan.root_seed, Domain.AGENT, agent.number)
+        start = plan.start
+        self.search = start_search(plan.strategy, start.layout(), start.parameters(), generator, plan.inert)
+        if agent.search is not None:
+            self.search.restore(agent.search)
         self.targets = deque(targets)
         self.at_targets: list[AgentState] = []
         self._number = agent.number

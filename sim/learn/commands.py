@@ -1,48 +1,54 @@
 """Commands of this package; heavy libraries load only when one runs."""
 
+import dataclasses
 import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rover_ncp.core.console import MAX_SEED, Json, Output
+from rover_ncp.core.console import MAX_SEED, Json, Output, command
 from rover_ncp.core.errors import UsageError
 from sim.learn.search.strategies import SearchName
 
 if TYPE_CHECKING:
-    from sim.learn.progress import Progressing
+    from sim.learn.agents import Snapshot
     from sim.learn.record import RobustSettings, Settings, TaskSettings, TrainSettings
+    from sim.learn.results import RobustResult, TaskResult, TrainResult
+    from sim.learn.robust import Generation
 
 
-def train(
-    *,
+@dataclass(frozen=True, kw_only=True)
+class TrainOptions:
+    """Options of ``train``; those that decide its result have the names of its settings."""
+
     course: Annotated[
         str | None, typer.Option(help="Course to learn, by name or YAML file.", show_default="parking")
-    ] = None,
+    ] = None
     circuit: Annotated[
         str | None,
         typer.Option(
             help="Circuit to start from, by name or file (YAML or .bnn); or a policy file, with its sensing.",
             show_default="parking, tracking if random",
         ),
-    ] = None,
+    ] = None
     model: Annotated[
         str | None,
         typer.Option(
             help="The robot's description, a name or a YAML file.", show_default="the paper's p3at-sh"
         ),
-    ] = None,
+    ] = None
     seed: Annotated[
         int | None,
         typer.Option(min=0, max=MAX_SEED, help="Root seed of all random numbers.", show_default="0"),
-    ] = None,
+    ] = None
     agents: Annotated[
         int | None,
         typer.Option(min=1, max=1000, help="Independent searches; the best one wins.", show_default="12"),
-    ] = None,
+    ] = None
     iterations: Annotated[
         int | None,
         typer.Option(
@@ -51,14 +57,14 @@ def train(
             help="Candidates that each agent tries; generations if random, or of a task.",
             show_default="20000, 2600 if random, 200 of a task",
         ),
-    ] = None,
+    ] = None
     task: Annotated[
         str | None,
         typer.Option(
             help="Gymnasium environment to learn in place of a course: an id, or MODULE:ID.",
             show_default=False,
         ),
-    ] = None,
+    ] = None
     search: Annotated[
         SearchName | None,
         typer.Option(
@@ -66,13 +72,13 @@ def train(
             "entries change. algorithm1: all change, by an adapting scale.",
             show_default="gauss-newton",
         ),
-    ] = None,
+    ] = None
     randomize: Annotated[
         str | None,
         typer.Option(
             help="Train on random trials: mild, full, harsh, skid or a YAML file.", show_default=False
         ),
-    ] = None,
+    ] = None
     rollouts: Annotated[
         int | None,
         typer.Option(
@@ -81,29 +87,29 @@ def train(
             help="Trials of a candidate, or episodes.",
             show_default="144 if random, 8 of a task",
         ),
-    ] = None,
+    ] = None
     worst: Annotated[
         int | None,
         typer.Option(
             min=1, max=100_000, help="Number of worst rollouts in the average.", show_default="all rollouts"
         ),
-    ] = None,
+    ] = None
     random_courses: Annotated[
         int | None,
         typer.Option(min=0, max=10_000, help="Courses beside the given one.", show_default="400 if random"),
-    ] = None,
+    ] = None
     profile: Annotated[
         Path | None,
         typer.Option(
             help="Rover profile, as 'identify' writes it; values not in it are drawn.",
             show_default=False,
         ),
-    ] = None,
+    ] = None
     out: Annotated[
         Path | None,
         typer.Option(help="Folder of the run, missing or empty.", show_default="the next free runs/train-N"),
-    ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Continue the run in --out.")] = False,
+    ] = None
+    resume: Annotated[bool, typer.Option("--resume", help="Continue the run in --out.")] = False
     processes: Annotated[
         int | None,
         typer.Option(
@@ -112,16 +118,19 @@ def train(
             help="Processes; the result does not depend on them.",
             show_default="one for each core",
         ),
-    ] = None,
+    ] = None
     cluster: Annotated[
         str | None,
         typer.Option(
             help="Address of a Dask scheduler (tcp://HOST:8786) whose workers do the work.",
             show_default=False,
         ),
-    ] = None,
-    json: Json = False,
-) -> None:
+    ] = None
+    json: Json = False
+
+
+@command
+def train(options: TrainOptions) -> None:
     """Train circuits in simulation until one drives a course.
 
     Agents start from the same untuned wiring, slightly perturbed, and search independently. Each keeps the
@@ -157,48 +166,44 @@ def train(
     """
     from sim.learn.record import RobustSettings, TaskSettings
 
-    output = Output(json)
-    options: dict[str, Any] = {
-        "course": course,
-        "circuit": circuit,
-        "model": model,
-        "seed": seed,
-        "agents": agents,
-        "iterations": iterations,
-        "task": task,
-        "search": None if search is None else search.value,
-        "randomize": randomize,
-        "rollouts": rollouts,
-        "worst": worst,
-        "random_courses": random_courses,
-        "profile": None if profile is None else str(profile),
-    }
-    settings = _settings({name: value for name, value in options.items() if value is not None}, out, resume)
-    run = _Run(output, out, resume, processes, cluster)
-    if cluster is not None and (processes is not None or isinstance(settings, RobustSettings | TaskSettings)):
-        other = "--processes" if processes is not None else f"--{_NAMED_BY[type(settings).__name__]}"
-        raise UsageError(f"{other} and --cluster do not go together")
+    output, settings = Output(options.json), _settings(options)
+    if options.cluster is not None and (
+        options.processes is not None or isinstance(settings, RobustSettings | TaskSettings)
+    ):
+        other = "processes" if options.processes is not None else _NAMED_BY[type(settings).__name__]
+        raise UsageError(f"--{other} and --cluster do not go together")
+    found: TrainResult | RobustResult | TaskResult
     if isinstance(settings, TaskSettings):
-        _train_task(run, settings)
+        found, words = _train_task(output, options, settings)
     elif isinstance(settings, RobustSettings):
-        _train_robust(run, settings)
+        found, words = _train_robust(output, options, settings)
     else:
-        _train_ensemble(run, settings)
+        found, words = _train_ensemble(output, options, settings)
+    output.result(found.model_dump(by_alias=True), f"{words}\n{found.policy}")
 
 
 _NAMED_BY = {"TaskSettings": "task", "RobustSettings": "randomize"}
 """The option that chooses each kind of training; without one it is an ensemble on a course."""
+_OF_THE_RUN = ("out", "resume", "processes", "cluster", "json")
+"""Options that do not decide the result."""
 
 
-def _settings(given: dict[str, Any], out: Path | None, resume: bool) -> "Settings":
+def _settings(options: TrainOptions) -> "Settings":
     """Return the settings of a command's options, and of the run to go on with."""
     from rover_ncp.core.config import validated
     from sim.learn.record import RobustSettings, TaskSettings, TrainSettings
     from sim.learn.run_folder import saved_settings
 
-    if resume and out is None:
-        raise UsageError("--resume needs --out, the folder of the run to go on with")
-    saved = saved_settings(out) if resume and out is not None else None
+    given: dict[str, Any] = {
+        name: str(value) if isinstance(value, Path | SearchName) else value
+        for name, value in dataclasses.asdict(options).items()
+        if value is not None and name not in _OF_THE_RUN
+    }
+    out, saved = options.out, None
+    if options.resume:
+        if out is None:
+            raise UsageError("--resume needs --out, the folder of the run to go on with")
+        saved = saved_settings(out)
     if "task" not in given and isinstance(saved, TaskSettings) and ":" in saved.task:
         # The folder may come from others, and its module would run: only the command line names code.
         problem = f"the task of {out} imports a module; name it again with --task, as MODULE:ID"
@@ -217,54 +222,49 @@ def _settings(given: dict[str, Any], out: Path | None, resume: bool) -> "Setting
     return validated(before | given, kind, "train")
 
 
-class _Run(NamedTuple):
-    """Where and how a training runs."""
+@contextmanager
+def _progress(
+    output: Output, options: TrainOptions, settings: "Settings"
+) -> "Iterator[tuple[Path, Callable[[Snapshot | Generation], None]]]":
+    """Give the folder and a function that shows progress; say how to go on after an interruption."""
+    from sim.learn.progress import train_progress
+    from sim.learn.run_folder import new_run_path
+    from sim.learn.workers import WorkerDied
 
-    output: Output
-    out: Path | None
-    resume: bool
-    processes: int | None
-    cluster: str | None
-
-    @contextmanager
-    def progress(self, settings: "Settings") -> "Iterator[tuple[Path, Callable[[Progressing], None]]]":
-        """Give the folder and a function that shows progress; say how to go on after an interruption."""
-        from sim.learn.progress import TrainProgress
-        from sim.learn.run_folder import new_run_path
-        from sim.learn.workers import WorkerDied
-
-        out = self.out or new_run_path()
-        task = getattr(settings, "task", "")
-        again = f" --task {shlex.quote(task)}" if ":" in task else ""
-        try:
-            with TrainProgress(settings.iterations) as progress:
-                yield out, progress.show
-        except (KeyboardInterrupt, WorkerDied):
-            self.output.say(f"Go on with: rover-ncp train --out {out} --resume{again}")
-            raise
+    out, task = options.out or new_run_path(), getattr(settings, "task", "")
+    again = f" --task {shlex.quote(task)}" if ":" in task else ""
+    try:
+        with train_progress(settings.iterations) as show:
+            yield out, show
+    except (KeyboardInterrupt, WorkerDied):
+        output.say(f"Go on with: rover-ncp train --out {out} --resume{again}")
+        raise
 
 
-def _train_ensemble(run: _Run, settings: "TrainSettings") -> None:
+def _train_ensemble(
+    output: Output, options: TrainOptions, settings: "TrainSettings"
+) -> "tuple[TrainResult, str]":
     """Train agents on one course."""
     from sim.learn.record import resolve_task
     from sim.learn.results import TrainResult
     from sim.learn.train import train as run_training
 
     resolve_task(settings)  # before a folder is made, so that a typo leaves none behind
-    with run.progress(settings) as (out, show):
+    with _progress(output, options, settings) as (out, show):
         result = run_training(
             settings,
             out,
-            resume=run.resume,
-            processes=run.processes,
-            cluster=run.cluster,
+            resume=options.resume,
+            processes=options.processes,
+            cluster=options.cluster,
             on_progress=show,
         )
+    best, median = result.agents.best.value, result.agents.median_return
     found = TrainResult(
         **vars(result.verdict),
         returns=result.agents.returns,
-        best_return=result.agents.best.value,
-        median_return=result.agents.median_return,
+        best_return=best,
+        median_return=median,
         wall_s=result.wall_s,
         iterations_per_s=result.iterations_per_s,
         seed=settings.seed,
@@ -274,51 +274,46 @@ def _train_ensemble(run: _Run, settings: "TrainSettings") -> None:
         policy=str(result.policy_path),
     )
     how = "parks" if result.verdict.parked else f"does not park: {result.verdict.reason}"
-    run.output.result(
-        found.model_dump(),
-        f"best of {settings.agents} agents: return {result.agents.best.value:.4f}, {how} "
-        f"(median {result.agents.median_return:.4f}; {result.wall_s:.1f} s)\n{result.policy_path}",
-    )
+    words = f"return {best:.4f}, {how} (median {median:.4f}; {result.wall_s:.1f} s)"
+    return found, f"best of {settings.agents} agents: {words}"
 
 
-def _train_robust(run: _Run, settings: "RobustSettings") -> None:
+def _train_robust(
+    output: Output, options: TrainOptions, settings: "RobustSettings"
+) -> "tuple[RobustResult, str]":
     """Train on random trials."""
     from sim.learn.results import RobustResult
     from sim.learn.robust_run import start_of, train_robust
 
     start_of(settings)  # before a folder is made, so that a typo leaves none behind
-    with run.progress(settings) as (out, show):
-        result = train_robust(settings, out, resume=run.resume, processes=run.processes, on_generation=show)
+    with _progress(output, options, settings) as (out, show):
+        _, path, last = train_robust(
+            settings, out, resume=options.resume, processes=options.processes, on_generation=show
+        )
     found = RobustResult(
-        **settings.model_dump(),
-        generations=result.last.iterations,
-        cost=result.last.best,
-        policy=str(result.path),
+        **settings.model_dump(), generations=last.iterations, cost=last.best, policy=str(path)
     )
-    run.output.result(
-        found.model_dump(),
-        f"cost {result.last.best:.3f} after {result.last.iterations} generations\n{result.path}",
-    )
+    return found, f"cost {last.best:.3f} after {last.iterations} generations"
 
 
-def _train_task(run: _Run, settings: "TaskSettings") -> None:
+def _train_task(output: Output, options: TrainOptions, settings: "TaskSettings") -> "tuple[TaskResult, str]":
     """Train on a Gymnasium environment, and score the policy in fresh episodes."""
     from sim.learn.environment_run import score_task, start_of, train_task
     from sim.learn.results import TaskResult
 
     start_of(settings)  # before a folder is made, so that a typo leaves none behind
-    with run.progress(settings) as (out, show):
-        result = train_task(settings, out, resume=run.resume, processes=run.processes, on_generation=show)
-    score = score_task(settings.task, result.policy)
+    with _progress(output, options, settings) as (out, show):
+        policy, path, last = train_task(
+            settings, out, resume=options.resume, processes=options.processes, on_generation=show
+        )
+    score = score_task(settings.task, policy)
     found = TaskResult(
         **settings.model_dump(),
         episodes=score.episodes,
         return_=score.mean,
         std=score.std,
         successes=score.successes,
-        generations=result.last.iterations,
-        policy=str(result.path),
+        generations=last.iterations,
+        policy=str(path),
     )
-    run.output.result(
-        found.model_dump(by_alias=True), f"{score} after {result.last.iterations} generations\n{result.path}"
-    )
+    return found, f"{score} after {last.iterations} generations"

@@ -27,7 +27,7 @@ from sim.learn.robust import (
 from sim.learn.run_folder import RunFolder, checkpoints, open_run
 from sim.learn.workers import Workers, available_processes, local_workers, made_in_each_process
 from sim.world.described import ranges_for
-from sim.world.randomization import Randomization, draw_trials
+from sim.world.randomization import Randomization
 
 FloatArray = NDArray[np.float64]
 
@@ -48,10 +48,8 @@ def _drive(settings: RobustSettings, start: Policy, course: Course, ranges: Rand
     courses, references = training_courses(
         course, plan_reference(course), settings.seed, settings.random_courses
     )
-    model, ticks = settings.rover, max(each.ticks for each in courses)
-    nothing_yet = draw_trials(ranges, model, settings.seed, count=1, ticks=ticks)
-    engine = Evaluator(start, courses, model, nothing_yet, references)
-    return drive_trials(engine, ranges, model, settings.seed)
+    engine = Evaluator(start, courses, settings.rover, references=references)
+    return drive_trials(engine, ranges, settings.rover, settings.seed)
 
 
 def _drive_parts(workers: Workers, drive: Drive, vectors: FloatArray, *which: Any) -> FloatArray:

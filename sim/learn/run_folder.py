@@ -138,7 +138,10 @@ def open_run(path: Path, record: Record[SettingsT], resume: bool) -> Iterator[Ru
         raise FileError(f"{path}: cannot be used as a folder: {error.strerror}") from error
     try:
         # Nothing but this process holds the lock: workers do not inherit it, a kill releases it.
-        _lock(handle, path)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise UsageError(f"{path}: another process is training in this folder") from error
         if saved.exists():
             if not resume:
                 raise UsageError(
@@ -151,7 +154,9 @@ def open_run(path: Path, record: Record[SettingsT], resume: bool) -> Iterator[Ru
             raise _nothing_to_resume(path)
         elif foreign := [each.name for each in path.iterdir() if not _LEFTOVER.fullmatch(each.name)]:
             raise UsageError(f"{path}: is not empty ({min(foreign)}) and holds no training run")
-        _remove_leftovers(path)
+        for file in (*path.glob(".*"), *path.glob("agents/.*")):
+            if _LEFTOVER.fullmatch(file.name):
+                file.unlink(missing_ok=True)
         write_atomic(saved, dump_yaml(record.model_dump()))
         yield RunFolder(path, record)
     finally:
@@ -180,16 +185,3 @@ def checkpoints(save: Callable[[], None]) -> Iterator[Callable[[], None]]:
 
 def _nothing_to_resume(path: Path) -> UsageError:
     return UsageError(f"{path}: holds no training run to resume; begin one without --resume")
-
-
-def _lock(handle: int, path: Path) -> None:
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        raise UsageError(f"{path}: another process is training in this folder") from error
-
-
-def _remove_leftovers(path: Path) -> None:
-    for file in (*path.glob(".*"), *path.glob("agents/.*")):
-        if _LEFTOVER.fullmatch(file.name):
-            file.unlink(missing_ok=True)

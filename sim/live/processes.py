@@ -10,11 +10,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from rover_ncp.core.errors import RoverNcpError
-from rover_ncp.core.process import Interrupts
+from rover_ncp.core.process import ClosedAtExit, Interrupts
 
 READY_TIMEOUT_S = 120.0
 STOP_TIMEOUT_S = 20.0
@@ -110,7 +109,7 @@ class Applied(NamedTuple):
     late_ns: int
 
 
-class Process:
+class Process(ClosedAtExit):
     """A ``rover-ncp`` command as a child process. Its output goes to files, so that no pipe can fill up.
 
     ``module`` is the module, or the script by its path, that Python runs, for example a wrapper around the
@@ -207,12 +206,8 @@ class Process:
             self._child.wait()
         return self._finished()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """End it as `stop` does."""
         self.stop()
 
     def failure(self) -> ProcessError:

@@ -29,7 +29,7 @@ from rover_ncp.recording.recording import read_recording, rewrite
 from rover_ncp.robot.description import load_description
 from sim.learn.agents import Snapshot
 from sim.learn.engine.rollout import rollout
-from sim.learn.progress import TrainProgress
+from sim.learn.progress import train_progress
 from sim.learn.record import TrainSettings, course_of
 from sim.learn.train import train
 from sim.live.live_run import PIONEER, ROS2DDS, LiveRun
@@ -83,6 +83,9 @@ class ParkResult(NotTrained):
     pids: dict[str, int] = Field(description="process ids of mock, bridge and deploy")
     bytes_to_base: int | None = Field(description="over the bridge's line")
     bytes_from_base: int | None = Field(description="over the bridge's line")
+
+
+_FROM_DEPLOY = ("verdict", "probability", "estimate_error_m", "estimate_error_rad", "ticks", "overruns")
 
 
 def run_park(
@@ -145,12 +148,7 @@ def run_park(
         train=training,
         true_error_m=verdict.error_m,
         true_error_rad=verdict.error_rad,
-        verdict=done.result["verdict"],
-        probability=done.result["probability"],
-        estimate_error_m=done.result["estimate_error_m"],
-        estimate_error_rad=done.result["estimate_error_rad"],
-        ticks=done.result["ticks"],
-        overruns=done.result["overruns"],
+        **{name: done.result[name] for name in _FROM_DEPLOY},
         recording=str(recording),
         picture=str(picture),
         report=str(report),
@@ -181,11 +179,11 @@ def _train(
     settings = TrainSettings(course=course, model=described, seed=seed, agents=AGENTS, iterations=ITERATIONS)
     _clear(folder, overwrite=overwrite)
     output.say("training twelve agents until the best one parks in simulation")
-    with TrainProgress(ITERATIONS) as progress:
+    with train_progress(ITERATIONS) as show:
         result = train(
             settings,
             folder,
-            on_progress=progress.show,
+            on_progress=show,
             stop_when=_stop_rule(course_of(settings), settings.rover),
         )
     training = ParkTraining(

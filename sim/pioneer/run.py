@@ -4,10 +4,9 @@ import contextlib
 import io
 import os
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, Field
 
@@ -20,19 +19,25 @@ from rover_ncp.core.files import require_creatable
 from rover_ncp.core.process import Interrupts
 from rover_ncp.core.streams import Domain, integer_seed
 from rover_ncp.course.course import load_course
-from rover_ncp.robot.description import RobotDescription
+from rover_ncp.robot.description import RobotDescription, load_description
 from sim.pioneer.faults import Faults, parse_fault
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import config_of
+from sim.pioneer.options import MockOptions
 from sim.pioneer.real_time import TruthFile
 from sim.pioneer.ros2_robot import Ros2Robot
 from sim.pioneer.ros2_server import Ros2Server
 from sim.pioneer.server import Server, parse_listen
 from sim.pioneer.trial import BaseTrial, draw_rover
-from sim.world.randomization import Randomization
+from sim.world.bodies import PRESETS
+from sim.world.described import ranges_for
+from sim.world.rover import Rover
 
-CAMERA_HZ = 10.0
-"""Pictures a second of a mock's camera."""
+if TYPE_CHECKING:
+    from sim.camera.server import MockCamera
+
+CAMERA_HZ, CAMERA_LISTEN = 10.0, "127.0.0.1:8102"
+"""Pictures a second of a mock's camera, and where they are served."""
 FROM_STDIN = "-"
 """In place of a fault: read more faults from standard input."""
 
@@ -74,62 +79,32 @@ class Ros2MockResult(MockResult):
     ignored: int = Field(description="commands that were not applied, with --ros2")
 
 
-def run_mock(
-    *,
-    listen: str,
-    model: str,
-    robot: RobotDescription,
-    ros2: Convention | None,
-    namespace: str,
-    course: str | None,
-    truth: Path | None,
-    overwrite: bool,
-    faults: Sequence[str],
-    seed: int,
-    ranges: Randomization,
-    trial: int,
-    gyro: bool,
-    camera: tuple[Path, Path, str] | None,
-    as_json: bool,
-) -> None:
-    """See ``commands.mock``; ``ros2`` is the form of a ROS 2 robot's topics.
-
-    Raises RoverNcpError before anything listens.
-    """
-    output = Output(as_json, controls=True)
-    host, port = parse_listen(listen)
-    if ros2 is None and robot.arcos is None:
+def run_mock(options: MockOptions) -> None:
+    """Serve until a signal arrives, and print the result. Raises RoverNcpError before anything listens."""
+    output = Output(options.json, controls=True)
+    model, seed, trial, truth = options.model, options.seed, options.trial, options.truth
+    robot = load_description(model)
+    preset = PRESETS[options.body][0] if options.randomize is None else options.randomize
+    ranges = ranges_for(preset, options.profile, options.body, robot)
+    if not options.ros2 and robot.arcos is None:
         raise UsageError(f"--model {model}: expected one of {', '.join(ROBOTS)}, or --ros2")
-    if ros2 is not None and robot.topics is None:
+    if options.ros2 and robot.topics is None:
         raise UsageError(f"--model {model}: the description has no topics, which a ROS 2 robot needs")
+    faults = options.fault or []
     fault_seed = integer_seed(seed, Domain.MOCK_FAULTS, trial)
-    base_seed = integer_seed(seed, Domain.BASE_SENSORS, trial)
     injected = Faults([parse_fault(text) for text in faults if text != FROM_STDIN], fault_seed)
     # Unbuffered, so that the server's selector sees every line that is left to read.
     fault_lines = io.FileIO(0, closefd=False) if FROM_STDIN in faults else None
-    known = load_course(course) if course else None
-    rover, trials = draw_rover(ranges, robot, known, seed=seed, number=trial)
-    base_trial, now = BaseTrial(trials), time.monotonic()
+    course = load_course(options.course) if options.course else None
+    rover, trials = draw_rover(ranges, robot, course, seed=seed, number=trial)
     if truth is not None:
-        require_creatable(truth, overwrite=overwrite)
-    server: Server | Ros2Server
-    if ros2 is None:
-        flash = replace(config_of(robot), has_gyro=int(gyro))
-        firmware = Firmware(robot, rover, injected, now, config=flash, trial=base_trial, gyro_seed=base_seed)
-        server = Server(host, port, firmware)
-    else:
-        epoch_s, domain = time.time() - now, domain_id(os.environ)
-        ros2_robot = Ros2Robot(robot, rover, injected, now, epoch_s=epoch_s, trial=base_trial, seed=base_seed)
-        server = Ros2Server(host, port, ros2_robot, convention=ros2, domain=domain, namespace=namespace)
+        require_creatable(truth, overwrite=options.overwrite)
+    server = _server(options, robot, rover, injected, BaseTrial(trials))
     try:
-        server.truth = TruthFile(truth, overwrite=overwrite) if truth else None
+        server.truth = TruthFile(truth, overwrite=options.overwrite) if truth else None
         with Interrupts() as interrupts, contextlib.ExitStack() as stack:
-            if camera is not None:
-                # The extra tag brings OpenCV, which no other mock needs.
-                from sim.camera.server import MockCamera
-
-                listen_on = parse_listen(camera[2], "--camera-listen")
-                eye = stack.enter_context(MockCamera(camera[0], camera[1], listen_on, CAMERA_HZ, seed))
+            if options.camera is not None and options.tags is not None:
+                eye = stack.enter_context(_camera(options.camera, options.tags, options))
                 server.camera = eye.pose
                 output.announce(f"camera at {eye.address}")
             output.announce(f"listening on {server.host}:{server.port}")
@@ -160,13 +135,43 @@ def run_mock(
 
 def _of_pioneer(server: Server, fields: dict[str, Any]) -> PioneerMockResult:
     """Return the result with the counters of a Pioneer's line."""
-    firmware = server.firmware
+    firmware, decoder = server.firmware, server.firmware.decoder
     return PioneerMockResult(
         **fields,
         connections=server.connections,
-        packets=firmware.decoder.packets,
-        bad_checksums=firmware.decoder.bad_checksums,
-        skipped_bytes=firmware.decoder.skipped_bytes,
+        packets=decoder.packets,
+        bad_checksums=decoder.bad_checksums,
+        skipped_bytes=decoder.skipped_bytes,
         unknown_commands=sum(firmware.unknown.values()),
         bad_arguments=sum(firmware.bad_arguments.values()),
+    )
+
+
+def _camera(camera: Path, tags: Path, options: MockOptions) -> "MockCamera":
+    """Return a mock's camera, not running yet."""
+    # The extra tag brings OpenCV, which no other mock needs.
+    from sim.camera.server import MockCamera
+
+    listen_on = parse_listen(options.camera_listen or CAMERA_LISTEN, "--camera-listen")
+    return MockCamera(camera, tags, listen_on, CAMERA_HZ, options.seed)
+
+
+def _server(
+    options: MockOptions, robot: RobotDescription, rover: Rover, faults: Faults, trial: BaseTrial
+) -> Server | Ros2Server:
+    """Return the server of a base on a rover, which listens from now on."""
+    host, port = parse_listen(options.listen)
+    now, seed = time.monotonic(), integer_seed(options.seed, Domain.BASE_SENSORS, options.trial)
+    if not options.ros2:
+        flash = replace(config_of(robot), has_gyro=int(options.gyro))
+        firmware = Firmware(robot, rover, faults, now, config=flash, trial=trial, gyro_seed=seed)
+        return Server(host, port, firmware)
+    epoch_s = time.time() - now
+    return Ros2Server(
+        host,
+        port,
+        Ros2Robot(robot, rover, faults, now, epoch_s=epoch_s, trial=trial, seed=seed),
+        convention=options.ros or Convention.ROS2DDS,
+        domain=domain_id(os.environ),
+        namespace=options.namespace,
     )

@@ -73,11 +73,6 @@ class VirtualLine(ABC):
         """Bring what the robot has sent to the base."""
 
 
-def virtual_line(robot: Firmware | Ros2Robot, limits: Limits | None = None) -> VirtualLine:
-    """Return the line to a robot whose clock begins at 0."""
-    return ArcosLine(robot, limits) if isinstance(robot, Firmware) else Ros2Line(robot, limits)
-
-
 class ArcosLine(VirtualLine):
     """The bytes between a Pioneer's firmware and its session, as a `bridge.pioneer.base.Connection`."""
 

@@ -17,10 +17,16 @@ from typing import NamedTuple, Protocol, TypeVar
 from deploy.drive.config import DriveConfig, config_for
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
+from deploy.drive.measurements import Measurements
+from deploy.drive.safety_monitor import SafetyMonitor
+from deploy.identify.excitation import FENCE_M, excite
+from deploy.identify.fit import identify
+from deploy.identify.motion_log import motion_log
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.streams import Domain, integer_seed, random_stream
 from rover_ncp.course.course import Course, Verdict
+from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import RobotDescription, load_description
 from rover_ncp.robot.profile import RoverProfile
 from sim.learn.engine.driver import Driver
@@ -28,7 +34,6 @@ from sim.learn.workers import ProcessPool, available_processes, made_in_each_pro
 from sim.pioneer.trial import BaseTrial, Drawn, draw_rover
 from sim.stack.camera import Camera, Localiser
 from sim.stack.estimates import Belief, belief_of
-from sim.stack.identification import identified
 from sim.stack.lines import simulated_base
 from sim.stack.virtual import SilentPublisher, VirtualBridge, VirtualLink
 from sim.world.described import described_rover
@@ -111,10 +116,19 @@ class Stack:
         return draw_rover(self.ranges, self.description, self.course(number), seed=self.seed, number=number)
 
     def identified(self, number: int) -> RoverProfile:
-        """Identify the robot of a trial before its drive; return the driver's profile."""
-        drawn = draw_rover(self.ranges, self.description, None, seed=self.seed, number=number)
-        stream = random_stream(self.seed, Domain.IDENTIFICATION, number)
-        return self._with_noise(identified(drawn, self.description, self.camera or Camera(), stream))
+        """Identify the robot of a trial as `rover-ncp identify` does; return the driver's profile."""
+        robot, seed = self.description, self.seed
+        rover, trials = draw_rover(self.ranges, robot, None, seed=seed, number=number)
+        base = simulated_base(robot, rover, BaseTrial(trials), gyro=False)
+        bridge, received = VirtualBridge(base), list[Recorded]()
+        link = VirtualLink(bridge, rover.pose, received.append)
+        stream = random_stream(seed, Domain.IDENTIFICATION, number)
+        base.observe = Localiser(self.camera or Camera(), rover, stream, link.localise).observe
+        measurements = Measurements(link)
+        monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
+        monitor.wait()
+        excite(link, measurements, monitor, FENCE_M, bridge)
+        return self._with_noise(identify(motion_log(received, robot), robot.name))
 
     def drive(self, number: int) -> Driven:
         """Drive a trial from power-up to the motors' release."""

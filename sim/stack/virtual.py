@@ -32,7 +32,7 @@ from rover_ncp.wire.protocol import (
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.ros2_robot import Ros2Robot
 from sim.stack.camera import start_pose
-from sim.stack.lines import NS, WALL_NS, virtual_line
+from sim.stack.lines import NS, WALL_NS, ArcosLine, Ros2Line
 
 _LATE_NS = 1000
 """Delay of each wake-up of a loop: rounding never makes it too early."""
@@ -44,7 +44,7 @@ class VirtualBridge:
     def __init__(
         self, robot: Firmware | Ros2Robot, limits: Limits | None = None, *, accept_ros: bool = False
     ) -> None:
-        self.line = virtual_line(robot, limits)
+        self.line = ArcosLine(robot, limits) if isinstance(robot, Firmware) else Ros2Line(robot, limits)
         self.now_ns = 0
         self.deliver: Callable[[str, bytes], None] = lambda name, data: None
         """Called with all that the bridge publishes: its key and the CDR bytes."""

@@ -21,7 +21,7 @@ from sim.world.rover import (
     STILL_M_S,
     STILL_RAD_S,
     SUBSTEP_S,
-    CommandQueue,
+    Rover,
     RoverModel,
     toward,
 )
@@ -151,8 +151,8 @@ def _model_xml(robot: SkidRobot, model: RoverModel, obstacles: Sequence[Obstacle
 </mujoco>"""
 
 
-class MujocoRover:
-    """A ``Rover`` alone on its ground. A command that is not finite is a ValueError."""
+class MujocoRover(Rover):
+    """A rover alone on its ground."""
 
     def __init__(
         self,
@@ -161,19 +161,13 @@ class MujocoRover:
         obstacles: Sequence[Obstacle] = (),
         pose: Pose = ORIGIN,
     ) -> None:
-        self.model, self.robot = model, robot
-        self.commands = CommandQueue(model)
+        super().__init__(model)
+        self.robot = robot
         self._physics = mujoco.MjModel.from_xml_string(_model_xml(robot, model, obstacles))
         self.data = mujoco.MjData(self._physics)
         self._steps = round(CONTROL_S / robot.contact.step_s)
         self._walls = set(np.flatnonzero(self._physics.geom_contype == _WALLS).tolist())
         self.set_pose(pose)
-
-    def command(self, v: float, omega: float) -> None:
-        self.commands.put(v, omega)
-
-    def change_limits(self, **limits: float) -> None:
-        self.commands.change_limits(**limits)
 
     def set_pose(self, pose: Pose) -> None:
         mujoco.mj_resetData(self._physics, self.data)
@@ -230,10 +224,6 @@ class MujocoRover:
         along = np.array([math.cos(ray.theta), math.sin(ray.theta), 0.0])
         way = mujoco.mj_ray(self._physics, self.data, start, along, _WALLS_ONLY, 1, -1, hit)
         return float(way) if 0.0 <= way <= most_m else None
-
-    @property
-    def target(self) -> Velocity:
-        return self.commands.target
 
     @property
     def pose(self) -> Pose:

@@ -8,16 +8,7 @@ import pymunk
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, wrap_angle
 from rover_ncp.course.course import Course, Obstacle
-from sim.world.rover import (
-    GRAVITY_M_S2,
-    STILL_M_S,
-    STILL_RAD_S,
-    SUBSTEP_S,
-    CommandQueue,
-    RoverModel,
-    own_axes,
-    toward,
-)
+from sim.world.rover import GRAVITY_M_S2, SUBSTEP_S, Rover, RoverModel, own_axes, toward
 
 COLLISION_SLOP_M = 0.001
 """How deep shapes may rest in each other. Chipmunk's default of 0.1 would be 10 cm in our metres."""
@@ -74,20 +65,12 @@ def require_free_start(model: RoverModel, course: Course) -> None:
         raise ConfigError(f"course {course.name}", [f"an obstacle stands where the rover starts ({size})"])
 
 
-class PymunkRover:
-    """A ``Rover`` alone on its ground. A command that is not finite is a ValueError."""
+class PymunkRover(Rover):
+    """A rover alone on its ground."""
 
     def __init__(self, model: RoverModel, ground: Ground, pose: Pose = ORIGIN) -> None:
-        self.model = model
-        self.ground = ground
-        self.commands = CommandQueue(model)
-        self.body = rover_body(model, ground, pose)
-
-    def command(self, v: float, omega: float) -> None:
-        self.commands.put(v, omega)
-
-    def change_limits(self, **limits: float) -> None:
-        self.commands.change_limits(**limits)
+        super().__init__(model)
+        self.ground, self.body = ground, rover_body(model, ground, pose)
 
     def set_pose(self, pose: Pose) -> None:
         # A new body, because the old one would carry the last contact's correction into its next step.
@@ -123,10 +106,6 @@ class PymunkRover:
         return None if hit is None else hit.alpha * most_m
 
     @property
-    def target(self) -> Velocity:
-        return self.commands.target
-
-    @property
     def pose(self) -> Pose:
         x, y = self.body.position
         return Pose(x, y, wrap_angle(self.body.angle))
@@ -146,11 +125,6 @@ class PymunkRover:
         body = self.body
         forward, _ = own_axes(*body.rotation_vector, *body.velocity, body.angular_velocity)
         return Velocity(forward, body.angular_velocity / self.model.turn_gain)
-
-    @property
-    def moving(self) -> bool:
-        v, omega = self.encoders
-        return abs(v) > STILL_M_S or abs(omega) > STILL_RAD_S
 
     @property
     def in_contact(self) -> bool:

@@ -1,4 +1,4 @@
-"""The simulated rover: its model, its rules of motion, and the Protocol of a body that obeys them.
+"""The simulated rover: its model, its rules of motion, and the base class of a body that obeys them.
 
 1. A substep is 0.01 s. A command given before substep n is obeyed from substep n + delay on.
 2. The rover has no speed of its own beside its body's: before each step the body's velocity is changed, along
@@ -16,8 +16,8 @@
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections import deque
-from typing import Protocol
 
 from pydantic import Field
 
@@ -122,54 +122,72 @@ class CommandQueue:
         )
 
 
-class Rover(Protocol):
+class Rover(ABC):
     """The simulated body of one rover among obstacles; poses in their frame, the course's."""
 
-    model: RoverModel
+    def __init__(self, model: RoverModel) -> None:
+        self.model, self.commands = model, CommandQueue(model)
 
     def command(self, v: float, omega: float) -> None:
-        """Ask for a forward speed (m/s) and a rate of turn (rad/s), obeyed after the model's delays."""
+        """Ask for a forward speed (m/s) and a rate of turn (rad/s), obeyed after the model's delays.
+
+        Raises ValueError for one that is not finite.
+        """
+        self.commands.put(v, omega)
 
     def change_limits(self, **limits: float) -> None:
         """Replace some limits of speeds and accelerations, by name."""
-
-    def set_pose(self, pose: Pose) -> None:
-        """Put the rover somewhere, standing still, all commands forgotten."""
-
-    def push(self, shift: Pose) -> None:
-        """Shift the rover at once; it keeps its velocity."""
-
-    def substep(self) -> None:
-        """Advance by 0.01 s."""
-
-    def range_along(self, ray: Pose, most_m: float) -> float | None:
-        """Return the distance in m from a ray's origin to the first obstacle; None beyond ``most_m``."""
+        self.commands.change_limits(**limits)
 
     @property
     def target(self) -> Velocity:
         """The velocity that the rover accelerates toward: the delayed command within the speed limits."""
+        return self.commands.target
+
+    @abstractmethod
+    def set_pose(self, pose: Pose) -> None:
+        """Put the rover somewhere, standing still, all commands forgotten."""
+
+    @abstractmethod
+    def push(self, shift: Pose) -> None:
+        """Shift the rover at once; it keeps its velocity."""
+
+    @abstractmethod
+    def substep(self) -> None:
+        """Advance by 0.01 s."""
+
+    @abstractmethod
+    def range_along(self, ray: Pose, most_m: float) -> float | None:
+        """Return the distance in m from a ray's origin to the first obstacle; None beyond ``most_m``."""
 
     @property
+    @abstractmethod
     def pose(self) -> Pose:
         """The true pose of the base."""
 
     @property
+    @abstractmethod
     def turned(self) -> float:
         """The heading in rad, whole turns included."""
 
     @property
+    @abstractmethod
     def velocity(self) -> Velocity:
         """The body's true motion along the rover and its rotation; a stalled rover's is zero."""
 
     @property
+    @abstractmethod
     def encoders(self) -> Velocity:
         """The motion that the encoders measure: the wheels' mean speed, and the turn by the nominal track."""
 
     @property
     def moving(self) -> bool:
         """Whether the encoders measure motion, beyond ``STILL_M_S`` or ``STILL_RAD_S``."""
+        v, omega = self.encoders
+        return abs(v) > STILL_M_S or abs(omega) > STILL_RAD_S
 
     @property
+    @abstractmethod
     def in_contact(self) -> bool:
         """Whether the last substep found the rover touching something."""
 

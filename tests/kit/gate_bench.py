@@ -155,8 +155,8 @@ def _times(text):
     return [round(float(begin) + k * float(step_s), 9) for k in range(count)]
 
 
-def _number(text):
-    return float(eval(text, {"pi": math.pi, "nan": math.nan, "inf": math.inf}))
+def _number(text, now=0.0):
+    return float(eval(text, {"pi": math.pi, "nan": math.nan, "inf": math.inf, "t": now}))
 
 
 def _limits(settings):
@@ -166,7 +166,7 @@ def _limits(settings):
     return LIMITS.model_copy(update={**named, "fence": BOX if "fence" in settings else None})
 
 
-def _report(settings):
+def _report(settings, now):
     values = {}
     for name, value in settings.items():
         if name in ("bumpers", "stalled"):
@@ -175,7 +175,7 @@ def _report(settings):
         elif name == "motors_off":
             values["motors_on"] = False
         else:
-            values[name] = _number(value) if value else True
+            values[name] = _number(value, now) if value else True
     return BaseReport(**values)
 
 
@@ -192,15 +192,15 @@ def _happen(gate, now, kind, *words):
     if kind in ("enable", "renew", "release"):
         return getattr(gate, kind)(now, **number, **secret)
     if kind == "place":
-        return gate.place(now, _report(options))
+        return gate.place(now, _report(options, now))
     if kind in ("ahead", "limits"):
         gate.ahead_s += sum(numbers)
         gate.limits = _limits(options) if kind == "limits" else gate.limits
         return None
     if kind == "keep":
-        gate.report = _report(options)
+        gate.report = _report(options, now)
     events = {
-        "report": lambda: _report(options),
+        "report": lambda: _report(options, now),
         "keep": lambda: gate.report,
         "plain": lambda: VelocityCommand(velocity, age_s=age.get("age")),
         "lost": lambda: BaseLost(restarted="restarted" in options),

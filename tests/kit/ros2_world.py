@@ -79,6 +79,10 @@ class World:
     def last(self):
         return self.events[-1] if self.events else None
 
+    def sent_v(self, begin=0):
+        """The forward speeds of the commands, as TwistStamped, from the one numbered ``begin`` on."""
+        return [TwistStamped.deserialize(data).twist.linear.x for data in self.line.sent[begin:]]
+
     @property
     def stamp_s(self):
         """The stamp of the last command."""

@@ -1,6 +1,7 @@
 """The line to the base: its thread hands bytes and errors to the loop."""
 
 import socket
+import threading
 import time
 from contextlib import suppress
 
@@ -119,6 +120,31 @@ def test_lines_on_which_nothing_arrives_are_opened_again_less_and_less_often(ser
         line.drop()
     wait_for(lambda: len(waits) == 6)
     assert waits == [0.05, 0.1, 0.2, 0.2, 0.05, 0.1]
+
+
+def test_line_that_opens_after_the_end_is_closed(server, open_line, monkeypatch):
+    line, inbox = open_line()
+    peer, _ = server.accept()
+    opens, going_on = threading.Event(), threading.Event()
+    real = line_module.open_transport
+
+    def slow(endpoint):
+        opens.set()
+        going_on.wait(5.0)
+        return real(endpoint)
+
+    monkeypatch.setattr(line_module, "open_transport", slow)
+    peer.close()
+    next_of(inbox, Broken)
+    line.drop()
+    assert opens.wait(5.0)
+    line.close()
+    going_on.set()
+    late, _ = server.accept()
+    with late:
+        late.settimeout(5.0)
+        with suppress(ConnectionResetError):  # an aborted line ends so, too
+            assert late.recv(1) == b""
 
 
 def test_unexpected_error_is_a_broken_line(server, open_line, monkeypatch):

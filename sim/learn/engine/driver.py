@@ -46,9 +46,9 @@ def load_driver(name: str) -> Driver:
     """
     if name in LAWS:
         lanes = partial(_law_lanes, name)
-        return Driver(name, REFERENCE_SIGNALS, partial(_law_runner, name), lanes)
+        return Driver(name, REFERENCE_SIGNALS, partial(_lane_runner, lanes), lanes)
     if ":" in name and not Path(name).exists():
-        return _own_driver(name, _imported(name), partial(_module_runner, name))
+        return _own_driver(name, partial(_imported, name))
     return circuit_driver(load_policy(name))
 
 
@@ -62,10 +62,11 @@ def circuit_driver(policy: Policy) -> Driver:
 def function_driver(policy: Callable[[FloatArray], Any]) -> Driver:
     """Return a policy of a user under test. Raises ConfigError or UsageError."""
     name = getattr(policy, "__name__", type(policy).__name__)
-    return _own_driver(name, policy, partial(_function_runner, name, policy))
+    return _own_driver(name, lambda: policy)
 
 
-def _own_driver(name: str, policy: Any, runner: Callable[[], AnyRunner]) -> Driver:
+def _own_driver(name: str, load: Callable[[], Any]) -> Driver:
+    policy = load()
     if not callable(policy):
         raise UsageError(f"policy {name}: expected a function of an observation, got {policy!r}")
     signals = getattr(policy, "signals", DEFAULT_SIGNALS)
@@ -75,7 +76,7 @@ def _own_driver(name: str, policy: Any, runner: Callable[[], AnyRunner]) -> Driv
         RoverInterface(signals)
     except ConfigError as error:
         raise ConfigError(f"policy {name}", error.problems) from error
-    return Driver(name, tuple(signals), runner)
+    return Driver(name, tuple(signals), partial(_function_runner, name, load))
 
 
 def _imported(source: str) -> Any:
@@ -91,16 +92,9 @@ def _imported(source: str) -> Any:
         raise UsageError(f"policy {source}: {_described(error)}") from error
 
 
-def _module_runner(source: str) -> AnyRunner:
-    return _function_runner(source, _imported(source))
-
-
-def _function_runner(name: str, policy: Any) -> AnyRunner:
-    return FunctionRunner(partial(_command, name, policy), getattr(policy, "reset", _keep_state))
-
-
-def _keep_state() -> None:
-    """Do nothing: the policy has no state."""
+def _function_runner(name: str, load: Callable[[], Any]) -> AnyRunner:
+    policy = load()
+    return FunctionRunner(partial(_command, name, policy), getattr(policy, "reset", lambda: None))
 
 
 def _command(name: str, policy: Any, observation: FloatArray) -> FloatArray:
@@ -133,5 +127,5 @@ def _law_lanes(name: str) -> tuple[Commander, FloatArray]:
     return law_commander(law), np.array(law.tuned)
 
 
-def _law_runner(name: str) -> AnyRunner:
-    return CommanderRunner(*_law_lanes(name))
+def _lane_runner(lanes: Callable[[], tuple[Commander, FloatArray]]) -> AnyRunner:
+    return CommanderRunner(*lanes())

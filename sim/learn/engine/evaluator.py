@@ -107,14 +107,14 @@ class Evaluator:
         self._tasks = _tasks(courses, references, self.model)
         self._lane_sets: dict[tuple[int, int], _LaneSet] = {}
         self._delays = (0.0, 0.0)
-        self._nominal = trials is None
         self.change_trials(trials or nominal_trials(self.model, int(self._tasks.ticks.max())))
+        self._nominal = trials is None
 
     def change_trials(self, trials: Trials, first_course: int = 0) -> None:
         """Drive other trials from now on, trial i on course ``first_course`` + i modulo their number."""
         if trials.noise.shape[1] <= int(self._tasks.ticks.max()):
             raise ValueError(f"trials of {trials.noise.shape[1] - 1} ticks are too short for the courses")
-        self._trials, self._first_course = trials, first_course
+        self._nominal, self._trials, self._first_course = False, trials, first_course
         delays = tuple(SUBSTEP_S * trials.delay.max(axis=0))
         longest = tuple(map(max, delays, self._delays))
         if longest != self._delays:

@@ -3,11 +3,10 @@
 from dataclasses import replace
 
 import pytest
-from kit.gate_bench import LIMITS, SECRET, SLOW, Gate, follow, timelines
+from kit.gate_bench import SECRET, Gate, follow, timelines
 
 from bridge.base import BaseReport
 from bridge.gate.state import BaseLost, Enable, GateState, Reason, VelocityCommand, describe, read_tag
-from rover_ncp.core.geometry import STANDSTILL
 from rover_ncp.wire.protocol import CommandTag, Signed
 
 
@@ -79,72 +78,6 @@ def test_renewal_permits_no_new_contact():
     stamp = gate.stamp(9.0)
     assert gate.at(9.0, Enable("deploy", stamp, bytes(32), gate.sequence)).refusal is Reason.BUMPER
     assert gate.state.lease is None
-
-
-@pytest.mark.parametrize("steps", [{"x": 0.001}, {"y": 0.001}, {"theta": 0.0015}])
-def test_one_changed_count_is_no_frozen_odometry(steps):
-    gate = Gate().driving()
-    for k in range(1, 40):
-        pose = {name: (k // 2) * step for name, step in steps.items()}
-        gate.at(0.1 * k, BaseReport(v=0.09, omega=0.19, **pose))
-        assert gate.drive(0.1 * k).held is None
-
-
-def test_frozen_distance_uses_the_slower_of_two_reports():
-    gate = Gate().driving()
-    for k in range(1, 40):
-        fast = 0.3 * (k % 2)
-        gate.at(0.1 * k, BaseReport(v=fast, omega=fast))
-        assert gate.drive(0.1 * k).held is None
-
-
-MEANS = LIMITS.model_copy(update={"speed_mean_s": 1.0})
-
-
-def report_at(name, k, speed):
-    """A report 0.125 k s after the start of a robot that has stood since k = 16."""
-    pose = {"x": 0.04 * min(k, 16)} if name == "v" else {"theta": 0.04 * min(k, 16)}
-    return BaseReport(**pose, **{name: speed})
-
-
-@pytest.mark.parametrize("name", ["v", "omega"])
-def test_mean_speeds_of_a_robot_that_halts_are_frozen_odometry_only_after_the_time_of_the_mean(name):
-    gate, held = Gate(MEANS).driving(), {}
-    for k in range(1, 60):
-        gate.at(0.125 * k, report_at(name, k, 0.0 if 24 < k < 40 else 0.3))  # the mean lags
-        held[k] = gate.drive(0.125 * k, STANDSTILL if k > 10 else SLOW).held
-    assert not any(held[k] for k in range(1, 41))
-    assert held[41] is Reason.FROZEN
-    assert gate.state.lease_over is Reason.FROZEN
-
-
-@pytest.mark.parametrize("name", ["v", "omega"])
-@pytest.mark.parametrize(("halts", "frozen"), [(0, 18), (9, 18), (12, 18), (13, 23), (16, 25)])
-def test_mean_speeds_are_frozen_odometry_at_once_where_the_rover_was_driven_on(name, halts, frozen):
-    gate, held = Gate(MEANS).driving(), {}
-    for k in range(1, 30):
-        gate.at(0.125 * k, report_at(name, k, 0.3))
-        held[k] = gate.drive(0.125 * k, STANDSTILL if halts - 6 < k <= halts else SLOW).held
-    assert {k for k in held if held[k]} == {*range(frozen, 30)}
-
-
-@pytest.mark.parametrize("name", ["v", "omega"])
-def test_mean_speeds_are_frozen_odometry_at_once_soon_after_a_start_from_rest(name):
-    gate, held = Gate(MEANS).driving(), {}
-    for k in range(1, 30):
-        gate.at(0.125 * k, report_at(name, k, 0.3) if k > 14 else BaseReport())
-        held[k] = gate.drive(0.125 * k, SLOW if k > 13 else STANDSTILL).held
-    assert {k for k in held if held[k]} == {*range(18, 30)}
-    assert gate.enable(0.125 * 30).refusal is Reason.FROZEN  # although a halt is commanded now
-
-
-@pytest.mark.parametrize("name", ["v", "omega"])
-def test_speed_that_changes_its_sign_is_no_frozen_odometry(name):
-    # Motors that hold a robot on a slope flicker by a tick of its encoders.
-    gate = Gate()
-    for k in range(100):
-        gate.at(0.1 * k, BaseReport(x=1.0, **{name: 0.014 if k % 4 < 2 else -0.014}))
-    assert gate.enable(10.0).refusal is None
 
 
 def test_one_minimum_is_kept_for_each_second_of_a_minute():

@@ -6,11 +6,11 @@ from collections import deque
 
 import pytest
 from kit.gate_bench import BOX, LIMITS, Gate
+from pydantic import ValidationError
 
 from bridge.base import BaseReport
 from bridge.gate.limits import Fence, Limits
 from bridge.gate.motion import leaves
-from bridge.gate.state import Reason
 from rover_ncp.core.geometry import STANDSTILL, Velocity
 
 LANE = Fence(x_min=-9.0, x_max=9.0, y_min=-1.0, y_max=1.0)
@@ -37,18 +37,15 @@ def held(base, velocity, age_s=0.0, fence=BOX):
     ],
 )
 def test_arc_of_the_stop_stays_inside(velocity, room):
-    def held(base, command):
-        return leaves(LANE, base, command, 0.0, BRAKE)
-
     for y, v, omega in ((1.0, *velocity), (-1.0, velocity.v, -velocity.omega)):
         inside, outside = y * (0.999 - room), y * (1.001 - room)
-        assert not held(BaseReport(y=inside), Velocity(v, omega))
-        assert held(BaseReport(y=outside), Velocity(v, omega))
+        assert not held(BaseReport(y=inside), Velocity(v, omega), fence=LANE)
+        assert held(BaseReport(y=outside), Velocity(v, omega), fence=LANE)
         # As long as the rover still turns, the command to drive straight on is not enough.
-        assert not held(BaseReport(y=inside, omega=omega), Velocity(v, 0.0))
-        assert held(BaseReport(y=outside, omega=omega), Velocity(v, 0.0))
+        assert not held(BaseReport(y=inside, omega=omega), Velocity(v, 0.0), fence=LANE)
+        assert held(BaseReport(y=outside, omega=omega), Velocity(v, 0.0), fence=LANE)
         if abs(v) < 1.0:
-            assert not held(BaseReport(y=outside), Velocity(v, -omega))
+            assert not held(BaseReport(y=outside), Velocity(v, -omega), fence=LANE)
 
 
 def test_straight_stop_counts_also_on_a_curve_away_from_the_fence():
@@ -160,65 +157,6 @@ def test_rover_at_speed_whose_command_changes_stays_inside(v, omega):
     assert drive_along(0.4, 0.2, command) <= 1.0
 
 
-# Odometry that begins anew
-
-
-def jumped(base, before=None, elapsed_s=0.1, limits=FENCED):
-    """Whether the fence is lost by a report after another one."""
-    gate = Gate(limits)
-    gate.at(1.0, before or BaseReport())
-    gate.at(1.0 + elapsed_s, base)
-    lost = gate.enable(1.0 + elapsed_s).refusal is Reason.FENCE_LOST
-    gate.at(1.2 + elapsed_s, base)
-    assert (gate.enable(1.2 + elapsed_s).refusal is Reason.FENCE_LOST) is lost
-    return lost
-
-
-@pytest.mark.parametrize(
-    ("pose", "speeds", "elapsed_s", "lost"),
-    [
-        ((0.9, 0.0, 0.0), (0.0, 0.0), 0.1, True),
-        ((0.0, -0.9, 0.0), (0.0, 0.0), 0.1, True),
-        ((0.0, 0.0, 1.5), (0.0, 0.0), 0.1, True),
-        ((0.0, 0.0, -1.5), (0.3, 0.3), 0.1, True),
-        ((0.9, 0.0, 0.0), (0.3, 0.0), 0.1, True),
-        ((0.9, 0.0, 0.0), (1e308, 1e308), 0.1, True),
-        ((0.9, 0.0, 0.0), (math.nan, math.nan), 0.1, True),
-        ((1e308, 0.0, 0.0), (0.3, 0.0), 0.1, True),
-        ((0.0, 0.0, 1e308), (0.0, 0.0), 0.1, True),
-        # A command may get it to 0.1 m/s and 0.4 rad/s in 0.1 s.
-        ((0.089, 0.0, 0.0), (0.0, 0.0), 0.1, False),
-        ((0.091, 0.0, 0.0), (0.0, 0.0), 0.1, True),
-        ((0.0, 0.0, -0.259), (0.0, 0.0), 0.1, False),
-        ((0.0, 0.0, -0.261), (0.0, 0.0), 0.1, True),
-        # The limits bound that.
-        ((0.319, 0.0, 0.0), (0.0, 0.0), 0.6, False),
-        ((0.321, 0.0, 0.0), (0.0, 0.0), 0.6, True),
-        ((0.0, 0.0, 0.639), (0.0, 0.0), 0.6, False),
-        ((0.0, 0.0, 0.641), (0.0, 0.0), 0.6, True),
-        # A speed that is reported counts, up to 1.2 m/s and 3 rad/s.
-        ((-0.249, 0.0, 0.0), (-0.5, 0.0), 0.1, False),
-        ((-0.251, 0.0, 0.0), (-0.5, 0.0), 0.1, True),
-        ((0.529, 0.0, 0.0), (50.0, 0.0), 0.1, False),
-        ((0.0, 0.0, 1.299), (0.0, 50.0), 0.1, False),
-        ((0.0, 0.0, 1.301), (0.0, 50.0), 0.1, True),
-        # A heading need not be wrapped.
-        ((0.0, 0.0, math.tau), (0.0, 0.0), 0.1, False),
-    ],
-)
-def test_fence_is_lost_when_a_pose_jumps_without_a_gap(pose, speeds, elapsed_s, lost):
-    assert jumped(BaseReport(*pose, *speeds), None, elapsed_s) is lost
-    assert jumped(BaseReport(), BaseReport(*pose, *speeds), elapsed_s) is lost
-    assert not jumped(BaseReport(*pose, *speeds), None, elapsed_s, Limits())
-
-
-@pytest.mark.parametrize(("pose", "speed", "noise"), [("x", "v", 0.05), ("theta", "omega", 0.1)])
-def test_pose_jumps_beyond_exactly_this_motion(pose, speed, noise):
-    way = noise + 0.7 * (0.5 + 0.3)
-    assert not jumped(BaseReport(**{pose: way, speed: 0.7}), elapsed_s=0.5)
-    assert jumped(BaseReport(**{pose: math.nextafter(way, 1.0), speed: 0.7}), elapsed_s=0.5)
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_driving_with_noise_and_with_late_and_lost_reports_is_no_jump(seed):
     """Each speed may change at once; 2 % of reports are 0.3 s late and hold up those behind them."""
@@ -235,3 +173,34 @@ def test_driving_with_noise_and_with_late_and_lost_reports_is_no_jump(seed):
         pose = (value + dice.gauss(0.0, 0.005) for value in (x, y, theta))
         gate.at(arrival, BaseReport(*pose, v + dice.gauss(0.0, 0.02), omega + dice.gauss(0.0, 0.02)))
         assert not gate.state.odometry_restarted
+
+
+# Limits: no setting undoes the first safety requirement
+
+
+STOP_S = 0.5
+
+
+def test_fence_measures_the_distance_of_points_outside():
+    fence = Fence(x_min=-1.0, x_max=2.0, y_min=-1.0, y_max=1.0)
+    assert fence.outside(0.0, 0.0) == 0.0
+    assert fence.outside(2.0, 1.0) == 0.0
+    assert fence.outside(2.5, 0.0) == 0.5
+    assert fence.outside(-1.25, 0.0) == 0.25
+    assert fence.outside(0.0, 1.5) == 0.5
+    assert fence.outside(3.0, -3.0) == 2.0
+
+
+@pytest.mark.parametrize("sides", [(1.0, 1.0, 0.0, 1.0), (2.0, 1.0, 0.0, 1.0), (0.0, 1.0, 1.0, 1.0)])
+def test_a_fence_without_an_inside_is_refused(sides):
+    x_min, x_max, y_min, y_max = sides
+    with pytest.raises(ValidationError, match="a fence needs"):
+        Fence(x_min=x_min, x_max=x_max, y_min=y_min, y_max=y_max)
+
+
+@pytest.mark.parametrize("name", ["command_timeout_s", "stale_s", "odometry_s"])
+def test_no_timeout_may_be_as_long_as_the_requirement(name):
+    with pytest.raises(ValidationError):
+        Limits(**{name: STOP_S})
+    with pytest.raises(ValidationError):
+        Limits(**{name: 0.0})

@@ -46,7 +46,7 @@ def test_the_recorded_robots_configuration_is_read_to_its_end():
         assert (config.sip_cycle, config.watchdog, config.autobaud) == (100, 2000, 2)
         assert (config.trans_vel_max, config.rot_vel_max) == (3000, 150)
         assert (config.trans_acc, config.trans_decel, config.rot_acc) == (300, 300, 100)
-        assert (config.version, config.lat_vel_top) == ("S.0", 9999)
+        assert (config.version, config.gyro_to_charge[5:7]) == ("S.0", (9999).to_bytes(2, "little"))
         assert config.encode().payload[: len(packet.payload)] == packet.payload
 
 
@@ -97,7 +97,7 @@ def test_a_full_sip_survives_the_wire():
 
 @pytest.mark.parametrize("length", range(len(ConfigPac(version="2.9").encode().payload)))
 def test_a_configuration_cut_off_anywhere_reads_with_defaults(length):
-    whole = ConfigPac(robot_type="Pioneer", subtype="p3at-sh", watchdog=2000, version="2.9", gyro_version=3)
+    whole = ConfigPac(robot_type="Pioneer", subtype="p3at-sh", watchdog=2000, version="2.9")
     config = ConfigPac.decode(whole.encode().payload[:length])
     assert config.watchdog in (0, 2000)
     assert whole.robot_type.startswith(config.robot_type)

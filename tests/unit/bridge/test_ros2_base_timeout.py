@@ -3,7 +3,7 @@
 import pytest
 from kit.driver_client import DriverClient
 from kit.ros2_world import BURGER, World
-from kit.ros_cdr import TwistStamped, twist
+from kit.ros_cdr import twist
 from kit.virtual_bench import VirtualRig
 
 from bridge.base import Lost
@@ -12,13 +12,7 @@ from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import shipped_names
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import load_description
-from rover_ncp.wire.protocol import (
-    BaseReply,
-    BaseRequest,
-    Signed,
-    dump_json,
-    parse_json,
-)
+from rover_ncp.wire.protocol import BaseReply, BaseRequest, Signed, dump_json, parse_json
 
 CHECKED = BURGER.model_copy(update={"measured_base_timeout_s": 0.6})
 
@@ -44,52 +38,48 @@ def halts(world, after_s):
     return world.base.base_timeout
 
 
-def last_v(world):
-    return TwistStamped.deserialize(world.line.sent[-1]).twist.linear.x
+@pytest.fixture
+def checked():
+    world = World(CHECKED)
+    world.run(2.0)
+    return world
 
 
-def test_base_timeout_is_measured_while_nothing_is_sent(ready):
+def test_base_timeout_is_measured_while_nothing_is_sent_and_only_the_description_lifts_the_refusal(ready):
     assert ready.base.base_timeout.state == "unknown"
     assert "rover-ncp check" in ready.base.base_timeout.refusal
     known = halts(ready, 0.6)
     assert known.state == "measured"
     assert known.timeout_s == pytest.approx(0.65, abs=0.08)  # counted from the last command before
     ready.run(0.2)
-    assert last_v(ready) == 0.0
-
-
-def test_only_the_description_lifts_the_refusal(ready):
-    assert "add the line that 'rover-ncp check' printed" in halts(ready, 0.6).refusal
+    assert ready.sent_v()[-1] == 0.0
+    assert "add the line that 'rover-ncp check' printed" in known.refusal
     assert World(CHECKED).base.base_timeout == ("measured", 0.6, "")
 
 
-def test_no_driver_drives_a_checked_robot_while_it_is_measured_again():
-    world = World(CHECKED)
-    world.run(2.0)
-    begin(world)
-    assert world.base.base_timeout.refusal != ""  # the base would send it neither commands nor zeros
-    assert halts(world, 0.6).refusal == ""
+def test_no_driver_drives_a_checked_robot_while_it_is_measured_again(checked):
+    begin(checked)
+    assert checked.base.base_timeout.refusal != ""  # the base would send it neither commands nor zeros
+    assert halts(checked, 0.6).refusal == ""
 
 
-def test_an_interrupted_measurement_of_a_checked_robot_has_no_result_and_it_may_drive_on():
-    world = World(CHECKED)
-    world.run(2.0)
+def interrupt(world):
     begin(world)
     world.lease = 0
     world.run(0.1)
-    assert world.base.base_timeout[::2] == ("unknown", "")
     world.lease = 1
-    assert halts(world, 0.4).state == "measured"
 
 
-def test_a_described_robot_that_does_not_halt_any_more_has_a_refusal():
-    world = World(CHECKED)
-    world.run(2.0)
-    assert "--no-base-watchdog" in halts(world, 100.0).refusal
-    begin(world)
-    world.lease = 0
-    world.run(0.1)
-    assert "--no-base-watchdog" in world.base.base_timeout.refusal
+def test_an_interrupted_measurement_of_a_checked_robot_has_no_result_and_it_may_drive_on(checked):
+    interrupt(checked)
+    assert checked.base.base_timeout[::2] == ("unknown", "")
+    assert halts(checked, 0.4).state == "measured"
+
+
+def test_a_described_robot_that_does_not_halt_any_more_has_a_refusal(checked):
+    assert "--no-base-watchdog" in halts(checked, 100.0).refusal
+    interrupt(checked)
+    assert "--no-base-watchdog" in checked.base.base_timeout.refusal
 
 
 def test_a_robot_that_does_not_halt_gets_zeros_after_5_s_and_a_refusal(ready):
@@ -97,7 +87,7 @@ def test_a_robot_that_does_not_halt_gets_zeros_after_5_s_and_a_refusal(ready):
     assert (known.state, known.timeout_s) == ("none", None)
     assert "--no-base-watchdog" in known.refusal
     ready.run(0.1)
-    assert last_v(ready) == 0.0
+    assert ready.sent_v()[-1] == 0.0
 
 
 @pytest.mark.parametrize("end", [{"emergency": True}, {"motors": False}, {"lease": 0}, {"lease": 2}], ids=str)
@@ -108,8 +98,7 @@ def test_what_ends_a_drive_ends_the_measurement_with_zeros(ready, end):
     vars(ready).update(end)
     ready.run(0.2, rate_hz=100.0, v=0.1)
     assert ready.base.base_timeout.state == "unknown"
-    assert [TwistStamped.deserialize(data).twist.linear.x for data in ready.line.sent[silent:]] == [0.0] * 4
-    assert ready.line.sent[silent:]
+    assert ready.sent_v(silent) == [0.0] * 4
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.05, 1.2])
@@ -119,7 +108,7 @@ def test_a_robot_that_a_stop_halts_is_not_measured(ready, late_s):
     ready.run(1.2, rate_hz=100.0, v=0.1)
     if late_s:
         ready.run(late_s, rate_hz=100.0, v=0.0)
-        assert last_v(ready) == 0.0  # the silence has ended all the same
+        assert ready.sent_v()[-1] == 0.0  # the silence has ended all the same
     ready.emergency = True
     ready.run(0.1, rate_hz=100.0, v=0.0)
     ready.emergency = False
@@ -179,14 +168,14 @@ def test_each_start_says_what_is_known(known, words):
     assert words in TimeoutRecord(known.described_s, True, known.measured, known.measured_s).note
 
 
-class Checked:
+class Measured:
     """A robot without a timeout behind a bridge on a virtual clock; the check has begun to measure it."""
 
     def __init__(self):
         self.bridge = VirtualRig(BURGER)
         self.driver = DriverClient(self.bridge)
         self.bridge.sleep(3.0)
-        assert self.motors().granted
+        assert self.driver.motors(unchecked=True).granted
         self.driver.drive(1.0, 0.1)
         request = dump_json(BaseRequest(measure=True, sent_ns=self.bridge.now_ns))
         reply = self.bridge.query(
@@ -196,36 +185,33 @@ class Checked:
         self.bridge.sleep(0.7)
         assert self.speed == pytest.approx(0.1, abs=0.01)
 
-    def motors(self, enable=True):
-        return self.driver.motors(enable, unchecked=True)
-
     @property
     def speed(self):
         return self.bridge.base.drive.measured.v
 
 
 @pytest.mark.parametrize(
-    "end", [lambda checked: checked.motors(enable=False), lambda checked: checked.driver.stop()]
+    ("end", "wait_s"),
+    [
+        (lambda driver: driver.motors(enable=False), 0.3),
+        (lambda driver: driver.stop(), 0.3),
+        (lambda driver: None, 0.3 + 0.3),  # the lease lasts 1 s; braking
+    ],
+    ids=["release", "stop", "the check died"],
 )
-def test_a_release_or_a_stop_halts_a_robot_that_is_measured(end):
-    checked = Checked()
-    end(checked)
-    checked.bridge.sleep(0.3)
-    assert checked.speed == pytest.approx(0.0, abs=0.01)
-
-
-def test_a_check_that_died_halts_a_robot_that_is_measured_with_its_lease():
-    checked = Checked()
-    checked.bridge.sleep(0.3 + 0.3)  # the lease lasts 1 s; braking
-    assert checked.speed == pytest.approx(0.0, abs=0.01)
+def test_end_of_a_check_halts_a_robot_that_is_measured(end, wait_s):
+    measured = Measured()
+    end(measured.driver)
+    measured.bridge.sleep(wait_s)
+    assert measured.speed == pytest.approx(0.0, abs=0.01)
 
 
 def test_a_check_that_renews_its_lease_measures_to_the_end():
-    checked = Checked()
+    measured = Measured()
     for _ in range(20):
-        checked.motors()
-        checked.bridge.sleep(0.2)
-        assert checked.speed == pytest.approx(0.1, abs=0.01)
-    checked.bridge.sleep(0.7)
-    assert checked.speed == pytest.approx(0.0, abs=0.01)
-    assert checked.bridge.line.base.base_timeout.state == "none"
+        measured.driver.motors(unchecked=True)
+        measured.bridge.sleep(0.2)
+        assert measured.speed == pytest.approx(0.1, abs=0.01)
+    measured.bridge.sleep(0.7)
+    assert measured.speed == pytest.approx(0.0, abs=0.01)
+    assert measured.bridge.line.base.base_timeout.state == "none"

@@ -23,6 +23,13 @@ def scan(*hits, first_deg=0.0, count=360, step_deg=1.0, else_m=math.inf, least_m
     ).serialize()
 
 
+def room(world, payload, **odometry):
+    """The room ahead and behind, m, by a scan."""
+    world.hear("scan", payload)
+    world.run(0.1, **odometry)
+    return world.reports[-1].clear_ahead_m, world.reports[-1].clear_behind_m
+
+
 @pytest.mark.parametrize(
     ("payload", "ahead", "behind"),
     [
@@ -37,45 +44,25 @@ def scan(*hits, first_deg=0.0, count=360, step_deg=1.0, else_m=math.inf, least_m
         (scan((0, math.nan)), math.inf, math.inf),
         (scan((0, -math.inf)), 0.1 - 0.032 - 0.041, math.inf),  # REP 117: nearer than the least range, 0.1 m
         (scan((0, 2.0), first_deg=-90.0, count=181), 2.0 - 0.073, math.nan),  # it looks ahead only
+        # A laser that is covered, blinded or broken: beams to the sides do not show the way.
+        *(
+            (scan((90, 1.0), (270, math.inf), else_m=nothing_m), math.nan, math.nan)
+            for nothing_m in (math.nan, 0.0, 0.05, -1.0, 9.0)
+        ),
+        # A cover within the outline hides the way.
+        (scan(*((degrees, 0.068) for degrees in range(-60, 61)), least_m=0.05), math.nan, math.inf),
+        # A post of the robot's own, 0.038 m before its centre, and a thing outside, 0.134 m behind it.
+        (scan((0, 0.07), (180, 0.102)), math.inf, 0.029),
     ],
 )
 def test_room_by_a_scan_counts_from_the_outline(ready, payload, ahead, behind):
-    ready.hear("scan", payload)
-    ready.run(0.1)
-    report = ready.reports[-1]
-    assert report.clear_ahead_m == pytest.approx(ahead, abs=1e-3, nan_ok=True)
-    assert report.clear_behind_m == pytest.approx(behind, abs=1e-3, nan_ok=True)
-
-
-@pytest.mark.parametrize("nothing_m", [math.nan, 0.0, 0.05, -1.0, 9.0])
-def test_a_laser_without_a_valid_beam_ahead_knows_no_room(ready, nothing_m):
-    """It is covered, blinded or broken; beams to the sides do not show the way."""
-    ready.hear("scan", scan((90, 1.0), (270, math.inf), else_m=nothing_m))
-    ready.run(0.1)
-    assert math.isnan(ready.reports[-1].clear_ahead_m)
-    assert math.isnan(ready.reports[-1].clear_behind_m)
+    assert room(ready, payload) == pytest.approx((ahead, behind), abs=1e-3, nan_ok=True)
 
 
 @pytest.mark.parametrize("least_m", [0.1, 0.05])  # beyond the outline, and within it
 def test_a_covered_laser_that_reports_too_close_everywhere_is_no_free_way(ready, least_m):
-    ready.hear("scan", scan(else_m=-math.inf, least_m=least_m))
-    ready.run(0.1)
-    report = ready.reports[-1]
-    assert not (report.clear_ahead_m >= 0.03 or report.clear_behind_m >= 0.03)
-
-
-def test_a_cover_within_the_outline_hides_the_way(ready):
-    ready.hear("scan", scan(*((degrees, 0.068) for degrees in range(-60, 61)), least_m=0.05))
-    ready.run(0.1)
-    assert math.isnan(ready.reports[-1].clear_ahead_m)
-    assert ready.reports[-1].clear_behind_m == math.inf
-
-
-def test_posts_of_the_robots_own_are_no_obstacles(ready):
-    ready.hear("scan", scan((180, 0.102), (0, 0.07)))  # 0.134 m behind its centre: outside; 0.038 m before it
-    ready.run(0.1)
-    assert ready.reports[-1].clear_ahead_m == math.inf
-    assert ready.reports[-1].clear_behind_m == pytest.approx(0.029, abs=1e-3)
+    ahead, behind = room(ready, scan(else_m=-math.inf, least_m=least_m))
+    assert not (ahead >= 0.03 or behind >= 0.03)
 
 
 def test_an_old_scan_and_none_at_all_are_no_room(ready):
@@ -89,18 +76,15 @@ def test_an_old_scan_and_none_at_all_are_no_room(ready):
 
 @pytest.mark.parametrize("payload", [b"", LaserScan().serialize(), LaserScan(ranges=[1.0]).serialize()])
 def test_a_scan_that_is_none_is_counted(ready, payload):
-    ready.hear("scan", payload)
-    ready.run(0.1)
-    assert math.isnan(ready.reports[-1].clear_ahead_m)
+    assert math.isnan(room(ready, payload)[0])
     assert ready.base.health().counters["unreadable"] == 1
 
 
 def test_a_laser_that_looks_to_the_left_is_turned():
-    world = World(load_description("turtlebot4"))
-    world.run(2.0, frames=("odom", "base_link"))
-    world.hear("scan", scan((-90, 1.0)))
-    world.run(0.1, frames=("odom", "base_link"))
-    assert world.reports[-1].clear_ahead_m == pytest.approx(1.0 - 0.04 - 0.171, abs=1e-3)
+    world, frames = World(load_description("turtlebot4")), ("odom", "base_link")
+    world.run(2.0, frames=frames)
+    ahead, _ = room(world, scan((-90, 1.0)), frames=frames)
+    assert ahead == pytest.approx(1.0 - 0.04 - 0.171, abs=1e-3)
 
 
 def test_scans_that_arrive_late_are_no_room(ready):
@@ -109,6 +93,4 @@ def test_scans_that_arrive_late_are_no_room(ready):
         ready.run(3.0)
         message = LaserScan.deserialize(scan((0, 1.0)))
         message.header = header(EPOCH_S + ready.now - late_s, "base_scan")
-        ready.hear("scan", message.serialize())
-        ready.run(0.1)
-        assert ready.reports[-1].clear_ahead_m == pytest.approx(ahead, abs=1e-3, nan_ok=True)
+        assert room(ready, message.serialize())[0] == pytest.approx(ahead, abs=1e-3, nan_ok=True)

@@ -1,6 +1,7 @@
 """The rules at the top of session.py and setpoints.py, and robots that do not answer as expected."""
 
 import math
+import re
 from itertools import cycle, pairwise
 
 import pytest
@@ -17,46 +18,26 @@ from bridge.pioneer.setpoints import MotionLimits
 from bridge.pioneer.states import PATIENCE_S, SessionState
 from rover_ncp.core.geometry import Velocity
 
-
-def test_a_silent_line_is_given_up_after_a_few_seconds_and_close_is_tried():
-    bench = Bench().connect()
-    commands = []
-    while bench.session.state is not SessionState.IDLE and bench.now < 110:
-        bench.wait(0.05)
-        commands += bench.commands()
-    assert 4.0 < bench.now - 100 < 7.0
-    assert commands.count(Command.PULSE) == 6
-    assert commands[:3] == [Command.PULSE, Command.PULSE, Command.CLOSE]
-    (failed,) = bench.events
-    assert "no answer" in failed.reason
-
-
-def test_invalid_bytes_give_another_reason_than_silence():
-    bench = Bench().connect()
-    while bench.session.state is not SessionState.IDLE:
-        bench.wait(0.05)
-        bench.hear(b"\x80\xfe\x00\xfa\xfbz")
-    (failed,) = bench.events
-    assert "baud" in failed.reason
-    assert "not one valid packet" in failed.reason
+INVALID = b"\x80\xfe\x00\xfa\xfbz"
 
 
 @pytest.mark.parametrize(
-    ("stream", "period_s"),
+    ("stream", "period_s", "reason"),
     [
-        (sip(), 0.05),
-        (encode_frame(0xFF), 0.02),  # a base that is always being reset
-        (encode_frame(0), 0.5),  # each byte of the right answer, too slowly
+        (INVALID, 0.05, "or the baud rate is wrong: .* bytes, not one valid packet"),
+        (sip(), 0.05, "no handshake was completed within 15 s"),
+        (encode_frame(0xFF), 0.02, "no handshake was completed within 15 s"),  # always being reset
+        (encode_frame(0), 0.5, "no handshake was completed within 15 s"),  # the right bytes, too slowly
     ],
 )
-def test_base_that_never_completes_the_handshake_is_given_up(stream, period_s):
+def test_base_that_never_completes_the_handshake_is_given_up(stream, period_s, reason):
     bench = Bench().connect()
     pieces = cycle([stream] if period_s == 0.05 else [bytes([byte]) for byte in stream])
     while bench.session.state is not SessionState.IDLE and bench.now < 200:
         bench.wait(period_s)
         bench.hear(next(pieces))
     (failed,) = bench.events
-    assert "no handshake was completed within 15 s" in failed.reason
+    assert re.search(reason, failed.reason)
 
 
 def test_a_late_second_echo_does_not_start_over():
@@ -67,53 +48,27 @@ def test_a_late_second_echo_does_not_start_over():
     assert bench.session.state is SessionState.CONFIGURING
 
 
-def test_without_a_configpac_the_base_is_ready_after_a_second():
-    bench = Bench().go_to(SessionState.CONFIGURING)
-    asked = 0
-    while bench.session.state is SessionState.CONFIGURING and bench.now < 110:
-        bench.hear(sip(stall_right=0xFE))
-        bench.wait(0.1)
-        asked += bench.commands().count(Command.CONFIG)
-    assert asked >= 3
-    assert any(isinstance(event, Ready) for event in bench.events)
-    bench.hear(sip(stall_right=0xFE))
-    state = bench.events[-1]
-    assert state.bumpers == (0, 0)
-
-
-def test_a_configpac_that_was_lost_is_asked_for_until_it_comes_and_then_the_bumpers_count():
-    bench = Bench().go_to(SessionState.CONFIGURING)
+def test_a_configpac_that_was_lost_is_asked_for_until_it_comes_and_then_the_bumpers_count(opened):
     asked_s = []
-    while bench.now < 110:
-        bench.hear(sip(stall_right=0xFE))
-        bench.wait(0.1)
-        if Command.CONFIG in bench.commands() and bench.session.state is SessionState.READY:
-            asked_s.append(bench.now)
-    assert bench.session.state is SessionState.READY
+    while opened.now < 110:
+        opened.hear(sip(stall_right=0xFE))
+        opened.wait(0.1)
+        if Command.CONFIG in opened.commands() and opened.session.state is SessionState.READY:
+            asked_s.append(opened.now)
+    assert opened.session.state is SessionState.READY
     assert len(asked_s) >= 7
     assert min(after - before for before, after in pairwise(asked_s)) >= CONFIG_S - 0.01
-    (notice,) = [event.text for event in bench.events if isinstance(event, Notice)]
+    (notice,) = [event.text for event in opened.events if isinstance(event, Notice)]
     assert "bumpers do not stop the rover" in notice
-    bench.events.clear()
-    bench.hear(frame(ConfigPac(front_bumps=5, has_gyro=1).encode()) + sip(stall_right=0xFE))
-    (state,) = bench.events
+    opened.events.clear()
+    opened.hear(frame(ConfigPac(front_bumps=5, has_gyro=1).encode()) + sip(stall_right=0xFE))
+    (state,) = opened.events
     assert state.bumpers == (0b11111, 0)
-    assert bench.commands() == [Command.GYRO]
+    assert opened.commands() == [Command.GYRO]
     for _ in range(20):
-        bench.hear(sip() + CONFIG)
-        bench.wait(0.1)
-        assert not {Command.CONFIG, Command.GYRO} & set(bench.commands())
-
-
-def test_open_is_repeated_until_sips_come_and_then_all_starts_over():
-    bench = Bench().go_to(SessionState.CONFIGURING)
-    bench.hear(CONFIG)
-    opened = 0
-    while bench.session.state is SessionState.CONFIGURING and bench.now < 110:
-        bench.wait(0.05)
-        opened += bench.commands().count(Command.OPEN)
-    assert opened >= 5
-    assert bench.session.state is SessionState.LISTENING
+        opened.hear(sip() + CONFIG)
+        opened.wait(0.1)
+        assert not {Command.CONFIG, Command.GYRO} & set(opened.commands())
 
 
 def test_a_base_with_a_gyro_for_its_client_is_asked_to_send_it():
@@ -152,8 +107,7 @@ def test_limits_are_sent_in_the_bases_units():
     ]
 
 
-def test_motors_are_off_until_requested_and_setpoints_are_zero_before():
-    bench = Bench().go_to(SessionState.READY)
+def test_motors_are_off_until_requested_and_setpoints_are_zero_before(bench):
     bench.session.set_motion(Velocity(0.2, 0.1))
     bench.wait(0.05)
     assert all(argument in (0, None) for command, argument in bench.sent() if command is not Command.SETV)
@@ -162,8 +116,7 @@ def test_motors_are_off_until_requested_and_setpoints_are_zero_before():
     assert sent[-3:] == [(Command.VEL, 0), (Command.RVEL, 0), (Command.ENABLE, 1)]
 
 
-def test_speeds_are_sent_only_while_the_base_reports_its_motors_on():
-    bench = Bench().go_to(SessionState.READY)
+def test_speeds_are_sent_only_while_the_base_reports_its_motors_on(bench):
     bench.session.enable(True)
     bench.session.set_motion(Velocity(0.2, 0.1))
     bench.wait(0.05)
@@ -175,6 +128,7 @@ def test_speeds_are_sent_only_while_the_base_reports_its_motors_on():
     assert bench.session.data_to_send().hex() == "fafb060b1bc800d31b" + "fafb06153b06001b3b"
 
 
+@pytest.fixture
 def driving():
     bench = Bench().go_to(SessionState.READY)
     bench.session.enable(True)
@@ -186,26 +140,22 @@ def driving():
     return bench
 
 
-def test_a_report_behind_a_false_header_is_read_when_silence_follows():
-    bench = Bench().go_to(SessionState.READY)
+def test_a_report_behind_a_false_header_is_read_when_silence_follows(bench):
     bench.hear(b"\xfa\xfb" + sip())
     bench.wait(0.06)
     assert [type(event) for event in bench.events] == [BaseReport]
 
 
-def test_no_tick_no_keep_alive():
-    bench = driving()
+def test_no_tick_no_keep_alive(driving):
     for _ in range(100):
-        bench.now += 0.1
-        bench.hear(sip(flags=Flag.MOTORS))
-    assert bench.sent() == []
+        driving.now += 0.1
+        driving.hear(sip(flags=Flag.MOTORS))
+    assert driving.sent() == []
 
 
 @pytest.mark.parametrize("motors", [False, True])
-def test_ticks_keep_the_watchdog_fed(motors):
-    bench = driving() if motors else Bench()
-    if not motors:
-        bench.go_to(SessionState.READY)
+def test_ticks_keep_the_watchdog_fed(motors, request):
+    bench = request.getfixturevalue("driving" if motors else "bench")
     bench.session.set_motion(Velocity(0.1, 0.0))
     last, pauses = bench.now, []
     for _ in range(100):
@@ -217,47 +167,44 @@ def test_ticks_keep_the_watchdog_fed(motors):
     assert max(pauses) <= (0.26 if motors else 0.56)
 
 
-def test_lost_base_gets_zeros_once_and_then_nothing():
-    bench = driving()
+def test_lost_base_gets_zeros_once_and_then_nothing(driving):
     for _ in range(11):
-        bench.wait(0.05)
-    assert bench.sent()[-3:] == [(Command.VEL, 0), (Command.RVEL, 0), (Command.STOP, None)]
-    assert [type(event) for event in bench.events] == [Lost]
-    bench.session.set_motion(Velocity(0.2, 0.1))
+        driving.wait(0.05)
+    assert driving.sent()[-3:] == [(Command.VEL, 0), (Command.RVEL, 0), (Command.STOP, None)]
+    assert [type(event) for event in driving.events] == [Lost]
+    driving.session.set_motion(Velocity(0.2, 0.1))
     for _ in range(20):
-        bench.wait(0.05)
-    assert bench.sent() == []
+        driving.wait(0.05)
+    assert driving.sent() == []
 
 
-def test_line_to_a_base_that_stays_lost_is_given_up():
+def test_line_to_a_base_that_stays_lost_is_given_up(driving):
     """After the base's watchdog of 2 s: bytes that the line still holds for the base would move it again."""
-    bench = driving()
-    while not bench.events or not isinstance(bench.events[-1], Failed):
-        bench.wait(0.05)
-    assert 2.0 < bench.now - driving().now < 2.5
-    bench.sent()
-    bench.hear(sip())
+    lost_s = driving.now
+    while not driving.events or not isinstance(driving.events[-1], Failed):
+        driving.wait(0.05)
+    assert 2.0 < driving.now - lost_s < 2.5
+    driving.sent()
+    driving.hear(sip())
     for _ in range(40):
-        bench.wait(0.05)
-    assert bench.sent() == []  # until the next line is open
-    assert bench.session.state is SessionState.IDLE
+        driving.wait(0.05)
+    assert driving.sent() == []  # until the next line is open
+    assert driving.session.state is SessionState.IDLE
 
 
-def test_recovered_base_stands_until_the_motors_are_requested():
-    bench = driving()
-    bench.wait(0.5)
-    bench.sent()
-    bench.session.set_motion(Velocity(0.2, 0.1))
-    bench.hear(sip(flags=Flag.MOTORS))
-    assert bench.session.state is SessionState.READY
-    bench.wait(0.05)
-    sent = bench.sent()
+def test_recovered_base_stands_until_the_motors_are_requested(driving):
+    driving.wait(0.5)
+    driving.sent()
+    driving.session.set_motion(Velocity(0.2, 0.1))
+    driving.hear(sip(flags=Flag.MOTORS))
+    assert driving.session.state is SessionState.READY
+    driving.wait(0.05)
+    sent = driving.sent()
     assert (Command.ENABLE, 0) in sent
     assert {argument for command, argument in sent if command in (Command.VEL, Command.RVEL)} == {0}
 
 
-def test_unanswered_enable_is_repeated_but_motors_that_went_off_stay_off():
-    bench = Bench().go_to(SessionState.READY)
+def test_unanswered_enable_is_repeated_but_motors_that_went_off_stay_off(bench):
     bench.session.enable(True)
     bench.sent()
     asked = []
@@ -284,30 +231,28 @@ def test_motors_that_are_on_without_a_request_are_switched_off():  # as AMRISim'
     assert (Command.ENABLE, 0) in bench.sent()
 
 
-def test_repeated_request_for_motors_is_sent_although_the_last_report_shows_them_on():
-    bench = driving()
-    bench.session.enable(True)
-    assert bench.sent()[-3:] == [(Command.VEL, 0), (Command.RVEL, 0), (Command.ENABLE, 1)]
+def test_repeated_request_for_motors_is_sent_although_the_last_report_shows_them_on(driving):
+    driving.session.enable(True)
+    assert driving.sent()[-3:] == [(Command.VEL, 0), (Command.RVEL, 0), (Command.ENABLE, 1)]
 
 
-def test_emergency_stop_goes_out_at_once():
-    bench = driving()
-    bench.session.emergency_stop()
-    assert bench.sent() == [(Command.E_STOP, None), (Command.VEL, 0), (Command.RVEL, 0)]
-    bench.wait(0.05)
-    assert bench.sent() == []
+def test_emergency_stop_goes_out_at_once(driving):
+    driving.session.emergency_stop()
+    assert driving.sent() == [(Command.E_STOP, None), (Command.VEL, 0), (Command.RVEL, 0)]
+    driving.wait(0.05)
+    assert driving.sent() == []
 
 
-def test_odometry_reset_is_repeated_until_the_counters_show_it():
-    bench = Bench().go_to(SessionState.READY)
+def test_odometry_reset_is_repeated_until_the_counters_show_it(bench):
     bench.hear(sip(x=5000))
     bench.session.reset_odometry()
+    assert bench.commands() == [Command.SETO]
     asked = 0
     for _ in range(6):
         asked += bench.commands().count(Command.SETO)
         bench.hear(sip(x=5000))
         bench.wait(0.1)
-    assert asked == 2
+    assert asked == 1
     bench.hear(sip())
     state = bench.events[-1]
     assert state.x == 0.0
@@ -358,11 +303,10 @@ def test_no_speed_is_sent_unless_motors_were_requested_and_run(ready, story):
                 assert on
 
 
-def test_reset_notices_of_both_kinds_are_understood():
-    for kind in (Kind.RESET_FE, Kind.RESET_FF):
-        bench = driving()
-        bench.hear(encode_frame(kind))
-        assert [type(event) for event in bench.events] == [Lost]
+@pytest.mark.parametrize("kind", [Kind.RESET_FE, Kind.RESET_FF])
+def test_reset_notices_of_both_kinds_are_understood(driving, kind):
+    driving.hear(encode_frame(kind))
+    assert [type(event) for event in driving.events] == [Lost]
 
 
 @pytest.mark.parametrize("capture", CAPTURES, ids=lambda c: c.name)

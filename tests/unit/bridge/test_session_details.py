@@ -12,12 +12,15 @@ from bridge.pioneer.states import PATIENCE_S, SessionState
 
 def silent(bench):
     """Let a base say nothing until the session gives up; return the rates and the number of handshakes."""
-    handshakes = 0
+    commands, began_s = [], bench.now
     while not any(isinstance(event, Failed) for event in bench.events):
         bench.wait(0.05)
-        handshakes += bench.commands().count(Command.PULSE)
+        commands += bench.commands()
+    assert commands[:3] == [Command.PULSE, Command.PULSE, Command.CLOSE]
     rates = [event.baudrate for event in bench.events if isinstance(event, BaudChanged)]
+    handshakes = commands.count(Command.PULSE)
     assert bench.events[-1].reason == f"no answer to {handshakes} handshakes"
+    assert 0.9 * handshakes < bench.now - began_s < 1.2 * handshakes
     return rates, handshakes
 
 
@@ -31,8 +34,7 @@ def test_silent_line_is_tried_at_its_own_and_at_the_fast_rate(baudrate, rates, h
     assert silent(bench.connect()) == (rates, handshakes)
 
 
-def test_line_to_a_base_that_was_ready_is_given_up_after_three_handshakes():
-    bench = Bench().go_to(SessionState.READY)
+def test_line_to_a_base_that_was_ready_is_given_up_after_three_handshakes(bench):
     bench.session.link_down("unplugged", bench.now)
     assert silent(bench.connect()) == ([], 3)
 
@@ -77,37 +79,29 @@ def test_change_of_rate_drops_half_a_packet(state):
     assert len(reports) == (0 if state is SessionState.ASKING_FASTER else 1)
 
 
-def test_new_line_does_not_complete_half_a_packet_of_the_last_one():
-    bench = Bench().go_to(SessionState.READY)
+def test_new_line_does_not_complete_half_a_packet_of_the_last_one(bench):
     bench.hear(sip()[:10])
     bench.session.link_down("unplugged", bench.now)
     bench.connect().hear(ECHO0)
     assert bench.session.state is SessionState.SYNC1
 
 
-def test_bytes_for_a_base_that_was_reset_are_dropped():
-    bench = Bench().go_to(SessionState.READY)
+@pytest.mark.parametrize(
+    "end",
+    [
+        lambda bench: bench.hear(RESET),
+        lambda bench: bench.session.link_down("unplugged", bench.now),
+        lambda bench: (bench.session.close(bench.now), bench.connect()),
+    ],
+    ids=["reset", "line is gone", "next session"],
+)
+def test_bytes_for_a_session_that_ended_are_dropped(bench, end):
     bench.session.enable(True)
-    bench.hear(RESET)
+    end(bench)
     assert bench.sent() == []
 
 
-def test_bytes_for_a_line_that_is_gone_are_dropped():
-    bench = Bench().go_to(SessionState.READY)
-    bench.session.enable(True)
-    bench.session.link_down("unplugged", bench.now)
-    assert bench.sent() == []
-
-
-def test_bytes_for_a_closed_session_do_not_open_the_next_one():
-    bench = Bench().go_to(SessionState.READY)
-    bench.session.close(bench.now)
-    bench.connect()
-    assert bench.sent() == []
-
-
-def test_closing_switches_the_motors_off():
-    bench = Bench().go_to(SessionState.READY)
+def test_closing_switches_the_motors_off(bench):
     bench.session.close(bench.now)
     zeros = [(Command.VEL, 0), (Command.RVEL, 0), (Command.STOP, None)]
     assert bench.sent() == [*zeros, (Command.ENABLE, 0), (Command.CLOSE, None)]
@@ -124,73 +118,59 @@ def test_only_a_ready_base_gets_requests(state):
     assert bench.sent() == []
 
 
-def test_odometry_reset_goes_out_at_once():
-    bench = Bench().go_to(SessionState.READY)
-    bench.session.reset_odometry()
-    assert bench.commands() == [Command.SETO]
-
-
-def test_report_counts_from_its_arrival():
-    bench = Bench().go_to(SessionState.READY)
+def test_report_counts_from_its_arrival(bench):
     bench.now += 0.4
     bench.hear(sip())
     bench.wait(0.4)
     assert bench.session.state is SessionState.READY
 
 
-def test_report_that_ends_too_early_is_no_report():
-    bench = Bench().go_to(SessionState.CONFIGURING)
-    bench.hear(CONFIG + encode_frame(Kind.SIP_STOPPED, b"x"))
-    assert bench.session.state is SessionState.CONFIGURING
-    bench.hear(sip())
-    assert bench.session.state is SessionState.READY
+def test_report_that_ends_too_early_is_no_report(opened):
+    opened.hear(CONFIG + encode_frame(Kind.SIP_STOPPED, b"x"))
+    assert opened.session.state is SessionState.CONFIGURING
+    opened.hear(sip())
+    assert opened.session.state is SessionState.READY
 
 
 # Waits for the configuration and the first report; times are exact sums of powers of two.
 
 
-def test_base_without_reports_is_opened_again_for_exactly_two_seconds():
-    bench = Bench().go_to(SessionState.CONFIGURING)
-    bench.hear(CONFIG)
-    bench.wait(2.0)
-    assert bench.session.state is SessionState.CONFIGURING
-    assert bench.commands() == [Command.OPEN]  # it has sent its configuration
-    bench.wait(0.25)
-    assert bench.session.state is SessionState.LISTENING
+def test_base_without_reports_is_opened_again_for_exactly_two_seconds(opened):
+    opened.hear(CONFIG)
+    opened.wait(2.0)
+    assert opened.session.state is SessionState.CONFIGURING
+    assert opened.commands() == [Command.OPEN]  # it has sent its configuration
+    opened.wait(0.25)
+    assert opened.session.state is SessionState.LISTENING
 
 
-def test_base_without_configuration_is_ready_after_exactly_one_second():
-    bench = Bench().go_to(SessionState.CONFIGURING)
-    bench.hear(sip())
-    bench.wait(1.0)
-    assert bench.session.state is SessionState.CONFIGURING
-    assert bench.commands() == [Command.CONFIG]
-    bench.wait(0.25)
-    assert bench.session.state is SessionState.READY
+def test_base_without_configuration_is_ready_after_exactly_one_second(opened):
+    opened.hear(sip())
+    opened.wait(1.0)
+    assert opened.session.state is SessionState.CONFIGURING
+    assert opened.commands() == [Command.CONFIG]
+    opened.wait(0.25)
+    assert opened.session.state is SessionState.READY
     for seconds in (0.25, 0.25, 0.25):
-        bench.sent()
-        bench.hear(sip())
-        bench.wait(seconds)
-    assert bench.commands() == [Command.CONFIG]  # a second after the last time
+        opened.sent()
+        opened.hear(sip())
+        opened.wait(seconds)
+    assert opened.commands() == [Command.CONFIG]  # a second after the last time
 
 
-def test_base_is_ready_when_its_configuration_follows_its_report():
-    bench = Bench().go_to(SessionState.CONFIGURING)
-    bench.hear(sip())
+@pytest.mark.parametrize(
+    ("state", "report"),
+    [(SessionState.CONFIGURING, sip()), (SessionState.READY, RESET + ECHO0 + ECHO1 + NAMES + sip())],
+    ids=["first", "after a restart"],
+)
+def test_base_is_ready_when_its_configuration_follows_its_report(state, report):
+    bench = Bench().go_to(state)
+    bench.hear(report)
     assert bench.session.state is SessionState.CONFIGURING
     bench.hear(CONFIG)
     assert bench.session.state is SessionState.READY
 
 
-def test_base_that_restarts_must_send_its_configuration_again():
-    bench = Bench().go_to(SessionState.READY)
-    bench.hear(RESET + ECHO0 + ECHO1 + NAMES + sip())
-    assert bench.session.state is SessionState.CONFIGURING
-    bench.hear(CONFIG)
-    assert bench.session.state is SessionState.READY
-
-
-def test_gyro_is_asked_for_once():
-    bench = Bench().go_to(SessionState.READY)
+def test_gyro_is_asked_for_once(bench):
     bench.hear(frame(ConfigPac(has_gyro=1).encode()))
     assert bench.commands() == []

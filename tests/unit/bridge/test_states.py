@@ -83,7 +83,7 @@ def test_every_state_with_every_input(letter, what, outcome):
 
 def test_every_action_of_the_table_exists_and_every_pair_was_tried():
     actions = {action for row in TABLE.values() for _, action in row.values()}
-    assert all(hasattr(Session, f"_do_{action}") for action in actions)
+    assert all(isinstance(each, Command) or hasattr(Session, f"_do_{each}") for each in actions - {None})
     assert set(TABLE) == set(SessionState) == set(PATIENCE_S)
     inner = {what for row in TABLE.values() for what in row} - set(OUTSIDE)
     assert inner == {Input.GAVE_UP, Input.SETTLED, Input.SLOW}

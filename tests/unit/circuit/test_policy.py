@@ -35,20 +35,14 @@ def test_vector_holds_the_kinds_in_order():
         (ParameterKind.INPUT_LAYER, 8),
         (ParameterKind.OUTPUT_LAYER, 6),
     ]
-    assert layout.size == 108
-    assert PARKING.layout().size == 94
     stops = [block.slice.stop for block in layout.blocks]
     assert [block.slice.start for block in layout.blocks] == [0, *stops[:-1]]
 
-
-def test_vector_is_the_circuits_numbers():
-    vector, layout = LAYERED.parameters(), LAYERED.layout()
+    vector = LAYERED.parameters()
     parts = {block.kind: vector[block.slice] for block in layout.blocks}
     np.testing.assert_array_equal(parts[ParameterKind.WEIGHT], CIRCUIT.weight)
     np.testing.assert_array_equal(parts[ParameterKind.CAPACITANCE], CIRCUIT.capacitance)
     np.testing.assert_array_equal(parts[ParameterKind.OUTPUT_LAYER], LAYERED.output_layer.ravel())
-    vector[:] = 0  # a copy
-    assert CIRCUIT.weight.any()
 
 
 @given(st.integers(0, 2**32))
@@ -65,7 +59,9 @@ def test_parameters_come_back(seed):
 
 
 @pytest.mark.parametrize("block", LAYERED.layout().blocks, ids=lambda block: block.kind)
-def test_refuses_parameters_out_of_bounds(block):
+def test_refuses_parameters_out_of_bounds_and_a_vector_of_another_length(block):
+    with pytest.raises(ConfigError, match="needs 108 parameters"):
+        LAYERED.with_parameters(np.ones(107))
     for value in (math.nan, math.inf, -math.inf, block.lower - 0.01, block.upper + 0.01):
         vector = LAYERED.parameters()
         vector[block.slice.stop - 1] = value
@@ -73,17 +69,11 @@ def test_refuses_parameters_out_of_bounds(block):
             LAYERED.with_parameters(vector)
 
 
-def test_refuses_a_vector_of_another_length():
-    with pytest.raises(ConfigError, match="needs 94 parameters"):
-        PARKING.with_parameters(np.ones(93))
-
-
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [
         ({"circuit": load_circuit("tap_withdrawal")}, "motors.channels[1]: the circuit has no neuron 'LFT'"),
         ({"dt_s": math.nan}, "dt_s: must be above 0 and at most 1 s, got nan"),
-        ({"dt_s": 0.0}, "dt_s: must be above 0 and at most 1 s, got 0.0"),
         ({"substeps": 0}, "substeps: must be in 1..10000, got 0"),
         ({"input_layer": np.ones((4, 3))}, "input_layer: needs 4 rows of 4 numbers, got the shape (4, 3)"),
         ({"output_layer": np.full((2, 2), 4.0)}, "output_layer[0][0]: 4 is outside -3..3"),
@@ -100,10 +90,8 @@ def test_refuses_parts_that_do_not_fit(changes, problem):
     assert problem in caught.value.problems
 
 
-@given(
-    value=st.sampled_from([math.nan, math.inf, -math.inf]),
-    place=st.integers(0, 3),
-)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("place", range(4))
 def test_runner_rejects_non_finite_observations_and_keeps_its_state(value, place):
     runner = Runner(PARKING)
     runner.tick([0.1, 0.2, 0.3, 1.0])
@@ -112,12 +100,9 @@ def test_runner_rejects_non_finite_observations_and_keeps_its_state(value, place
     observation[place] = value
     with pytest.raises(UsageError, match=f"the observation {PARKING.sensing.inputs[place]} is "):
         runner.tick(observation)
-    assert runner.potentials.tobytes() == before.tobytes()
-
-
-def test_runner_refuses_an_observation_of_another_length():
     with pytest.raises(UsageError, match=r"needs 4 values \(x, y, theta, start\)"):
-        Runner(PARKING).tick([0.0, 0.0, 0.0])
+        runner.tick([0.0, 0.0, 0.0])
+    assert runner.potentials.tobytes() == before.tobytes()
 
 
 def test_runner_starts_at_rest_and_returns_to_it():

@@ -2,18 +2,16 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 from kit.bnn_text import circuit_to_bnn
 from kit.paths import DATA
+from kit.wirings import in_bounds, unit_vectors
 
-import rover_ncp
 from rover_ncp.circuit.bnn import circuit_from_bnn
 from rover_ncp.circuit.motors import Motors, parking_motors
 from rover_ncp.circuit.policy import Policy, parking_policy
@@ -30,7 +28,6 @@ from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import ConfigError, FileError
 
 GOLDEN = DATA / "golden"
-CIRCUITS = Path(rover_ncp.__file__).parent / "data" / "circuits"
 PLAIN = replace(parking_policy(load_circuit("parking")), provenance={"seed": 3, "command": "train --seed 3"})
 LAYERED = Policy(
     replace(load_circuit("parking"), held={11: -33.3}),
@@ -57,28 +54,14 @@ def same(a, b):
 
 
 @pytest.mark.parametrize("policy", [PLAIN, LAYERED], ids=["plain", "layered"])
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=60)
 @given(data=st.data())
-def test_saved_and_loaded_is_the_same_to_the_last_bit(policy, data, tmp_path):
-    layout = policy.layout()
-    unit = data.draw(hnp.arrays(np.float64, layout.size, elements=st.floats(0, 1)))
-    vector = np.clip(layout.lower + unit * (layout.upper - layout.lower), layout.lower, layout.upper)
-    policy = policy.with_parameters(vector)
-    path = tmp_path / "policy.yaml"
+def test_saved_and_loaded_is_the_same_to_the_last_bit(policy, data, tmp_path_factory):
+    policy = policy.with_parameters(in_bounds(policy, data.draw(unit_vectors(policy.layout().size))))
+    path = tmp_path_factory.getbasetemp() / "policy.yaml"
     save_policy(path, policy)
-    loaded = load_policy(path)
-    same(policy, loaded)
-    observation = [0.3] * len(policy.sensing.inputs)
-    assert Runner(loaded).tick(observation) == Runner(policy).tick(observation)
-
-
-@given(st.integers(0, 2**32), st.sampled_from([PLAIN, LAYERED]))
-def test_published_format_keeps_the_bits(seed, policy):
-    layout = policy.layout()
-    vector = np.random.default_rng(seed).uniform(layout.lower, layout.upper)
-    circuit = policy.with_parameters(vector).circuit
-    loaded = circuit_from_bnn(circuit_to_bnn(circuit), circuit.name, "test")
-    same(parking_policy(circuit), parking_policy(loaded))
+    same(policy, load_policy(path))
+    loaded = circuit_from_bnn(circuit_to_bnn(policy.circuit), policy.circuit.name, "test")
+    same(parking_policy(policy.circuit), parking_policy(loaded))
 
 
 def test_bnn_drives_with_sensors_that_are_not_clamped():
@@ -120,13 +103,10 @@ def test_bnn_without_motor_neurons_is_a_circuit_but_no_policy():
     [
         ("cm 0 0.1\n", "line 1: a size statement must come first"),
         ("# only a comment\n", "no size statement"),
-        ("size 2\nsize 2\n", "line 2: unknown statement 'size'"),
         ("size 0\n", "line 1: expected 'size N', N in 1..256, got 'size 0'"),
-        ("size 1e3\n", "line 1: expected 'size N', N in 1..256, got 'size 1e3'"),
         ("size\n", "line 1: expected 'size N', N in 1..256, got 'size'"),
         ("size 2\nfoo 1\n", "line 2: unknown statement 'foo'"),
         ("size 2\n\n# x\ncm 2 0.1\n", "line 4: neuron '2' is not in 0..1"),
-        ("size 2\ncm -1 0.1\n", "line 2: neuron '-1' is not in 0..1"),
         ("size 2\ncm 0.5 0.1\n", "line 2: neuron '0.5' is not in 0..1"),
         ("size 2\ncm 0\n", "line 2: expected 'cm neuron value', got 1 values"),
         ("size 2\ncm 0 nan\n", "line 2: expected a number, got 'nan'"),
@@ -173,33 +153,17 @@ NEURON, SYNAPSE = ("circuit", "neurons", 3), ("circuit", "synapses", 2)
     [
         ([(("format",), 2)], ["$.format: input should be 1, got 2"]),
         ([(("surprise",), 1)], ["$.surprise: unknown key"]),
-        ([(("sensing",), None)], ["$.sensing: this key is missing"]),
-        ([((*NEURON, "leak"), 5.5)], ["$.circuit: AVD: leak 5.5 is outside 0.05..5 S"]),
         ([((*NEURON, "leak"), float("nan"))], ["$.circuit.neurons[3].leak: input should be a finite number"]),
-        ([((*NEURON, "capacitance"), "much")], ["$.circuit.neurons[3].capacitance: input should be a valid"]),
         ([((*NEURON, "name"), "PVD")], ["$.circuit.synapses[4].source: there is no neuron 'AVD'"]),
         ([((*SYNAPSE, "source"), "XYZ")], ["$.circuit.synapses[2].source: there is no neuron 'XYZ'"]),
         ([((*SYNAPSE, "sigma"), None)], ["$.circuit.synapses[2]: a chemical synapse needs sigma"]),
-        (
-            [((*SYNAPSE, "kind"), "gap")],
-            ["$.circuit.synapses[2]: a chemical synapse needs sigma"],
-        ),
+        ([((*SYNAPSE, "kind"), "gap")], ["$.circuit.synapses[2]: a chemical synapse needs sigma"]),
         ([((*SYNAPSE, "kind"), "magic")], ["$.circuit.synapses[2].kind: input should be 'excitatory'"]),
-        (
-            [((*SYNAPSE, "source"), "PVD"), ((*SYNAPSE, "kind"), "inhibitory")],
-            ["$.circuit: the synapse inhibitory PVD -> AVA appears twice"],
-        ),
-        ([(("motors", "low_mV"), -10)], ["$.motors: low_mV must be below high_mV"]),
-        (
-            [(("motors", "channels", 0, "positive"), "REV")],
-            ["$.motors.channels[0]: the circuit has no neuron 'REV'"],
-        ),
         ([(("input_layer",), [[1.0]])], ["$.input_layer: needs 4 rows of 4 numbers, got the shape (1, 1)"]),
         ([(("input_layer",), [[1.0], [1.0, 2.0]])], ["$.input_layer: all rows must have the same length"]),
-        ([(("dt_s",), 0.0)], ["$.dt_s: must be above 0 and at most 1 s, got 0.0"]),
         (
             [((*NEURON, "leak"), 5.5), ((*SYNAPSE, "weight"), -1)],
-            ["AVD: leak 5.5", "weight -1 is outside"],
+            ["$.circuit: AVD: leak 5.5 is outside 0.05..5 S", "weight -1 is outside"],
         ),
         (
             [((*NEURON, "leak"), "much"), ((*SYNAPSE, "weight"), None), (("substeps",), "ten")],
@@ -219,17 +183,12 @@ def test_bad_policy_is_one_line_with_the_path_of_each_value(edits, problems, tmp
 
 
 def test_a_missing_or_empty_file(tmp_path):
-    for load in (load_policy, load_circuit):
-        with pytest.raises(FileError, match=r"nowhere\.yaml: no such file"):
-            load(tmp_path / "nowhere.yaml")
-        for name in ("empty.bnn", "empty.yaml"):
+    for name, problem in {"none.yaml": "no such file", "a.bnn": "is empty", "a.yaml": "is empty"}.items():
+        if name != "none.yaml":
             (tmp_path / name).write_text(" \n")
-            with pytest.raises(FileError, match=f"{name}: the file is empty"):
+        for load in (load_policy, load_circuit):
+            with pytest.raises(FileError, match=f"{name}: .*{problem}"):
                 load(tmp_path / name)
-    shipped = ", ".join(sorted(path.stem for path in CIRCUITS.iterdir()))
-    assert "parking, tap_withdrawal" in shipped
-    with pytest.raises(FileError, match=f"none of the shipped circuits \\({shipped}\\)"):
-        load_circuit("elsewhere")
 
 
 def test_a_policy_is_read_without_numba():
@@ -266,10 +225,9 @@ def test_policy_of_any_bnn_file_is_read_from_what_is_written(tmp_path, stem, nam
 @pytest.mark.parametrize("name", ["", "a b", "ä", "x" * 65, "\u202ea", "*/", "-a", "1\n"])
 def test_name_that_no_file_can_hold_is_refused_where_it_is_made(name):
     circuit = load_circuit("parking")
-    with pytest.raises(ConfigError, match="expected letters, digits"):
-        replace(circuit, name=name)
-    with pytest.raises(ConfigError, match="expected letters, digits"):
-        replace(circuit, neurons=(name, *circuit.neurons[1:]))
+    for changes in ({"name": name}, {"neurons": (name, *circuit.neurons[1:])}):
+        with pytest.raises(ConfigError, match="expected letters, digits"):
+            replace(circuit, **changes)
 
 
 def test_text_that_is_not_utf_8_does_not_stop_a_file():

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from kit import solver_reference as reference
 from kit.wirings import in_bounds, unit_vectors, wirings
@@ -51,7 +51,6 @@ def draw_observations(data, policy, most):
     return data.draw(st.lists(elements, min_size=1, max_size=most))
 
 
-@settings(max_examples=150, deadline=None)
 @given(wirings(), st.data())
 def test_a_step_of_the_kernel_is_the_references(policy, data):
     # From the same potentials each: in ten steps, steep synapses multiply what rounding leaves by a million.
@@ -65,7 +64,6 @@ def test_a_step_of_the_kernel_is_the_references(policy, data):
         np.testing.assert_allclose(command, outputs, atol=1e-11, rtol=0)
 
 
-@settings(max_examples=100, deadline=None)
 @given(wirings(), st.integers(2, 12), st.data())
 def test_a_tick_is_so_many_steps(policy, substeps, data):
     whole, stepped = (Runner(replace(policy, substeps=count)) for count in (substeps, 1))
@@ -75,7 +73,6 @@ def test_a_tick_is_so_many_steps(policy, substeps, data):
         assert np.array_equal(whole.potentials, stepped.potentials)
 
 
-@settings(max_examples=100, deadline=None)
 @given(
     unit=unit_vectors(SIZE),
     observations=st.lists(st.tuples(*[ANY_INPUT | NEAR_INPUT] * 4), min_size=1, max_size=8),
@@ -88,7 +85,6 @@ def test_clamped_potentials_never_leave_the_reversal_potentials(unit, observatio
         assert runner.potentials.max() <= 0
 
 
-@settings(max_examples=100, deadline=None)
 @given(unit=unit_vectors(SIZE), observation=st.tuples(*[ANY_INPUT] * 4))
 def test_unclamped_sensors_far_out_stay_finite(unit, observation):
     policy = parking_policy(load_circuit("parking"), clamp=False)
@@ -106,8 +102,9 @@ def run_lanes(policy, vectors, observations):
     commands = np.empty((len(policy.motors.outputs), len(vectors)))
     program = make_program(policy)
     lanes = allocate_lanes(program, policy, len(vectors))
-    for lane, vector in enumerate(vectors):
-        fill_lane(program, lanes, lane, vector)
+    for lane in reversed(range(len(vectors))):
+        fill_lane(program, lanes, lane, vectors[0])  # a lane can be set anew
+        fill_lane(program, lanes, lane, vectors[lane])
     for observation in observations:
         tick_lanes(program, lanes, potentials, observation, commands)
     return potentials, commands
@@ -122,13 +119,11 @@ LAYERED = Policy(
 )
 
 
-@pytest.mark.parametrize(
-    ("policy", "width"), [*((PARKING, width) for width in (2, 7, 8, 9, 16, 33)), (LAYERED, 11)]
-)
+@pytest.mark.parametrize(("policy", "width"), [*((PARKING, width) for width in (7, 8, 9, 33)), (LAYERED, 11)])
 def test_a_lane_does_not_notice_its_neighbours(policy, width):
     rng = np.random.default_rng(width)
     vectors = in_bounds(policy, rng.random((width, policy.layout().size)))
-    observations = rng.uniform(-0.5, 1.5, (30, len(policy.sensing.inputs), width))
+    observations = rng.uniform(-0.5, 1.5, (10, len(policy.sensing.inputs), width))
     potentials, commands = run_lanes(policy, vectors, observations)
     for lane in range(width):
         runner = Runner(policy.with_parameters(vectors[lane]))
@@ -136,21 +131,6 @@ def test_a_lane_does_not_notice_its_neighbours(policy, width):
             command = runner.tick(observation[:, lane])
         assert runner.potentials.tobytes() == potentials[:, lane].tobytes()
         assert np.array(command).tobytes() == commands[:, lane].tobytes()
-
-
-def test_a_lane_can_be_set_anew():
-    rng = np.random.default_rng(6)
-    vectors = in_bounds(PARKING, rng.random((12, SIZE)))
-    observations = rng.uniform(0, 1, (10, 4, 12))
-    program = make_program(PARKING)
-    lanes = allocate_lanes(program, PARKING, 12)
-    for lane in reversed(range(12)):
-        fill_lane(program, lanes, lane, vectors[0])
-        fill_lane(program, lanes, lane, vectors[lane])
-    potentials, commands = resting_potentials(PARKING, 12), np.empty((2, 12))
-    for observation in observations:
-        tick_lanes(program, lanes, potentials, observation, commands)
-    assert potentials.tobytes() == run_lanes(PARKING, vectors, observations)[0].tobytes()
 
 
 # Prints the bits of a short run, for a processor whose name is in NUMBA_CPU_NAME.

@@ -1,4 +1,5 @@
 import os
+import re
 import struct
 import sys
 from collections.abc import Mapping
@@ -12,7 +13,7 @@ from pydantic import Field
 
 from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml, parse_yaml
 from rover_ncp.core.errors import ConfigError, FileError
-from rover_ncp.core.files import resolve, write_atomic
+from rover_ncp.core.files import resolve, shipped_names, write_atomic
 
 
 class Wheel(StrictModel):
@@ -21,26 +22,31 @@ class Wheel(StrictModel):
 
 
 class Base(StrictModel):
-    wheels: tuple[Wheel, ...]
+    wheels: tuple[Wheel, ...] = ()
     speed: float = 0.5
+
+
+class Numbers(StrictModel):
+    speed: float = Field(default=1.0, gt=0)
+    count: int = 1
+    size: Annotated[float, Field(gt=0)] | tuple[float, float] = 1.0
+    sides: tuple[float, ...] = ()
+    by_name: Mapping[str, float] = Field(default_factory=dict)
+    format: Literal[1] = 1
+    pair: tuple[int, float] = (1, 1.0)
 
 
 def test_every_problem_is_reported_at_once_with_its_path():
     text = "wheels:\n- {radius_m: -1, name: left}\n- {radius_m: 0.1}\nspede: 3\nspeed: fast\n"
     with pytest.raises(ConfigError) as caught:
         parse_yaml(text, Base, "base.yaml")
-    message = str(caught.value)
-    assert message.startswith("base.yaml: ")
-    assert "\n" not in message
-    for part in [
-        "$.wheels[0].radius_m",
-        "got -1",
+    assert caught.value.problems == (
+        "$.wheels[0].radius_m: input should be greater than 0, got -1",
         "$.wheels[1].name: this key is missing",
+        "$.speed: input should be a valid number, got 'fast'",
         "$.spede: unknown key",
-        "$.speed",
-    ]:
-        assert part in message
-    assert len(caught.value.problems) == 4
+    )
+    assert str(caught.value) == "base.yaml: " + "; ".join(caught.value.problems)
 
 
 def test_many_problems_are_counted():
@@ -60,11 +66,9 @@ def test_many_problems_are_counted():
         ("wheels: [", "not valid YAML at line 2"),
         ("- a\n- b\n", "expected a mapping"),
         ("wheels: []\nwheels: []\n", "appears twice"),
-        ("wheels: []\nspeed: .nan\n", "$.speed"),
-        ("wheels: []\nspeed: .inf\n", "$.speed"),
         ("wheels: !!python/object/apply:os.system ['true']\n", "not valid YAML"),
         ("speed: \x07\n", "not valid YAML"),
-        ("wheels: []\nspeed: &a [*a]\n", "$.speed"),
+        ("speed: &a [*a]\n", "$.speed"),
         ("? {a: 1}\n: 2\n", "not valid YAML"),
     ],
 )
@@ -83,22 +87,14 @@ NO_NUMBERS = [
 
 
 @pytest.mark.parametrize("value", NO_NUMBERS)
-@pytest.mark.parametrize("key", ["speed", "count", "size", "sides[1]", "by_name.a", "format", "pair[0]"])
-def test_only_a_number_is_a_number(key, value):
-    class Numbers(StrictModel):
-        speed: float = Field(default=1.0, gt=0)
-        count: int = 1
-        size: Annotated[float, Field(gt=0)] | tuple[float, float] = 1.0
-        sides: tuple[float, ...] = ()
-        by_name: Mapping[str, float] = Field(default_factory=dict)
-        format: Literal[1] = 1
-        pair: tuple[int, float] = (1, 1.0)
-
-    texts = {"sides[1]": f"sides: [1, {value}]", "by_name.a": f"by_name: {{a: {value}}}"}
-    texts |= {"pair[0]": f"pair: [{value}, 1]"}
+def test_only_a_number_is_a_number(value):
+    lines = [f"{key}: {value}" for key in ("speed", "count", "size", "format")]
+    lines += [f"sides: [1, {value}]", f"by_name: {{a: {value}}}", f"pair: [{value}, 1]"]
     with pytest.raises(ConfigError) as caught:
-        parse_yaml(texts.get(key, f"{key}: {value}"), Numbers, "x.yaml")
-    assert all(problem.startswith(f"$.{key}") for problem in caught.value.problems)
+        parse_yaml("\n".join(lines), Numbers, "x.yaml")
+    paths = {re.match(r"\$\.\w+(\[\d\]|\.a)?", problem)[0] for problem in caught.value.problems}
+    assert paths >= {"$.count", "$.sides[1]", "$.by_name.a", "$.format", "$.pair[0]", "$.speed"}
+    assert any(path.startswith("$.size") for path in paths)
 
 
 @pytest.mark.parametrize(
@@ -106,15 +102,12 @@ def test_only_a_number_is_a_number(key, value):
     [("1", 1.0), ("-0.5", -0.5), (".5", 0.5), ("5.", 5.0), ("1e-3", 1e-3), ("+2E6", 2e6), ("1.5e3", 1.5e3)],
 )
 def test_numbers_in_decimals_are_read(text, number):
-    assert parse_yaml(f"wheels: []\nspeed: {text}", Base, "x.yaml").speed == number
+    assert parse_yaml(f"speed: {text}", Base, "x.yaml").speed == number
 
 
 @given(st.text(st.sampled_from("0123456789eE.:-+_xobn"), min_size=1))
 def test_names_that_look_like_numbers_survive_yaml(name):
-    class Named(StrictModel):
-        name: str
-
-    assert parse_yaml(dump_yaml({"name": name}), Named, "x").name == name
+    assert parse_yaml(dump_yaml({"name": name, "radius_m": 1}), Wheel, "x").name == name
 
 
 def test_yaml_that_stands_for_more_than_memory_holds_is_one_line_too():
@@ -127,31 +120,23 @@ def test_yaml_that_stands_for_more_than_memory_holds_is_one_line_too():
 
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1))
 def test_numbers_survive_yaml_to_the_last_bit(numbers):
-    class Numbers(StrictModel):
-        values: tuple[float, ...]
-
-    back = parse_yaml(dump_yaml({"values": numbers}), Numbers, "x").values
+    back = parse_yaml(dump_yaml({"sides": numbers}), Numbers, "x").sides
     assert [struct.pack("d", a) for a in back] == [struct.pack("d", b) for b in numbers]
 
 
-def test_unreadable_and_empty_files_name_their_path(tmp_path):
+def test_unreadable_empty_and_huge_files_name_their_path(tmp_path):
     (tmp_path / "empty.yaml").write_text("\n")
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
-    for name, expected in [
-        ("none.yaml", "cannot be read"),
-        ("empty.yaml", "empty"),
-        ("binary.yaml", "not a text file"),
-    ]:
-        with pytest.raises(FileError, match=expected) as caught:
-            load_yaml(tmp_path / name, Base)
-        assert str(tmp_path / name) in str(caught.value)
-
-
-def test_file_that_is_too_large_is_one_line(tmp_path):
     with (tmp_path / "huge.yaml").open("wb") as file:
         file.truncate(1 << 40)
-    for path in (tmp_path / "huge.yaml", Path("/dev/zero")):
-        with pytest.raises(FileError, match="the limit of such a file"):
+    for path, expected in [
+        (tmp_path / "none.yaml", "cannot be read"),
+        (tmp_path / "empty.yaml", "the file is empty"),
+        (tmp_path / "binary.yaml", "not a text file in UTF-8 but in UTF-16"),
+        (tmp_path / "huge.yaml", "the limit of such a file"),
+        (Path("/dev/zero"), "the limit of such a file"),
+    ]:
+        with pytest.raises(FileError, match=f"^{path}: .*{expected}"):
             load_yaml(path, Base)
 
 
@@ -160,22 +145,17 @@ def test_names_resolve_to_shipped_files_and_paths_to_themselves(tmp_path):
     own = tmp_path / "parking.yaml"
     own.write_text("x")
     assert resolve("courses", own) == own
-    with pytest.raises(FileError, match="none of the shipped courses"):
+    with pytest.raises(
+        FileError, match=rf"none of the shipped courses \({', '.join(shipped_names('courses'))}\)"
+    ):
         resolve("courses", "no-such-course")
     with pytest.raises(FileError, match="no such file"):
         resolve("courses", tmp_path / "none.yaml")
 
 
-def test_atomic_write_replaces_whole_and_leaves_nothing_behind(tmp_path):
-    path = tmp_path / "deep" / "file.txt"
-    write_atomic(path, "one")
-    write_atomic(path, b"two")
-    assert path.read_bytes() == b"two"
-    assert list(path.parent.iterdir()) == [path]
-
-
 def test_failed_atomic_write_keeps_the_old_file_and_is_our_error(tmp_path, monkeypatch):
-    path = tmp_path / "file.txt"
+    path = tmp_path / "deep" / "file.txt"
+    write_atomic(path, b"older")
     write_atomic(path, "old")
 
     def full_disk(handle):
@@ -185,7 +165,7 @@ def test_failed_atomic_write_keeps_the_old_file_and_is_our_error(tmp_path, monke
     with pytest.raises(FileError, match="No space left"):
         write_atomic(path, "new")
     assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]
+    assert list(path.parent.iterdir()) == [path]
 
 
 @pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # interrupted as it was to be closed

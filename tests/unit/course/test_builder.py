@@ -88,25 +88,21 @@ def test_a_drive_to_and_fro_keeps_its_turning_point(tmp_path):
     assert found.reference.motion[:, 0].min() < -0.05
 
 
-def test_an_angle_in_degrees_is_the_only_problem_of_its_file(tmp_path):
-    file = tmp_path / "poses.yaml"
-    file.write_text("poses:\n- {x: 0, y: 0, theta: 0}\n- {x: 1, y: 0, theta: 90}\n")
-    with pytest.raises(ConfigError) as caught:
-        read_poses(file)
-    (problem,) = caught.value.problems
-    assert problem == "$.poses[1].theta: an angle is in radians, from -2π to 2π, got 90"
-
-
 @pytest.mark.parametrize(
     ("name", "content", "error", "words"),
     [
         ("a.csv", "x,y\n1,2\n", FileError, "lacks theta"),
         ("a.csv", "x,y,theta\n1,2,three\n", FileError, "line 2: expected three numbers"),
         ("a.csv", "x,y,theta\n1,2\n", FileError, "line 2: expected three numbers"),
-        ("a.csv", "x,y,theta\n1,2,nan\n", FileError, "line 2: expected three numbers"),
         ("a.csv", "x,y,theta\n1,2,3\n", FileError, "two poses at least, got 1"),
         ("a.yaml", "poses:\n- {x: 1, y: 2, theta: 3}\n", ConfigError, r"\$\.poses"),
         ("a.yaml", "poses: [[1, 2, 3], [1, 2, 3]]\n", ConfigError, r"\$\.poses\[0\]"),
+        (
+            "a.yaml",
+            "poses:\n- {x: 0, y: 0, theta: 0}\n- {x: 1, y: 0, theta: 90}\n",
+            ConfigError,
+            r"a\.yaml: \$\.poses\[1\]\.theta: an angle is in radians, from -2π to 2π, got 90$",
+        ),
         ("a.csv", "X;Y;T\n1;2;3\n", FileError, r"lacks x, y, theta .*got 'X, Y, T'"),
         (
             "a.csv",
@@ -137,24 +133,13 @@ def test_poses_of_any_spreadsheet_are_read(tmp_path, encoding, end, header):
     rows = f"0,0,0{end}{end}1,0.5,0.1{end}"
     text = header + end + (rows.replace(",", ";") if ";" in header else rows)
     (tmp_path / "poses.csv").write_bytes(text.encode(encoding))
-    assert [tuple(vars(pose).values()) for pose in read_poses(tmp_path / "poses.csv").poses] == [
-        (0.0, 0.0, 0.0),
-        (1.0, 0.5, 0.1),
-    ]
-
-
-def test_utf_16_is_named(tmp_path):
-    for name in ("poses.csv", "poses.yaml"):
-        (tmp_path / name).write_bytes("x,y,theta\n0,0,0\n".encode("utf-16"))
-        with pytest.raises(FileError, match=f"{name}: not a text file in UTF-8 but in UTF-16"):
-            read_poses(tmp_path / name)
+    assert read_poses(tmp_path / "poses.csv") == places((0.0, 0.0, 0.0), (1.0, 0.5, 0.1))
 
 
 def test_a_recording_without_motion_or_poses_makes_no_course(tmp_path):
     recording(tmp_path / "run.mcap", [])
     with pytest.raises(FileError, match="did not move"):
         read_poses(tmp_path / "run.mcap")
-    with RecordingWriter(tmp_path / "empty.mcap"):
-        pass
+    RecordingWriter(tmp_path / "empty.mcap").close()
     with pytest.raises(FileError, match="holds neither"):
         read_poses(tmp_path / "empty.mcap")

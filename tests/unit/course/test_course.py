@@ -1,3 +1,8 @@
+"""Courses, the verdict at their end, and the probability that it is right."""
+
+import math
+
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -7,23 +12,12 @@ from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose
-from rover_ncp.course.course import Course, Failure, load_course
+from rover_ncp.course.course import SURE, Failure, Parked, load_course, probability_within
 
-
-@pytest.fixture(scope="module")
-def parking() -> Course:
-    return load_course("parking")
-
-
-def still_at(pose: Pose, horizon_s: float = 32.0) -> tuple[list[float], list[Pose]]:
-    times = [0.1 * k for k in range(round(horizon_s / 0.1) + 1)]
-    return times, [pose] * len(times)
-
-
-def test_the_papers_course_has_its_checkpoints(parking):
-    assert len(parking.checkpoints) == 22
-    assert parking.ticks == 320
-    assert parking.goal == Pose(0.781439, 0.571493, 0.0)
+COURSE = load_course("parking")
+GOAL, RULE = COURSE.goal, COURSE.parked
+TIMES = [0.1 * k for k in range(321)]
+SURE_HEADING, STD_ERROR = 1e-12, 0.004
 
 
 def test_a_file_of_another_kind_is_one_line_with_its_keys(tmp_path):
@@ -37,9 +31,9 @@ def test_a_file_of_another_kind_is_one_line_with_its_keys(tmp_path):
 
 
 @pytest.mark.parametrize(("tick", "signal"), [(0, 0.0), (29, 0.0), (30, 1.0), (31, 1.0), (320, 1.0)])
-def test_the_start_signal_rises_at_its_tick_whatever_the_rounding(parking, tick, signal):
-    assert parking.start_signal(sum([0.1] * tick)) == signal
-    assert parking.start_signal(tick / 10) == signal
+def test_the_start_signal_rises_at_its_tick_whatever_the_rounding(tick, signal):
+    assert COURSE.start_signal(sum([0.1] * tick)) == signal
+    assert COURSE.start_signal(tick / 10) == signal
 
 
 @pytest.mark.parametrize(
@@ -54,44 +48,40 @@ def test_the_start_signal_rises_at_its_tick_whatever_the_rounding(parking, tick,
         (0, 0, 6.283185307179586, True),
     ],
 )
-def test_parked_is_near_the_goal_in_place_and_heading(parking, dx, dy, dtheta, parked):
-    x, y, theta = parking.goal
-    verdict = parking.judge(*still_at(Pose(x + dx, y + dy, theta + dtheta)), touched=False)
+def test_parked_is_near_the_goal_in_place_and_heading(dx, dy, dtheta, parked):
+    x, y, theta = GOAL
+    verdict = COURSE.judge(TIMES, [Pose(x + dx, y + dy, theta + dtheta)] * 321, touched=False)
     assert verdict.parked is parked
     assert bool(verdict.reason) is not parked
 
 
-def test_parked_means_still_for_two_seconds(parking):
-    times, poses = still_at(parking.goal)
-    x, y, theta = parking.goal
-    for index, pose, parked in [
-        (-21, Pose(x + 0.006, y, theta), False),
-        (-22, Pose(x + 0.006, y, theta), True),
-        (-15, Pose(x + 0.0049, y, theta), True),
-        (-15, Pose(x, y, theta + 0.006), False),
-    ]:
-        moved = list(poses)
-        moved[index] = pose
-        assert parking.judge(times, moved, touched=False).parked is parked
+@pytest.mark.parametrize(
+    ("index", "dx", "dtheta", "failure"),
+    [
+        (-21, 0.006, 0.0, Failure.MOVING),
+        (-22, 0.006, 0.0, Failure.NONE),
+        (-15, 0.0049, 0.0, Failure.NONE),
+        (-15, 0.0, 0.006, Failure.MOVING),
+        (-1, math.nan, 0.0, Failure.FAR),
+    ],
+)
+def test_parked_means_still_for_two_seconds(index, dx, dtheta, failure):
+    x, y, theta = GOAL
+    poses = [GOAL] * 321
+    poses[index] = Pose(x + dx, y, theta + dtheta)
+    assert COURSE.judge(TIMES, poses, touched=False).failure is failure
 
 
-def test_contact_and_an_early_end_are_not_parked(parking):
-    times, poses = still_at(parking.goal)
-    assert parking.judge(times, poses, touched=True).failure is Failure.TOUCHED
-    assert parking.judge(times[:-30], poses[:-30], touched=False).failure is Failure.EARLY
-
-
-def test_a_pose_that_is_not_a_number_is_not_parked(parking):
-    times, poses = still_at(parking.goal)
-    poses[-1] = Pose(float("nan"), 0.0, 0.0)
-    assert not parking.judge(times, poses, touched=False).parked
+def test_contact_and_an_early_end_are_not_parked():
+    poses = [GOAL] * 321
+    assert COURSE.judge(TIMES, poses, touched=True).failure is Failure.TOUCHED
+    assert COURSE.judge(TIMES[:-30], poses[:-30], touched=False).failure is Failure.EARLY
 
 
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-10, 10))
 def test_errors_are_distances(dx, dy, dtheta):
-    course = load_course("parking")
-    x, y, theta = course.goal
-    verdict = course.judge(*still_at(Pose(x + dx, y + dy, theta + dtheta)), touched=False)
+    x, y, theta = GOAL
+    verdict = COURSE.judge([0.0, 32.0], [Pose(x + dx, y + dy, theta + dtheta)] * 2, touched=False)
     assert verdict.error_m == pytest.approx((dx**2 + dy**2) ** 0.5, abs=1e-9)
     assert 0 <= verdict.error_rad <= 3.1416
 
@@ -113,17 +103,69 @@ def test_errors_are_distances(dx, dy, dtheta):
         ({"format": 2}, "$.format"),
     ],
 )
-def test_a_wrong_course_is_refused_with_the_place(tmp_path, parking, change, expected):
-    data = parking.model_dump(mode="json") | change
+def test_a_wrong_course_is_refused_with_the_place(tmp_path, change, expected):
+    data = COURSE.model_dump(mode="json") | change
     path = tmp_path / "course.yaml"
     path.write_text(dump_yaml(data))
     with pytest.raises(ConfigError) as caught:
         load_course(path)
+    assert str(caught.value).startswith(f"{path}: ")
     assert expected in str(caught.value)
-    assert str(path) in str(caught.value)
 
 
-def test_a_course_survives_its_file(tmp_path, parking):
-    path = tmp_path / "course.yaml"
-    path.write_text(dump_yaml(parking.model_dump(mode="json")))
-    assert load_course(path) == parking
+def of_stds(*stds):
+    return np.diag(np.square(stds))
+
+
+def standing_at(pose, covariance=None, touched=False):
+    times = [0.0, COURSE.horizon_s - 3.0, COURSE.horizon_s]
+    return COURSE.judge(times, [pose] * 3, touched, covariance)
+
+
+@pytest.mark.parametrize("std_m", [0.02, 0.05, 0.1, 0.3])
+def test_error_of_position_alone_is_a_rayleigh_distribution(std_m):
+    found = probability_within(Pose(0, 0, 0), of_stds(std_m, std_m, SURE_HEADING), 0.1, 0.1)
+    assert found == pytest.approx(1 - math.exp(-0.5 * (0.1 / std_m) ** 2), abs=STD_ERROR)
+
+
+def test_error_of_heading_alone_counts_on_both_sides():
+    found = probability_within(Pose(0, 0, 0.05), of_stds(SURE_HEADING, SURE_HEADING, 0.05), 0.1, 0.1)
+    phi = [0.5 * (1 + math.erf(z / math.sqrt(2))) for z in (1.0, -3.0)]
+    assert found == pytest.approx(phi[0] - phi[1], abs=STD_ERROR)
+
+
+def test_errors_that_go_together_are_not_counted_twice():
+    """Lateral and heading error of a rover whose heading is unknown: one cause, one probability."""
+    apart = of_stds(SURE_HEADING, 0.1, 0.1)
+    together = apart + np.array([[0, 0, 0], [0, 0, 0.01], [0, 0.01, 0]])
+    at_goal = Pose(0, 0, 0)
+    assert probability_within(at_goal, together, 0.1, 0.1) == pytest.approx(0.683, abs=0.01)
+    assert probability_within(at_goal, apart, 0.1, 0.1) == pytest.approx(0.683**2, abs=0.01)
+
+
+def test_an_exact_estimate_is_as_certain_as_a_true_pose():
+    inside, outside = Pose(GOAL.x + 0.09, GOAL.y, GOAL.theta), Pose(GOAL.x + 0.11, GOAL.y, GOAL.theta)
+    nothing = np.zeros((3, 3))
+    assert standing_at(inside, nothing).probability == 1.0
+    assert standing_at(outside, nothing).probability == 0.0
+    assert standing_at(inside).words is standing_at(inside, nothing).words is Parked.YES
+    assert standing_at(outside).words is standing_at(outside, nothing).words is Parked.NO
+
+
+@pytest.mark.parametrize(("std_m", "words"), [(0.03, Parked.YES), (0.06, Parked.UNCERTAIN)])
+def test_the_covariance_decides_whether_a_rover_at_its_goal_is_parked(std_m, words):
+    verdict = standing_at(GOAL, of_stds(std_m, std_m, 0.01))
+    assert (verdict.parked, verdict.words) == (True, words)
+    assert (verdict.probability >= SURE) is (words is Parked.YES)
+
+
+def test_a_heading_just_inside_its_tolerance_is_uncertain():
+    turned = Pose(GOAL.x, GOAL.y, GOAL.theta + 0.99 * RULE.heading_rad)
+    assert standing_at(turned, of_stds(0.001, 0.001, 0.02)).words is Parked.UNCERTAIN
+
+
+def test_a_miss_or_a_contact_is_not_parked_however_uncertain():
+    far = Pose(GOAL.x + 0.2, GOAL.y, GOAL.theta)
+    assert standing_at(far, of_stds(1, 1, 1)).words is Parked.NO
+    verdict = standing_at(GOAL, of_stds(1, 1, 1)).with_contact("bumper 2")
+    assert (verdict.words, verdict.failure) == (Parked.NO, Failure.TOUCHED)

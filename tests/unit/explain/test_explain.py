@@ -29,6 +29,11 @@ def parking():
     return load_policy("parking")
 
 
+@pytest.fixture(scope="module")
+def explained():
+    return explain("parking", SHORT)
+
+
 def outputs(policy, ticks=30):
     runner = Runner(policy)
     return [runner.tick([0.3, 0.1, 0.5, 1.0]) for _ in range(ticks)]
@@ -46,10 +51,10 @@ def test_without_a_sensory_neuron_what_it_senses_makes_no_difference(parking):
         assert one.tick([0.9, 0.1, 0.5, 1.0]) == other.tick([0.0, 0.1, 0.5, 1.0])
 
 
-def test_knock_outs_are_the_drives_without_each_part(parking):
+def test_knock_outs_are_the_drives_without_each_part(parking, explained):
     course = load_course(SHORT)
     intact = rollout(parking, course)
-    found = explain("parking", SHORT).knock_outs
+    found = explained.knock_outs
     assert [row.kind for row in found] == ["neuron"] * 12 + ["synapse"] * 30
     by_name = {row.name: row for row in found}
     # Nothing moves forward without FWD.
@@ -149,9 +154,8 @@ def test_picture_of_the_circuit_is_an_image_with_the_same_bytes_each_time(parkin
     assert "http" not in picture.replace("http://www.w3.org/2000/svg", "")
 
 
-def test_page_of_a_simulated_drive_has_its_what_ifs(parking):
-    found = explain("parking", SHORT)
-    text = page(found)
+def test_page_of_a_simulated_drive_has_its_what_ifs(explained):
+    found, text = explained, page(explained)
     unsure = replace(found, verdict=Verdict(True, 0.02, 0.01, probability=0.8))
     assert '"doubt">Parked, uncertain<' in page(unsure)
     assert unsure.ending.startswith("parked, uncertain; ")

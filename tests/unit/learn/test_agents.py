@@ -75,26 +75,21 @@ def advance(plan, agents, iterations):
 
 
 def as_data(agents):
-    """Return what is saved of agents or snapshots, which can be compared."""
-    if isinstance(agents, Snapshot):
-        return as_data(agents.agents)
-    return [
-        as_data(agent)
-        if isinstance(agent, Snapshot)
-        else (agent.number, dump_state(agent.search), agent.improvements)
-        for agent in agents
-    ]
+    """Return what is saved of agents, which can be compared."""
+    return [(agent.number, dump_state(agent.search), agent.improvements) for agent in agents]
 
 
 def train(workers, plan, agents, iterations, after_round=lambda _: False):
+    """Return the snapshot at the end."""
     return run_rounds(workers, plan, Snapshot(tuple(agents)), iterations, after_round)
 
 
 @pytest.mark.parametrize("strategy", ["published", "algorithm1"])
 @given(data=st.data())
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=settings().max_examples // 8)
 def test_company_order_and_pauses_change_nothing(strategy, data):
     together = advance(toy_plan(strategy), begin(5), 130)
+    assert len({agent.value for agent in together}) == 5
     agents = begin(5)
     for done in [*sorted(data.draw(st.lists(st.integers(0, 130), max_size=3))), 130]:
         order = data.draw(st.permutations(range(5)))
@@ -127,12 +122,6 @@ def test_truncated_episodes_change_no_decision(monkeypatch):
     assert as_data(advance(plan, begin(3), 150)) == as_data(truncated)
     assert np.isneginf(thresholds[:3]).all()
     assert np.isfinite(thresholds[3:]).all()
-
-
-def test_agents_differ_and_the_first_do_not_depend_on_how_many_follow():
-    few, many = (advance(toy_plan(), begin(count), 50) for count in (2, 6))
-    assert as_data(few) == as_data(many[:2])
-    assert len({agent.value for agent in many}) == 6
 
 
 @pytest.mark.parametrize("last", [200, 1234])
@@ -176,7 +165,8 @@ def test_processes_and_lengths_of_calls_give_the_same_rounds(call_iterations, mo
     for count in (1, 2, 3):
         with Inline() if count == 1 else ProcessPool(count) as workers:
             train(workers, plan, begin(4), 220, lambda last, n=count: seen.setdefault(n, []).append(last))
-    assert as_data(seen[1]) == as_data(seen[2]) == as_data(seen[3])
+    rounds = [[as_data(snapshot.agents) for snapshot in seen[count]] for count in (1, 2, 3)]
+    assert rounds[0] == rounds[1] == rounds[2]
     assert [snapshot.iterations for snapshot in seen[1]] == [0, 100, 200, 220]
     assert not multiprocessing.active_children()
 
@@ -203,13 +193,13 @@ def test_a_run_that_is_stopped_early_can_continue():
     workers.count = 2
     stopped = train(workers, plan, begin(3), 20_000, lambda snapshot: snapshot.iterations >= 200)
     assert stopped.iterations == 200
-    assert as_data(train(workers, plan, stopped.agents, 400)) == as_data(whole)
+    assert as_data(train(workers, plan, stopped.agents, 400).agents) == as_data(whole.agents)
 
 
 def test_agents_that_are_ahead_wait_for_the_others():
     whole, early, later = (train(Inline(), toy_plan(), begin(3), until) for until in (300, 100, 200))
     mixed = [early.agents[0], later.agents[1], AgentState(2)]
-    assert as_data(train(Inline(), toy_plan(), mixed, 300)) == as_data(whole)
+    assert as_data(train(Inline(), toy_plan(), mixed, 300).agents) == as_data(whole.agents)
 
 
 def test_a_snapshot_has_best_median_and_total():

@@ -23,7 +23,11 @@ from sim.world.env import ENV_ID
 from sim.world.random_course import mirrored, random_course
 from sim.world.randomization import Sensors, draw_trials, load_randomization
 
-COURSE = load_course("parking")
+PARKING = load_course("parking")
+COURSE = PARKING.model_copy(
+    update={"horizon_s": 12.0, "checkpoints": tuple(point for point in PARKING.checkpoints if point.t <= 12)}
+)
+"""The first turn of the paper's course."""
 TRACKER = course_policy(load_circuit("tap_withdrawal"))
 FENCED = COURSE.model_copy(
     update={
@@ -58,7 +62,7 @@ def test_a_lane_returns_what_a_rover_alone_returns(course):
 
 
 def test_a_lane_returns_what_the_environment_returns():
-    env = gymnasium.make(ENV_ID).unwrapped
+    env = gymnasium.make(ENV_ID, course=COURSE).unwrapped
     vectors = candidates(3, seed=1)
     returns = []
     for vector in vectors:
@@ -179,7 +183,7 @@ def test_courses_and_trials_in_one_batch_as_each_alone():
     pairs = [random_course(1, 0), random_course(1, 1)]
     short = pairs[0][0].model_copy(update={"horizon_s": 30.0, "checkpoints": pairs[0][0].checkpoints[:-1]})
     courses, references = [short, pairs[1][0]], [drive for _, drive in pairs]
-    trials = draw_trials(load_randomization("full"), model, 6, count=4, ticks=COURSE.ticks)
+    trials = draw_trials(load_randomization("full"), model, 6, count=4, ticks=320)
     engine, vectors = Evaluator(TRACKER, courses, model, trials, references), candidates(12, 6, TRACKER)
     found = engine.outcomes(vectors)
     engine.change_trials(trials, first_course=1)
@@ -247,16 +251,16 @@ def test_no_candidates_no_returns():
 
 
 def test_the_untuned_wiring_scores_as_in_the_published_simulator():
-    run = rollout(parking_policy(load_circuit("parking"), clamp=False), COURSE)
+    run = rollout(parking_policy(load_circuit("parking"), clamp=False), PARKING)
     assert run.total == pytest.approx(-47.06, abs=0.02)
 
 
 def test_a_rollout_shows_what_happened():
     run = rollout(POLICY, FENCED)
-    assert run.times[[0, -1]] == pytest.approx([0.0, 32.0])
-    assert run.poses.shape == (321, 3)
-    assert run.commands.shape == (320, 2)
-    assert run.potentials.shape == (320, 12)
+    assert run.times[[0, -1]] == pytest.approx([0.0, 12.0])
+    assert run.poses.shape == (121, 3)
+    assert run.commands.shape == (120, 2)
+    assert run.potentials.shape == (120, 12)
     assert not run.poses[0].any()
     residuals = [
         np.hypot(*(run.poses[np.flatnonzero(run.times >= point.t - 1e-9)[0], :2] - (point.x, point.y)))

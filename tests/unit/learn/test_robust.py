@@ -37,8 +37,18 @@ def vector(place):
 
 
 def search(generations, seed=3):
-    going, drive = searching(seed), drive_trials(engine(), FULL, MODEL, seed)
-    return [going.advance(drive) for _ in range(generations)]
+    """Return the generations of a search, and the mean after each."""
+    going, drive, means = searching(seed), drive_trials(engine(), FULL, MODEL, seed), []
+    found = []
+    for _ in range(generations):
+        found.append(going.advance(drive))
+        means.append(np.array(going.state()["cma"]["mean"]))
+    return found, means
+
+
+@pytest.fixture(scope="module")
+def searched():
+    return search(8)
 
 
 def test_inert_parameters_change_no_outcome():
@@ -85,25 +95,23 @@ def test_training_and_evaluation_share_no_course():
     assert training_courses(COURSE, given, 0, 0) == ([COURSE], [given])
 
 
-def test_the_search_improves_and_repeats_itself():
-    first = search(8)
+def test_the_search_improves_and_repeats_itself(searched):
+    first, _ = searched
     assert [last.iterations for last in first] == list(range(1, 9))
-    again = search(3)
+    again, _ = search(3)
     assert all(np.array_equal(a.winner, b.winner) for a, b in zip(first, again, strict=False))
-    assert not np.array_equal(search(1, seed=4)[0].winner, first[0].winner)
+    [other], _ = search(1, seed=4)
+    assert not np.array_equal(other.winner, first[0].winner)
     judge = engine()
     judge.change_trials(draw_trials(FULL, MODEL, 9, count=60, ticks=COURSE.ticks))
     before, after = costs(judge.outcomes([START.parameters(), first[-1].winner])).mean(axis=1)
     assert after < before
 
 
-def test_the_winner_is_the_average_of_the_last_quarter_of_the_means():
-    drive, going = drive_trials(engine(), FULL, MODEL, 3), searching()
-    assert np.array_equal(going.winner, vector(policy_box(START).start))
-    means, winners = [], []
-    for _ in range(8):
-        winners.append(going.advance(drive).winner)
-        means.append(np.array(going.state()["cma"]["mean"]))
+def test_the_winner_is_the_average_of_the_last_quarter_of_the_means(searched):
+    assert np.array_equal(searching().winner, vector(policy_box(START).start))
+    generations, means = searched
+    winners = [generation.winner for generation in generations]
     for number in range(7):
         assert np.array_equal(winners[number], vector(means[number]))
     assert winners[7] == pytest.approx(vector(0.5 * (means[6] + means[7])), rel=1e-12)

@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 from kit.json_fields import assert_on_page
 from kit.paths import DATA, content
+from rich.progress import Progress
 
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.cli import run
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.course.course import load_course
 from sim.learn.engine.evaluator import Evaluator
-from sim.learn.progress import TrainProgress
 
 COURSE = DATA / "short_course.yaml"
 TRAIN = ["train", "--course", str(COURSE), "--processes", "1"]
@@ -110,11 +110,11 @@ def test_resuming_a_folder_of_strangers_imports_no_module_that_it_names(tmp_path
 def test_moved_folder_of_a_run_is_an_error(kind, tmp_path, capsys, monkeypatch):
     folder, moved = tmp_path / "run", tmp_path / "moved"
 
-    def move(*_):
+    def move(*_, **__):
         if folder.exists():
             folder.rename(moved)
 
-    monkeypatch.setattr(TrainProgress, "show", move)
+    monkeypatch.setattr(Progress, "update", move)
     courses = ["--random-courses", "0"] if "--randomize" in kind else []
     assert run([*TRAIN, "--iterations", "60", *kind, *courses, "--out", str(folder)]) == 2
     said = capsys.readouterr().err

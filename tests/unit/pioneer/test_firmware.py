@@ -16,6 +16,12 @@ from sim.pioneer.report import ENCODER, IO, SIMSTAT
 SYNC = [Command.PULSE, Command.OPEN, Command.CLOSE]
 
 
+@pytest.fixture
+def pioneer() -> Pioneer:
+    """A base with an open session, its motors on."""
+    return Pioneer().open()
+
+
 def test_a_command_behind_a_false_header_is_obeyed_when_silence_follows() -> None:
     base = Pioneer().open()
     base.say(b"\xfa\xfb" + encode_command(Command.VEL, 200))
@@ -51,8 +57,7 @@ def test_out_of_order_starts_over_and_a_repeated_sync_is_echoed_again() -> None:
         assert pioneer.tell(SYNC[number]) == [Packet(number)]
 
 
-def test_walking_the_syncs_over_an_open_session_closes_it() -> None:
-    pioneer = Pioneer().open()
+def test_walking_the_syncs_over_an_open_session_closes_it(pioneer: Pioneer) -> None:
     for sync in SYNC:
         assert pioneer.tell(sync) == []
     assert pioneer.firmware.client is ClientState.WAITING
@@ -73,8 +78,7 @@ def test_sips_come_each_tenth_of_a_second_from_open_to_close_only() -> None:
     assert len(pioneer.sips()) == 20
 
 
-def test_a_sip_has_every_field() -> None:
-    pioneer = Pioneer().open()
+def test_a_sip_has_every_field(pioneer: Pioneer) -> None:
     pioneer.tell(Command.VEL, 200)
     pioneer.tell(Command.RVEL, -20)
     pioneer.run(2.0)
@@ -94,8 +98,7 @@ def test_a_sip_has_every_field() -> None:
     assert {range_mm for _, range_mm in sip.sonar} == {5000}
 
 
-def test_speeds_rise_within_the_acceleration_limits_after_the_delays() -> None:
-    pioneer = Pioneer().open()
+def test_speeds_rise_within_the_acceleration_limits_after_the_delays(pioneer: Pioneer) -> None:
     pioneer.tell(Command.VEL, 200)
     pioneer.tell(Command.RVEL, 30)
     pioneer.run(0.10)
@@ -116,16 +119,14 @@ def test_speeds_rise_within_the_acceleration_limits_after_the_delays() -> None:
 
 
 @pytest.mark.parametrize(("set_limit", "speed"), [(150, 0.150), (5000, 0.5)])
-def test_setpoints_are_limited_by_setv(set_limit: int, speed: float) -> None:
-    pioneer = Pioneer().open()
+def test_setpoints_are_limited_by_setv(pioneer: Pioneer, set_limit: int, speed: float) -> None:
     pioneer.tell(Command.SETV, set_limit)
     pioneer.tell(Command.VEL, 500)
     pioneer.run(4.0)
     assert pioneer.speed == pytest.approx(speed, rel=1e-3)
 
 
-def test_close_puts_the_limits_back_to_flash() -> None:
-    pioneer = Pioneer().open()
+def test_close_puts_the_limits_back_to_flash(pioneer: Pioneer) -> None:
     pioneer.tell(Command.SETV, 150)
     pioneer.tell(Command.SETA, 99)
     pioneer.tell(Command.CLOSE)
@@ -135,8 +136,7 @@ def test_close_puts_the_limits_back_to_flash() -> None:
     assert ConfigPac.decode(packet.payload).trans_acc == 310
 
 
-def test_watchdog_halts_and_any_packet_resumes_the_setpoints() -> None:
-    pioneer = Pioneer().open()
+def test_watchdog_halts_and_any_packet_resumes_the_setpoints(pioneer: Pioneer) -> None:
     pioneer.tell(Command.VEL, 200)
     pioneer.run(1.9, fed=False)
     assert pioneer.speed == pytest.approx(0.2)
@@ -151,8 +151,9 @@ def test_watchdog_halts_and_any_packet_resumes_the_setpoints() -> None:
     assert pioneer.speed == pytest.approx(0.2)
 
 
-def test_watchdog_halts_two_seconds_after_the_last_packet_at_whatever_step_that_came() -> None:
-    pioneer = Pioneer().open()
+def test_watchdog_halts_two_seconds_after_the_last_packet_at_whatever_step_that_came(
+    pioneer: Pioneer,
+) -> None:
     steps_to_braking = set()
     for _ in range(12):
         pioneer.tell(Command.VEL, 200)
@@ -167,8 +168,7 @@ def test_watchdog_halts_two_seconds_after_the_last_packet_at_whatever_step_that_
     assert steps_to_braking == {200 + 15 + 1}
 
 
-def test_a_broken_packet_does_not_feed_the_watchdog() -> None:
-    pioneer = Pioneer().open()
+def test_a_broken_packet_does_not_feed_the_watchdog(pioneer: Pioneer) -> None:
     pioneer.tell(Command.VEL, 200)
     for _ in range(40):
         pioneer.now += 0.1
@@ -194,8 +194,9 @@ def test_motors_that_are_off_accept_and_keep_no_setpoints() -> None:
 
 
 @pytest.mark.parametrize(("argument", "left", "right"), [(0x050A, 0.1, 0.2), (-1275, -0.1, 0.1)])
-def test_vel2_drives_the_wheels_in_both_encodings(argument: int, left: float, right: float) -> None:
-    pioneer = Pioneer().open()
+def test_vel2_drives_the_wheels_in_both_encodings(
+    pioneer: Pioneer, argument: int, left: float, right: float
+) -> None:
     pioneer.say(encode_command(MockCommand.VEL2, argument))
     pioneer.run(3.0)
     assert pioneer.firmware.drive.wheel_speeds == pytest.approx((left, right), abs=1e-3)
@@ -207,8 +208,7 @@ def test_vel2_drives_the_wheels_in_both_encodings(argument: int, left: float, ri
 
 
 @pytest.mark.parametrize("way", [500, -300, 30])
-def test_move_drives_so_far_and_stops(way: int) -> None:
-    pioneer = Pioneer().open()
+def test_move_drives_so_far_and_stops(pioneer: Pioneer, way: int) -> None:
     pioneer.tell(Command.SETV, 300)
     pioneer.tell(MockCommand.MOVE, way)
     pioneer.run(8.0)
@@ -216,8 +216,7 @@ def test_move_drives_so_far_and_stops(way: int) -> None:
     assert abs(pioneer.speed) < 0.002
 
 
-def test_headings_are_absolute_relative_and_relative_to_the_setpoint() -> None:
-    pioneer = Pioneer().open()
+def test_headings_are_absolute_relative_and_relative_to_the_setpoint(pioneer: Pioneer) -> None:
     for command, argument, heading in [
         (MockCommand.HEAD, 90, 90),
         (MockCommand.DHEAD, -30, 60),
@@ -267,8 +266,7 @@ def test_position_counters_wrap_at_15_bits_and_the_driver_follows(model: str) ->
 
 
 @pytest.mark.parametrize("frame", [encode_command(Command.SETO), bytes.fromhex("fafb04073b073b")])
-def test_seto_zeroes_odometry_also_when_cut_short_as_players(frame: bytes) -> None:
-    pioneer = Pioneer().open()
+def test_seto_zeroes_odometry_also_when_cut_short_as_players(pioneer: Pioneer, frame: bytes) -> None:
     pioneer.tell(MockCommand.MOVE, 300)
     pioneer.run(6.0)
     x = pioneer.rover.pose.x
@@ -312,8 +310,7 @@ def test_sonars_measure_the_wall_and_follow_commands() -> None:
     assert pioneer.sip().flags & (Flag.SONAR_1 | Flag.SONAR_2) == Flag.SONAR_2
 
 
-def test_encoders_count_the_wheels_way_once_or_in_a_stream() -> None:
-    pioneer = Pioneer().open()
+def test_encoders_count_the_wheels_way_once_or_in_a_stream(pioneer: Pioneer) -> None:
     pioneer.tell(MockCommand.ENCODER, 1)
     pioneer.run(0.5)
     assert len(pioneer.of_kind(ENCODER)) == 1
@@ -351,8 +348,7 @@ def true_pose(pioneer: Pioneer) -> tuple[int, int, int]:
     return x_mm, y_mm, theta_deg
 
 
-def test_a_simulators_commands_move_the_truth_and_not_odometry() -> None:
-    pioneer = Pioneer().open()
+def test_a_simulators_commands_move_the_truth_and_not_odometry(pioneer: Pioneer) -> None:
     pioneer.tell(MockCommand.SIM_SET_POSE, (-1000, 2500, 90))
     pioneer.say(encode_frame(MockCommand.SIM_STAT))
     pioneer.run(0.2)
@@ -367,8 +363,7 @@ def test_a_simulators_commands_move_the_truth_and_not_odometry() -> None:
     assert pioneer.rover.pose == pytest.approx((0, 0, 0), abs=1e-9)
 
 
-def test_largest_coordinates_can_be_reported() -> None:
-    pioneer = Pioneer().open()
+def test_largest_coordinates_can_be_reported(pioneer: Pioneer) -> None:
     pioneer.tell(MockCommand.SIM_SET_POSE, (2**31 - 1, -(2**31), -90))
     pioneer.tell(Command.VEL, 700)
     pioneer.tell(MockCommand.SIM_STAT, 2)
@@ -376,16 +371,14 @@ def test_largest_coordinates_can_be_reported() -> None:
     assert true_pose(pioneer)[1] > 0
 
 
-def test_hostbaud_has_no_effect_on_tcp() -> None:
-    pioneer = Pioneer().open()
+def test_hostbaud_has_no_effect_on_tcp(pioneer: Pioneer) -> None:
     for code in (2, 99):
         pioneer.tell(Command.HOSTBAUD, code)
         assert pioneer.sip()
     assert pioneer.firmware.client is ClientState.OPEN
 
 
-def test_a_client_that_comes_after_one_that_vanished_finds_the_session_open() -> None:
-    pioneer = Pioneer().open()
+def test_a_client_that_comes_after_one_that_vanished_finds_the_session_open(pioneer: Pioneer) -> None:
     pioneer.tell(Command.VEL, 200)
     pioneer.firmware.receive(b"\xfa\xfb\x06\x0b", pioneer.now)
     pioneer.firmware.line_changed()

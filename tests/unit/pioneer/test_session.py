@@ -236,7 +236,7 @@ def test_a_bad_line_is_survived_both_ways(faults: tuple[str, ...], seed: int) ->
     assert pair.pioneer.rover.velocity == pytest.approx((0.0, 0.0))
 
 
-@settings(max_examples=15)
+@settings(max_examples=settings().max_examples // 3)
 @given(
     st.lists(
         st.tuples(

@@ -10,7 +10,7 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.files import shipped_names
 from rover_ncp.course.course import load_course
 from sim import api as sim_api
-from sim.evaluate.evaluate import evaluate, unseen_courses
+from sim.evaluate.evaluate import drive_trials, tally, unseen_courses
 from sim.learn.engine.driver import load_driver
 from sim.world.randomization import load_randomization
 
@@ -27,15 +27,15 @@ from sim.world.randomization import load_randomization
 )
 def test_course_relative_circuit_parks_unmeasured_robots(course, ranges, least):
     driver = load_driver("course")
-    found = evaluate(driver, [load_course(course)], load_randomization(ranges), trials=1000, seed=2024)
+    trials = drive_trials(driver, [load_course(course)], load_randomization(ranges), trials=1000, seed=2024)
+    found = tally(trials)
     assert found.success_rate >= least
     assert found.error_m.p95 < (0.09 if ranges == "harsh" else 0.06)
 
 
 def test_it_drives_courses_it_never_saw():
-    found = evaluate(
-        load_driver("course"), unseen_courses(2024, 6), load_randomization("full"), trials=120, seed=2024
-    )
+    courses, full = unseen_courses(2024, 6), load_randomization("full")
+    found = tally(drive_trials(load_driver("course"), courses, full, trials=120, seed=2024))
     assert found.success_rate >= 0.96
 
 

@@ -15,7 +15,7 @@ from sim.world.described import described_rover, ranges_of
 from sim.world.randomization import draw_trials
 from sim.world.skid_robot import SkidRobot, rigid_body_of
 
-BRIEF = str(DATA / "brief_course.yaml")
+BRIEF, ARC = str(DATA / "brief_course.yaml"), str(DATA / "arc_course.yaml")
 FIFTH = """
 name: fifth
 based_on: turtlebot4
@@ -63,7 +63,7 @@ def test_a_fast_reporting_robot_with_late_odometry_is_driven():
     """Fifty reports a second, each up to 50 ms late: their age is known from their stamps."""
     robot = load_description("jackal-j100")
     late = ranges_of(robot).model_copy(update={"jitter_s": 0.05})
-    stack = Stack(load_driver("course"), (load_course("parking"),), late, 0, gyro=True, robot=robot)
+    stack = Stack(load_driver("course"), (load_course(ARC),), late, 0, gyro=True, robot=robot)
     assert stack.drive(0).reason == ""
 
 
@@ -82,7 +82,7 @@ def test_a_fifth_robot_is_evaluated_from_its_file(fifth, capsys):
     assert fields["success_rate"] == 1.0
     assert fields["randomize"] == "fifth"
     assert "1.6 times as long for fifth: it reaches 0.15 m/s" in fields["scaled"][0]
-    assert run(["course", "check", "bay", "--model", fifth]) == 0
+    assert run(["course", "check", BRIEF, "--model", fifth]) == 0
     assert "1.6 times as long for fifth" in capsys.readouterr().out
 
 

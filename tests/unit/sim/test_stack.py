@@ -29,7 +29,7 @@ from sim.world.described import default_rover, ranges_for
 from sim.world.randomization import Randomization, draw_trials, load_randomization, nominal_trials
 from sim.world.skid_robot import Contact, SkidRanges
 
-SHORT, BRIEF = str(DATA / "short_course.yaml"), str(DATA / "brief_course.yaml")
+SHORT, BRIEF, ARC = (str(DATA / f"{name}_course.yaml") for name in ("short", "brief", "arc"))
 
 
 def stack(ranges="none", seed=1, course=SHORT, body=Body.PYMUNK, driver="course", **sensors):
@@ -50,8 +50,8 @@ def apart(one, other):
 
 @pytest.fixture(scope="module")
 def parking():
-    """Two trials of randomised robots, on the paper's course."""
-    driven = stack("full", course="parking")
+    """Two trials of randomised robots, which are recorded once for all tests."""
+    driven = stack("full", course=ARC)
     return driven, drive_all(driven, 2, 1)
 
 
@@ -59,26 +59,26 @@ def test_trials_park_and_what_went_over_the_line_is_counted(parking):
     _, found = parking
     for trial in found:
         assert trial.parked
-        assert (trial.reason, trial.ticks, trial.overruns) == ("", 320, 0)
+        assert (trial.reason, trial.ticks, trial.overruns) == ("", 80, 0)
         # A SIP ten times a second, each some 50 bytes; setpoints five times a second and more.
-        assert 33 * 10 * 40 < trial.bytes_from_base < 40 * 10 * 80
-        assert 32 * 5 * 10 < trial.bytes_to_base < 32 * 50 * 20
+        assert 9 * 10 * 40 < trial.bytes_from_base < 10 * 10 * 80
+        assert 8 * 5 * 10 < trial.bytes_to_base < 8 * 50 * 20
 
 
 def test_driver_that_knows_the_dead_band_parks_and_another_does_not():
     ranges = load_randomization("none").model_copy(
-        update={"dead_band_m_s": (0.05, 0.05), "dead_band_rad_s": (0.2, 0.2)}
+        update={"dead_band_m_s": (0.05, 0.05), "dead_band_rad_s": (0.3, 0.3)}
     )
-    band = RoverProfile(name="band", dead_band_v=0.05, dead_band_omega=0.2)
-    assert not stack(ranges, course="parking").drive(0).parked
-    assert stack(ranges.model_copy(update={"rover": band}), course="parking").drive(0).parked
+    band = RoverProfile(name="band", dead_band_v=0.05, dead_band_omega=0.3)
+    assert not stack(ranges, course=ARC).drive(0).parked
+    assert stack(ranges.model_copy(update={"rover": band}), course=ARC).drive(0).parked
 
 
 def test_drivers_beliefs_are_compared_with_the_truth(parking):
     _, found = parking
     for trial in found:
         assert trial.belief.verdict is Parked.UNCERTAIN  # encoders alone
-        assert trial.belief.error_m < 0.05
+        assert trial.belief.error_m < 0.02
         assert trial.belief.squared < chi2.ppf(0.999, 2)
         assert trial.belief.error_m < trial.belief.predicted_m
     fields = summary([trial.belief for trial in found], [True, False])
@@ -95,7 +95,8 @@ def test_the_stack_drives_the_trials_of_plain_simulation(parking):
         plain = drive_plainly(driven, number)
         assert plain.verdict.parked
         # What differs: whole mm/s and deg/s, encoder steps, and an estimate that is less noisy.
-        assert apart(plain.poses[-1], trial.pose) < 0.025
+        assert apart(plain.poses[-1], trial.pose) < 0.005
+        assert plain.poses[-1][2] == pytest.approx(trial.pose.theta, abs=0.02)
 
 
 @pytest.mark.long
@@ -125,13 +126,6 @@ def test_interrupted_trials_end_their_processes_at_once_and_no_others():
     assert of_the_host.is_alive()
     of_the_host.kill()
     of_the_host.join()
-
-
-def test_without_errors_the_stack_ends_where_the_simulator_does():
-    driven = stack()
-    plain, trial = drive_plainly(driven, 0), driven.drive(0)
-    assert apart(plain.poses[-1], trial.pose) < 0.005
-    assert plain.poses[-1][2] == pytest.approx(trial.pose.theta, abs=0.02)
 
 
 def test_a_known_start_reaches_the_driver_through_external_poses():
@@ -236,22 +230,13 @@ def test_a_driver_makes_up_for_known_gains():
     assert apart(known.drive(0).pose, there) < 0.01 < apart(unknown.drive(0).pose, there)
 
 
-def test_a_driver_makes_up_for_the_turn_gain_that_its_gyro_shows():
-    # Far outside the training's turn gains of 1.0 to 1.4.
+def test_a_driver_makes_up_for_the_turn_gain_that_its_gyro_or_its_identification_shows():
+    # Far outside the training's turn gains of 1.0 to 1.4; without either, both end 0.2 rad off.
     slow, fast = (Randomization(name="turning", turn_gain=(gain, gain)) for gain in (0.7, 1.5))
-    ends = [stack(ranges, course="parking", gyro=True).drive(0) for ranges in (slow, fast)]
+    ends = [stack(ranges, course=ARC, gyro=True).drive(0) for ranges in (slow, fast)]
+    ends.append(stack(fast, course=ARC, identify=True).drive(0))
     assert all(end.parked for end in ends)
-    assert apart(ends[0].pose, ends[1].pose) < 0.02
-
-
-def test_the_command_line_drives_through_the_stack(capsys):
-    assert run(["eval", "course", "--trials", "2", "--course", SHORT, "--stack", "--json"]) == 0
-    fields = json.loads(capsys.readouterr().out)
-    assert (fields["trials"], fields["course"], fields["randomize"]) == (2, SHORT, "none")
-    assert fields["bytes_to_base"] > 500
-    assert fields["bytes_from_base"] > 3000
-    assert fields["overruns"] == 0
-    assert math.isfinite(fields["times_real_time"])
+    assert all(apart(ends[0].pose, end.pose) < 0.02 for end in ends)
 
 
 @pytest.mark.long
@@ -264,7 +249,9 @@ def test_a_law_drives_through_the_stack_as_in_plain_simulation():
     assert trial == driven.drive(0)
 
 
-@pytest.mark.parametrize("sensors", [{"gyro": True}, {"identify": True}], ids=str)
+@pytest.mark.parametrize(
+    "sensors", [{"gyro": True}, pytest.param({"identify": True}, marks=pytest.mark.long)], ids=str
+)
 def test_a_skidding_robot_parks_with_a_gyro_or_identified(sensors):
     # By its encoders alone, this robot ends 0.28 m from the goal.
     skid = SkidRanges(mass_center_m=0.06, friction=(0.4, 0.4), contact=Contact(step_s=0.005))
@@ -310,6 +297,10 @@ def test_the_command_line_drives_another_body(capsys):
     assert run(["eval", "course", *options, "--json"]) == 0
     fields = json.loads(capsys.readouterr().out)
     assert (fields["body"], fields["randomize"], fields["success_rate"]) == ("mujoco", "nominal", 1.0)
+    assert (fields["trials"], fields["course"], fields["overruns"]) == (1, BRIEF, 0)
+    assert fields["bytes_to_base"] > 500
+    assert fields["bytes_from_base"] > 3000
+    assert math.isfinite(fields["times_real_time"])
 
 
 @pytest.mark.parametrize(

@@ -50,18 +50,14 @@ def test_make_finds_the_environment_without_an_import_also_vectorised():
     subprocess.run([sys.executable, "-W", "error", "-c", program], check=True, timeout=100)
 
 
-def test_doing_nothing_misses_all_checkpoints_by_what_they_are():
-    observations, rewards, _ = play(gymnasium.make(ENV_ID), constant(0.0, 0.0))
+def test_doing_nothing_misses_all_checkpoints_and_sees_the_start_signal_at_its_time():
+    observations, rewards, infos = play(gymnasium.make(ENV_ID), constant(0.0, 0.0))
     course = load_course("parking")
     misses = [point.x**2 + point.y**2 + point.theta**2 for point in course.checkpoints]
     assert rewards.sum() == pytest.approx(-sum(misses))
     assert rewards.sum() == pytest.approx(-14.18, abs=0.005)  # measured with the published simulator
     assert len(rewards) == 320
     assert not observations[:, :3].any()
-
-
-def test_the_start_signal_comes_at_its_time():
-    observations, _, infos = play(gymnasium.make(ENV_ID), constant(0.0, 0.0))
     signal = observations[:, 3]
     assert not signal[:30].any()
     assert signal[30:].all()

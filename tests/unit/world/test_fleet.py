@@ -99,9 +99,8 @@ def test_each_rover_of_a_fleet_goes_as_it_would_alone(lanes, obstacles, touching
     assert obstacles or not fleet.touched.any()
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_shapes_and_mirrored_drives_change_no_bit_on_open_ground(seed):
-    lanes, far = 28, (Obstacle(x=1000.0, y=0.0, length=0.2, width=2.0),)
+def test_shapes_and_mirrored_drives_change_no_bit_on_open_ground():
+    seed, lanes, far = 0, 28, (Obstacle(x=1000.0, y=0.0, length=0.2, width=2.0),)
     commands = random_commands(seed, 120, lanes, 0.5, 2.0)
     commands[:, :4] = 0.0
     commands[:60, 4:8] = 0.0

@@ -191,48 +191,43 @@ def test_odometry_has_the_errors_it_is_given():
     assert odometry(1.0, 1.0, 0.0, 0.0, 0.1) == pytest.approx((0.02, 0, 0.02))
 
 
-def test_what_a_base_makes_of_a_command():
-    assert apply_base_errors(0.1, -0.2, BaseErrors(1.1, 0.9, 0.0, 0.0)) == pytest.approx((0.11, -0.18))
-    assert apply_base_errors(0.1, 0.0, BaseErrors(1.0, 1.0, 0.03, 0.0)) == pytest.approx((0.1, 0.003))
-    assert apply_base_errors(0.0, 0.2, BaseErrors(1.0, 1.0, 0.0, 0.3))[1] == pytest.approx(0.2 * (1 - 0.06))
+DEAD_BAND = {"dead_band_v": 0.05, "dead_band_omega": 0.1}
+STANDS = {"wheel_min": 0.03, "slow_wheel": 0.0, "half_track": 0.1}
+TURNS = STANDS | {"slow_wheel": 0.03}
+CREEPS = {"creep": 0.004, "pull": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("errors", "command", "moves"),
+    [
+        ({"gain_v": 1.1, "gain_omega": 0.9}, (0.1, -0.2), (0.11, -0.18)),
+        ({"imbalance": 0.03}, (0.1, 0.0), (0.1, 0.003)),
+        ({"slip": 0.3}, (0.0, 0.2), (0.0, 0.2 * (1 - 0.06))),
+        (DEAD_BAND, (0.049, 0.2), (0.0, 0.2)),
+        (DEAD_BAND, (0.05, -0.099), (0.05, 0.0)),
+        (DEAD_BAND, (-0.3, -0.1), (-0.3, -0.1)),
+        (DEAD_BAND, (0.0, 0.0), (0.0, 0.0)),
+        (STANDS, (0.1, 0.2), (0.1, 0.2)),
+        (STANDS, (0.02, 0.0), (0.0, 0.0)),
+        (STANDS, (0.0, 0.1), (0.0, 0.0)),
+        (STANDS, (0.05, 0.3), (0.04, 0.4)),  # wheels at 0.02 and 0.08 m/s
+        (TURNS, (0.1, 0.2), (0.1, 0.2)),
+        (TURNS, (0.02, 0.0), (0.03, 0.0)),
+        (TURNS, (0.0, 0.1), (0.0, 0.3)),
+        (TURNS, (0.05, 0.3), (0.055, 0.25)),
+        (CREEPS, (0.0, 0.0), (0.004, 0.002)),
+        (CREEPS, (0.1, 0.0), (0.1, 0.05)),
+    ],
+)
+def test_what_a_base_makes_of_a_command(errors, command, moves):
+    base = BaseErrors(1.0, 1.0, 0.0, 0.0)._replace(**errors)
+    assert apply_base_errors(*command, base) == pytest.approx(moves, abs=1e-15)
+
+
+def test_commands_come_in_whole_steps():
     assert quantise(0.1234567, 0.001) == pytest.approx(0.123)
     assert quantise(-0.03, 0.0174533) == pytest.approx(-2 * 0.0174533)
     assert quantise(0.1234567, 0.0) == 0.1234567
-
-
-@pytest.mark.parametrize(
-    ("command", "moves"),
-    [
-        ((0.049, 0.2), (0.0, 0.2)),
-        ((0.05, -0.099), (0.05, 0.0)),
-        ((-0.3, -0.1), (-0.3, -0.1)),
-        ((0.0, 0.0), (0.0, 0.0)),
-    ],
-)
-def test_base_takes_a_command_within_its_dead_band_as_zero(command, moves):
-    base = BaseErrors(1.0, 1.0, 0.0, 0.0, dead_band_v=0.05, dead_band_omega=0.1)
-    assert apply_base_errors(*command, base) == moves
-
-
-@pytest.mark.parametrize(
-    ("command", "stand", "turn"),
-    [
-        ((0.1, 0.2), (0.1, 0.2), (0.1, 0.2)),
-        ((0.02, 0.0), (0.0, 0.0), (0.03, 0.0)),
-        ((0.0, 0.1), (0.0, 0.0), (0.0, 0.3)),
-        ((0.05, 0.3), (0.04, 0.4), (0.055, 0.25)),  # wheels at 0.02 and 0.08 m/s
-    ],
-)
-def test_slow_wheel_stands_or_turns_at_its_least_speed(command, stand, turn):
-    for slow, moves in ((0.0, stand), (0.03, turn)):
-        base = BaseErrors(1.0, 1.0, 0.0, 0.0, wheel_min=0.03, slow_wheel=slow, half_track=0.1)
-        assert apply_base_errors(*command, base) == pytest.approx(moves)
-
-
-def test_base_creeps_at_zero_and_pulls_to_a_side():
-    base = BaseErrors(1.0, 1.0, 0.0, 0.0, creep=0.004, pull=0.5)
-    assert apply_base_errors(0.0, 0.0, base) == pytest.approx((0.004, 0.002))
-    assert apply_base_errors(0.1, 0.0, base) == pytest.approx((0.1, 0.05))
 
 
 def test_motors_are_drawn_beside_the_rest():

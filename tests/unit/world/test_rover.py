@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pymunk
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rover_ncp.core.geometry import Pose, Velocity
@@ -58,6 +58,7 @@ def drives(draw):
     return np.repeat(commands, held, axis=0)[:320]
 
 
+@settings(max_examples=settings().max_examples // 3)
 @given(drives(), st.sampled_from([(15, 10), (3, 27)]))
 def test_follows_the_papers_kinematics_in_open_ground(commands, delays):
     model = default_rover(delay_v_s=delays[0] / 100, delay_omega_s=delays[1] / 100)

@@ -14,7 +14,6 @@ from deploy.drive.records import attachments
 from deploy.drive.result import result_of
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.place.docking import Docking
-from deploy.place.settings import docking_of
 from deploy.recorder import Recorder
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.circuit.policy import Policy
@@ -56,7 +55,7 @@ def run(
     if staging is None:
         controller = Controller(policy, course, config.estimator, config.rover, config.described)
     else:
-        controller = docking_of(config, staging, policy)
+        controller = Docking(config, staging, policy)
     files = attachments(policy, course, config, staging)
     prepare_for_real_time()
     with Interrupts() as interrupts, recorder, ZenohLink(address, recorder.put) as link:

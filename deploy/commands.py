@@ -112,21 +112,28 @@ def deploy(
     rover = load_profile(profile) if profile else None
     described = load_description(model) if model else None
     if to is not None or undock is not None:
-        from deploy.place.run import run_to_place
+        from deploy.place.docking import place_config
+        from deploy.place.place import load_place
+        from deploy.place.plan import place_course
 
         if to is not None and undock is not None:
             raise UsageError("--to and --undock do not go together")
         odd = None if pose == "auto" else pose
         given = {"course": course, "duration": duration, "pose": odd, "dry_run": dry_run}
         reject("does not go with --to and --undock", **given, require_certainty=require_certainty)
-        return run_to_place(
-            to or undock or "",
-            (address, output, recorder),
-            staging=circuit,
-            dock_policy=dock_policy,
-            rover=rover,
-            described=described,
+        place, dock = load_place(to or undock or ""), load_policy(dock_policy or "dock")
+        config = place_config(
+            place,
+            rover,
+            described,
             undock=undock is not None,
+            robot=robot,
+            namespace=namespace,
+            policy=dock.circuit.name,
+        )
+        way = place_course(place)
+        return run(
+            address, output, policy=dock, course=way, config=config, recorder=recorder, staging=circuit
         )
     reject("needs --to or --undock", dock_policy=dock_policy)
     goal = load_course(course or "parking")

@@ -27,7 +27,6 @@ from deploy.drive.records import (
 )
 from deploy.estimator.estimator import Estimate
 from deploy.place.docking import Docking
-from deploy.place.settings import docking_of
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.geometry import Pose
 from rover_ncp.recording.recording import Recording, read_recording
@@ -83,7 +82,7 @@ def replay(path: Path) -> Comparison:
             policy, course, config.estimator, config.rover, config.described
         )
     else:
-        controller = docking_of(config, attached_policy(recording, STAGING_FILE), policy)
+        controller = Docking(config, attached_policy(recording, STAGING_FILE), policy)
     ticks_done, difference = 0, None
     samples = _samples(recording, config.pose_frame)
     for record, difference in _compared(

@@ -149,7 +149,7 @@ class Drive:
             reason = self._why_uncertain() if words is Parked.UNCERTAIN else self.verdict.reason
             self._enter(ends[words], reason)
         if self._docking is not None:
-            self._publisher.dock(self._docking.result())
+            self._publisher.dock(self._docking.result(self.reason))
         self._publisher.finish()
 
     def _arm(self, attachments: dict[str, int]) -> None:

@@ -84,11 +84,10 @@ def attachments(
 
 def attached(recording: Recording) -> tuple[Policy, Course, DriveConfig]:
     """Read policy, course and settings from a recording. Raises FileError and ConfigError."""
-    course, config = _text(recording, COURSE_FILE), _text(recording, CONFIG_FILE)
     return (
         attached_policy(recording),
-        parse_yaml(course, Course, f"{recording.path}, {COURSE_FILE}"),
-        _drive_config(config, f"{recording.path}, {CONFIG_FILE}"),
+        parse_yaml(_text(recording, COURSE_FILE), Course, f"{recording.path}, {COURSE_FILE}"),
+        _drive_config(_text(recording, CONFIG_FILE), f"{recording.path}, {CONFIG_FILE}"),
     )
 
 

@@ -168,7 +168,7 @@ def result_of(drive: Drive, recording: Mapping[str, Any]) -> DriveResult:
             dropped=outcomes[Outcome.DROPPED],
             nis=Nis(**estimator.nis),
         ),
-        dock=drive.controller.result() if isinstance(drive.controller, Docking) else None,
+        dock=drive.controller.result(drive.reason) if isinstance(drive.controller, Docking) else None,
         policy=config.policy,
         course=config.course,
         dry_run=config.dry_run,

@@ -4,7 +4,7 @@ import math
 import time
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -24,13 +24,6 @@ class What(StrEnum):
     CHECK = "check"
 
 
-class Way(StrEnum):
-    """Direction in which the rover drives in."""
-
-    FORWARD = "forward"
-    BACKWARD = "backward"
-
-
 def place(
     what: Annotated[What, typer.Argument(help="set: store it. check: compare the present view with it.")],
     name: Annotated[str, typer.Argument(help="The place: NAME or NAME.yaml.")],
@@ -42,7 +35,8 @@ def place(
         float, typer.Option(min=1.0, max=600.0, help="For how long poses are collected, s.")
     ] = 5.0,
     direction: Annotated[
-        Way | None, typer.Option(help="set: how the rover drives in.", show_default="forward")
+        Literal["forward", "backward"] | None,
+        typer.Option(help="set: how the rover drives in.", show_default="forward"),
     ] = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="set: replace the pose of a place that exists.")
@@ -68,7 +62,7 @@ def place(
     Ends with 0, or 1 if check finds the rover outside the place's tolerances, 3 no bridge or no pose.
     """
     from deploy.place.place import Place, PlacePose, load_place, place_path, place_yaml
-    from deploy.place.survey import PlaceResult, blurred, complaint, errors_of
+    from deploy.place.survey import PlaceResult, blurred, complaint
     from deploy.zenoh_client import BridgeAddress
     from rover_ncp.core.config import validated
     from rover_ncp.core.files import require_creatable, write_atomic
@@ -84,12 +78,12 @@ def place(
     if what is What.CHECK:
         assert known is not None
         wrong = complaint(known, seen)
-        words.append(f"{known.name}: {wrong or f'as stored, {errors_of(known, pose)}'}")
+        words.append(f"{known.name}: {wrong or f'as stored, {known.errors(pose)}'}")
         stored = known
     else:
         fields = known.model_dump() if known else {"name": path.stem}
         fields |= {"pose": PlacePose(**pose._asdict()), "scatter": seen.scatter, "frame": seen.frame}
-        stored = validated(fields | ({"direction": direction.value} if direction else {}), Place, str(path))
+        stored = validated(fields | ({"direction": direction} if direction else {}), Place, str(path))
         write_atomic(path, place_yaml(stored))
         words.append(f"wrote {path}: x {pose.x:.3f} m, y {pose.y:.3f} m, {math.degrees(pose.theta):.1f}°")
     if warning := blurred(stored, seen.scatter):
@@ -102,7 +96,7 @@ def place(
         y=pose.y,
         theta=pose.theta,
         scatter=seen.scatter,
-        off=errors_of(known, pose) if what is What.CHECK and known else None,
+        off=known.errors(pose) if what is What.CHECK and known else None,
         fits=not wrong,
     )
     output.result(result.model_dump(), "\n".join(words))

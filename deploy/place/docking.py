@@ -13,15 +13,16 @@ Rules of this file:
 import math
 from collections import deque
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.drive.config import DriveConfig, settings_for
 from deploy.drive.controller import Controller, Tick, take
+from deploy.drive.start import median_pose
 from deploy.estimator.estimator import Estimate, Estimator
 from deploy.estimator.measurements import Outcome
-from deploy.estimator.settings import EstimatorSettings
 from deploy.place.outcome import DockError, DockResult, PoseErrors, Stage
 from deploy.place.place import Place, Proof
 from deploy.place.plan import FAR_M, Way, approach, retreat, tail, to_staging
@@ -47,6 +48,8 @@ MIN_POSES = 3
 KEPT_POSES = 300
 MAX_DRIVE_S = 1800.0
 """Upper limit of a drive with all its tries."""
+BLIND_S = 60.0
+"""How long the rover may move by odometry alone, where poses are lost."""
 MAX_STAGINGS = 5
 """Ways to the staging pose in one drive."""
 
@@ -76,32 +79,23 @@ class _TailEstimator(Estimator):
 
 
 class Docking:
-    """Drives into a place, or out of it with ``undock``: the counterpart of `Controller` for a course.
+    """Drives into a place or out of it, by the drive's settings: `Controller` does so for a course.
 
     ``staging`` drives to the staging pose, ``dock`` from there; they must have the same neurons.
     """
 
     plans = False
 
-    def __init__(
-        self,
-        place: Place,
-        staging: Policy,
-        dock: Policy,
-        settings: EstimatorSettings,
-        *,
-        rover: RoverProfile | None = None,
-        described: RobotDescription | None = None,
-        undock: bool = False,
-    ) -> None:
+    def __init__(self, config: DriveConfig, staging: Policy, dock: Policy) -> None:
+        assert config.place is not None
         if staging.circuit.neurons != dock.circuit.neurons:
             raise ConfigError("the two policies of the drive", ["they have different neurons"])
-        self.place, self._undock, self._slower = place, undock, slowdown(described)
-        self._staging, self._dock, self._settings = staging, dock, settings
-        self._rover, self._described = rover, described
-        self.estimator = Estimator(settings)
+        self.place, self._undock, self._config = config.place, config.undock, config
+        self._slower = slowdown(config.described)
+        self._staging, self._dock = staging, dock
+        self.estimator = Estimator(config.estimator)
         self._approach, self._retreat = (
-            self._leg(dock, way(place, self._slower)) for way in (approach, retreat)
+            self._leg(dock, way(self.place, self._slower)) for way in (approach, retreat)
         )
         self._leg(staging, self._retreat.way)  # compiles now, before the rover waits for it
         self._now: _Leg = self._retreat
@@ -122,9 +116,9 @@ class Docking:
     ) -> None:
         """Begin as `Controller.start`. Raises SafetyStop if there is no way from that pose."""
         self.estimator.start(pose, t, odometry, covariance)
-        ahead, left, turned = self.place.errors(pose)
-        out_m = ahead if self.place.backward else -ahead
-        in_line = abs(left) <= STAGED_M and abs(turned) <= STAGED_RAD
+        off = self.place.errors(pose)
+        out_m = off.longitudinal_m if self.place.backward else -off.longitudinal_m
+        in_line = abs(off.lateral_m) <= STAGED_M and abs(off.yaw_rad) <= STAGED_RAD
         problem = ""
         if in_line and CONTACT_M < out_m < self.place.staging_m - STAGED_M:
             # It may stand in the dock: it does not turn on the spot there.
@@ -136,7 +130,7 @@ class Docking:
             self._tries = 1
             self._begin(Stage.CONTROLLING, self._approach, -self._approach.way.course.ticks, pose)
         elif self._undock:
-            problem = f"the rover does not stand in {self.place.name}, but {self._errors(pose)} of it"
+            problem = f"the rover does not stand in {self.place.name}, but {off} of it"
         else:
             problem = self._to_staging(0, pose)
         if problem:
@@ -203,12 +197,12 @@ class Docking:
         leg.record_estimate(index - self._began, t)
         pose, proof = self.estimator.at(t).pose, self.place.proof
         verdict = leg.verdict()
-        self._judged = _Judged(verdict, self._errors(pose), self._by_poses(t, contact))
-        ahead, left, turned = self.place.errors(pose)
-        in_line = abs(left) <= self.place.position_m and abs(turned) <= self.place.heading_rad
-        where = f"{self._judged.estimate} of the place by the estimate"
+        off = self.place.errors(pose)
+        self._judged = _Judged(verdict, off, self._by_poses(t, contact))
+        in_line = abs(off.lateral_m) <= self.place.position_m and abs(off.yaw_rad) <= self.place.heading_rad
+        where = f"{off} of the place by the estimate"
         error, why = DockError.FAILED_TO_CONTROL, ""
-        at_place = proof is Proof.CONTACT and in_line and abs(ahead) <= CONTACT_M
+        at_place = proof is Proof.CONTACT and in_line and abs(off.longitudinal_m) <= CONTACT_M
         if proof is Proof.CONTACT and not contact:
             why = f"no contact at the place, {where}"
         elif contact and not (at_place or proof is Proof.CHARGING):
@@ -246,7 +240,7 @@ class Docking:
             return f"{away:.2f} m from the staging pose (at most {FAR_M:g} m)"
         # A moving rover cannot wait for a search among detours.
         way, problems = to_staging(
-            self.place, pose, self._described, self._slower, detours=self.stage is Stage.NONE
+            self.place, pose, self._config.described, self._slower, detours=self.stage is Stage.NONE
         )
         if way is None:
             return "; ".join(map(str, problems))
@@ -265,8 +259,9 @@ class Docking:
         leg.controller.begin(tail(pose) if leg.way.backward else pose)
 
     def _leg(self, policy: Policy, way: Way) -> "_Leg":
+        c = self._config
         controller = Controller(
-            policy, way.course, self._settings, self._rover, self._described, reference=way.reference
+            policy, way.course, c.estimator, c.rover, c.described, reference=way.reference
         )
         controller.estimator = _TailEstimator(self.estimator) if way.backward else self.estimator
         return _Leg(way, controller)
@@ -276,18 +271,11 @@ class Docking:
         turned = abs(wrap_angle(pose.theta - staging.theta))
         return distance(pose, staging) <= STAGED_M and turned <= STAGED_RAD
 
-    def _errors(self, pose: Pose) -> PoseErrors:
-        ahead, left, turned = self.place.errors(pose)
-        return PoseErrors(longitudinal_m=ahead, lateral_m=left, yaw_rad=turned)
-
     def _by_poses(self, t: float, contact: bool) -> PoseErrors | None:
         """Return the median errors by the newest external poses; None without enough of them."""
         since = t - (CONTACT_S if contact else self._approach.way.course.parked.still_s)
-        errors = [self.place.errors(pose) for seen, pose in self._poses if seen >= since]
-        if len(errors) < MIN_POSES:
-            return None
-        ahead, left, turned = np.median(np.array(errors), axis=0).tolist()
-        return PoseErrors(longitudinal_m=ahead, lateral_m=left, yaw_rad=turned)
+        poses = [pose for seen, pose in self._poses if seen >= since]
+        return self.place.errors(median_pose(poses)) if len(poses) >= MIN_POSES else None
 
     def verdict(self) -> Verdict:
         """Return the verdict: parked means docked, or undocked and at the staging pose."""
@@ -297,8 +285,8 @@ class Docking:
         failure = Failure.NONE if self._docked else Failure.FAR
         return Verdict(self._docked, error_m, error_rad, self._why, failure)
 
-    def result(self) -> DockResult:
-        """Return the result so far."""
+    def result(self, ending: str = "") -> DockResult:
+        """Return the result; ``ending`` is why a drive ended that did not come to a judgement."""
         pose = None if self._estimate is None else self._estimate.pose
         at = "place" if self._docked and not self._undock else "elsewhere"
         if pose is not None and at == "elsewhere" and self._stands_at_staging(pose):
@@ -309,7 +297,7 @@ class Docking:
             undock=self._undock,
             success=self._docked,
             error_code=DockError.NONE if self._docked else self._error,
-            error_msg=self._why,
+            error_msg="" if self._docked else self._why or ending or "the time is over",
             num_retries=max(self._tries - 1, 0),
             stage=self.stage,
             at=at,
@@ -340,3 +328,22 @@ def slowdown(robot: RobotDescription | None) -> float:
     if robot is None:
         return 1.0
     return max(1.0, COMMAND_MAX.v / robot.motion.v_max, COMMAND_MAX.omega / robot.motion.omega_max)
+
+
+def place_config(
+    place: Place, rover: RoverProfile | None, described: RobotDescription | None, **more: Any
+) -> DriveConfig:
+    """Return the settings of a drive to a place; ``more`` are further settings."""
+    about: dict[str, Any] = {
+        "place": place,
+        "course": place.name,
+        "ticks": round(MAX_DRIVE_S / TICK_S),
+        # A docked rover is where its place is, also if its poses are hidden there.
+        "pose": "auto" if more.get("undock") else "required",
+        "pose_age_s": BLIND_S,
+        "pose_frame": place.frame,
+        "estimator": settings_for(rover, described),
+        "rover": rover,
+        "described": described,
+    }
+    return DriveConfig(**about | more)

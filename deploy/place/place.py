@@ -1,14 +1,14 @@
 """The file of a place, in the frame of the external poses."""
 
-import math
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field
 
+from deploy.place.outcome import PoseErrors
 from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml
-from rover_ncp.core.geometry import Pose, compose, wrap_angle
+from rover_ncp.core.geometry import Pose, compose, distance, relative, wrap_angle
 from rover_ncp.course.course import Angle, Coordinate, Name, Obstacle
 
 SUFFIXES = {".yaml", ".yml"}
@@ -89,15 +89,15 @@ class Place(StrictModel):
         """The pose of the base where the straight approach begins."""
         return compose(self.goal, Pose(self.staging_m if self.backward else -self.staging_m, 0.0, 0.0))
 
-    def errors(self, pose: Pose) -> tuple[float, float, float]:
-        """Return how far a pose is ahead of the place and to its left (m), and turned to the left (rad)."""
-        dx, dy = pose.x - self.pose.x, pose.y - self.pose.y
-        cos, sin = math.cos(self.pose.theta), math.sin(self.pose.theta)
-        return (
-            cos * dx + sin * dy,
-            cos * dy - sin * dx,
-            wrap_angle(pose.theta - self.pose.theta),
-        )
+    def errors(self, pose: Pose) -> PoseErrors:
+        """Return a pose minus that of the place."""
+        found = relative(self.goal, pose)
+        return PoseErrors(longitudinal_m=found.x, lateral_m=found.y, yaw_rad=found.theta)
+
+    def holds(self, pose: Pose) -> bool:
+        """Whether a pose is within the tolerances."""
+        turned = abs(wrap_angle(pose.theta - self.pose.theta))
+        return distance(pose, self.goal) <= self.position_m and turned <= self.heading_rad
 
 
 def place_path(name: str) -> Path:

@@ -12,7 +12,7 @@ from deploy.place.outcome import PoseErrors
 from deploy.place.place import Place, Scatter
 from rover_ncp.core.config import ResultModel
 from rover_ncp.core.errors import NoPose
-from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.core.geometry import Pose, wrap_angle
 from rover_ncp.wire.messages import PoseSample
 
 MIN_POSES = 10
@@ -66,21 +66,13 @@ def complaint(place: Place, seen: Survey) -> str:
     """Return in words how a rover that should be docked is not at its place; "" if it is."""
     if seen.frame not in {"", place.frame}:
         return f"poses arrive in frame {seen.frame!r}, the place is in {place.frame!r}"
-    away = distance(seen.pose, place.goal)
-    turned = abs(wrap_angle(seen.pose.theta - place.goal.theta))
-    if away <= place.position_m and turned <= place.heading_rad:
+    if place.holds(seen.pose):
         return ""
     return (
-        f"the rover is seen {errors_of(place, seen.pose)} of the place (tolerance "
+        f"the rover is seen {place.errors(seen.pose)} of the place (tolerance "
         f"{1000 * place.position_m:.0f} mm, {math.degrees(place.heading_rad):.1f}°): it is not docked, the "
         "dock was moved, or the calibration is stale; 'place set' stores what is seen now"
     )
-
-
-def errors_of(place: Place, pose: Pose) -> PoseErrors:
-    """Return a pose minus that of the place."""
-    ahead, left, turned = place.errors(pose)
-    return PoseErrors(longitudinal_m=ahead, lateral_m=left, yaw_rad=turned)
 
 
 def blurred(place: Place, scatter: Scatter) -> str:

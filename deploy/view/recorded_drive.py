@@ -112,11 +112,7 @@ def _headline(verdict: Verdict, status: DriverStatus | None) -> tuple[Parked, st
 
 def _dock_rows(dock: DockResult, drive: Drive) -> Iterator[tuple[str, str]]:
     """Yield how a docking ended, with the errors of the pose at the end of its last approach."""
-    yield "Tries", f"{dock.num_retries + 1}; the rover stands at {dock.at}"
-    yield "Proof", dock.proof + ("" if dock.probability is None else f"; probability {dock.probability:.0%}")
-    for by, errors in (("By the estimate", dock.by_estimate), ("By external poses alone", dock.by_proof)):
-        if errors is not None:
-            yield by, str(errors)
+    yield "Docking", str(dock) + ("" if dock.probability is None else f"; probability {dock.probability:.0%}")
     if drive.timeline.truth and dock.at == "place":
         goal, true = drive.course.goal, drive.timeline.truth[-1].pose
         off = relative(goal, true)

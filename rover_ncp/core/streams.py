@@ -33,8 +33,8 @@ class Domain(Enum):
     EXPORT_VECTORS = (15,)
     NETWORK_START = (16,)
     STUDY = (17,)
-    DOCKING = (18,)
-    PICTURES = (19,)
+    PICTURES = (18,)
+    DOCKING = (19,)
 
 
 def stream_seed(seed: int, domain: Domain, index: int = 0) -> np.random.SeedSequence:

@@ -197,7 +197,7 @@ def evaluate(options: EvalOptions) -> int:
     --to docks at a place with a camera on the robot that sees tags there, by a noise model (docs/place.md).
     Docked is judged by the true pose.
 
-        rover-ncp eval dock --stack --to docs/examples/place.yaml --trials 100 --body mujoco
+        rover-ncp eval dock --stack --to home.yaml --trials 30 --body mujoco --randomize varied
 
     Ends with 1 if a single trial was driven and did not park, else with 0.
     """

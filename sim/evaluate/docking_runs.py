@@ -10,7 +10,7 @@ from pydantic import Field
 from deploy.place.outcome import DockError
 from rover_ncp.core.console import Output
 from sim.evaluate.evaluate import Ended, Evaluation, tally
-from sim.evaluate.trial_runs import progress
+from sim.evaluate.trial_runs import progress, result_words
 from sim.stack.docking import Docked, DockTrials
 from sim.stack.trials import drive_all
 
@@ -35,12 +35,12 @@ class DockingResult(Evaluation):
 def evaluate_docking(
     trials: DockTrials, count: int, processes: int | None, output: Output, **about: Any
 ) -> DockingResult:
-    """Drive trials, and return how they ended. Raises WorkerDied."""
+    """Drive trials, and return how they ended, ``about`` with it. Raises WorkerDied."""
     with progress(output, count) as done:
         driven = drive_all(trials, count, processes, done)
-    ended = [Ended(math.hypot(*trial.errors[:2]), abs(trial.errors[2]), _reason(trial)) for trial in driven]
+    ended = [Ended(_off_m(trial), abs(trial.off.yaw_rad), _reason(trial)) for trial in driven]
     good = [trial for trial in driven if not _reason(trial)]
-    fine = [trial for trial in good if _within(trial, FINE_M, FINE_RAD)]
+    fine = [trial for trial in good if _off_m(trial) <= FINE_M and abs(trial.off.yaw_rad) <= FINE_RAD]
     return DockingResult(
         **vars(tally(ended)),
         **about,
@@ -54,9 +54,8 @@ def evaluate_docking(
     )
 
 
-def _within(trial: Docked, position_m: float, heading_rad: float) -> bool:
-    ahead, left, turned = trial.errors
-    return math.hypot(ahead, left) <= position_m and abs(turned) <= heading_rad
+def _off_m(trial: Docked) -> float:
+    return math.hypot(trial.off.longitudinal_m, trial.off.lateral_m)
 
 
 def _reason(trial: Docked) -> str:
@@ -69,18 +68,9 @@ def _reason(trial: Docked) -> str:
 
 def docking_words(found: DockingResult) -> Iterator[str]:
     """Yield lines about trials of docking."""
-    low, high = found.success_ci95
-    yield f"{found.success_rate:.1%} of {found.trials} trials docked (95 % interval {low:.1%} to {high:.1%})"
+    yield from result_words(found, None)
     yield (
-        f"declared docked: {found.said_docked}, falsely: {found.falsely_docked}; at the first try: "
-        f"{found.first_try}; within 1 cm and 1°: {found.within_1_cm_1_degree}"
+        f"parked within the place's tolerances; declared docked: {found.said_docked}, falsely: "
+        f"{found.falsely_docked}; at the first try: {found.first_try}; within 1 cm and 1°: "
+        f"{found.within_1_cm_1_degree}; median time {found.drive_s:.0f} s"
     )
-    for name, spread, unit in (
-        ("final position error", found.error_m, "mm"),
-        ("final heading error", found.error_rad, "mrad"),
-    ):
-        p50, p95, largest = (1000 * error for error in (spread.p50, spread.p95, spread.max))
-        yield f"{name}: median {p50:.0f}, 95th percentile {p95:.0f}, largest {largest:.0f} {unit}"
-    for reason, count in found.failures.items():
-        yield f"not docked, {reason}: {count}"
-    yield f"median time {found.drive_s:.0f} s"

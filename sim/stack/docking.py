@@ -12,11 +12,10 @@ from typing import NamedTuple
 
 from deploy.drive.config import DriveConfig
 from deploy.drive.control_loop import Drive
-from deploy.place.docking import Docking
-from deploy.place.outcome import DockResult
+from deploy.place.docking import Docking, place_config
+from deploy.place.outcome import DockResult, PoseErrors
 from deploy.place.place import Place
 from deploy.place.plan import approach
-from deploy.place.settings import docking_of, place_config
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose, compose
@@ -43,8 +42,8 @@ class Docked(NamedTuple):
     result: DockResult
     stop: str
     """The safety rule that stopped the drive, or ""."""
-    errors: tuple[float, float, float]
-    """Of the true pose: ahead of the place and to its left (m), turned to the left (rad)."""
+    off: PoseErrors
+    """Of the true pose."""
     docked: bool
     """Whether the true pose is within the place's tolerances."""
     seconds: float
@@ -70,7 +69,7 @@ class DockTrials:
 
     @cached_property
     def _docking(self) -> Docking:
-        return docking_of(self._config, self.staging, self.dock)
+        return Docking(self._config, self.staging, self.dock)
 
     @cached_property
     def _config(self) -> DriveConfig:
@@ -115,8 +114,6 @@ class DockTrials:
         docking = copy.deepcopy(self._docking)
         drive = Drive(link, docking, publisher, self._config, lambda: False, clock=bridge)
         drive_whole(drive)
-        errors = self.place.errors(rover.pose)
-        ahead, left, turned = errors
-        within = math.hypot(ahead, left) <= self.place.position_m and abs(turned) <= self.place.heading_rad
-        stop = "" if drive.stop is None else drive.stop.rule
-        return Docked(docking.result(), stop, errors, within, bridge.monotonic())
+        stop, off = "" if drive.stop is None else drive.stop.rule, self.place.errors(rover.pose)
+        docked = self.place.holds(rover.pose)
+        return Docked(docking.result(drive.reason), stop, off, docked, bridge.monotonic())

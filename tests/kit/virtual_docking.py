@@ -8,9 +8,9 @@ from deploy.drive.control_loop import Drive
 from deploy.drive.publisher import Publisher
 from deploy.drive.records import attachments
 from deploy.drive.result import result_of
+from deploy.place.docking import Docking, place_config
 from deploy.place.place import Place
 from deploy.place.plan import place_course
-from deploy.place.settings import docking_of, place_config
 from kit.virtual_drive import ChangedLink, VirtualDrive
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.geometry import Pose
@@ -59,7 +59,7 @@ class VirtualDocking(VirtualDrive):
         """Drive; return the result as JSON has it."""
         files = attachments(self.policy, self.course, self.config, self.staging)
         publisher = Publisher(self.link, self.recorded.append, self.policy.circuit.neurons, self.bridge)
-        self.docking = docking_of(self.config, self.staging, self.policy)
+        self.docking = Docking(self.config, self.staging, self.policy)
         drive = Drive(self.link, self.docking, publisher, self.config, self.interrupted, clock=self.bridge)
         try:
             drive.wait()
@@ -73,4 +73,5 @@ class VirtualDocking(VirtualDrive):
     @property
     def off(self):
         """The true pose minus the place: ahead and left in m, turned in rad."""
-        return self.place.errors(self.rover.pose)
+        found = self.place.errors(self.rover.pose)
+        return found.longitudinal_m, found.lateral_m, found.yaw_rad

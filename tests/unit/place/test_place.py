@@ -7,7 +7,7 @@ import pytest
 from kit.virtual_docking import place
 
 from deploy.drive.measurements import pose_reader
-from deploy.place.docking import Docking
+from deploy.place.docking import Docking, place_config
 from deploy.place.place import load_place, place_yaml
 from deploy.place.plan import approach, check_way, place_course, retreat, tail, to_staging
 from deploy.place.survey import blurred, complaint, survey
@@ -83,16 +83,10 @@ def test_obstacle_in_the_way_leads_to_a_detour_and_one_at_the_staging_pose_to_a_
 )
 def test_start_without_a_way_is_refused_with_the_reason(where, start, words):
     policy = load_policy("course")
-    docking = Docking(where, policy, policy, place_settings())
+    docking = Docking(place_config(where, None, None, robot="virtual", policy="course"), policy, policy)
     with pytest.raises(SafetyStop, match="start-pose") as refused:
         docking.start(ORIGIN, 0.0, start)
     assert words in str(refused.value)
-
-
-def place_settings():
-    from deploy.estimator.settings import EstimatorSettings
-
-    return EstimatorSettings()
 
 
 def test_place_file_is_read_as_written(tmp_path, monkeypatch):

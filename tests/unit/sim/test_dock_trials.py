@@ -1,0 +1,83 @@
+"""Trials of docking in the stack simulation: their starts, the camera's noise model, and how they count."""
+
+import math
+
+import numpy as np
+import pytest
+from kit.virtual_docking import place
+
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.console import Output
+from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.wire.messages import read_pose
+from sim.evaluate.docking_runs import evaluate_docking
+from sim.stack.docking import BEARING_RAD, DISTANCES_M, DockTrials
+from sim.stack.tag_camera import TagCamera, TagLocaliser
+from sim.world.described import default_rover
+from sim.world.pymunk_rover import Ground, PymunkRover
+from sim.world.randomization import load_randomization
+
+
+def trials(**changed):
+    policy = load_policy("course")
+    return DockTrials(policy, load_policy("dock"), place(**changed), load_randomization("none"), 3)
+
+
+def measured(pose, direction="forward", camera=None, seconds=400.0):
+    """Return the poses that a rover's camera sends from where it stands."""
+    where, found = place(direction=direction), []
+    rover = PymunkRover(default_rover(), Ground(()), pose)
+    localiser = TagLocaliser(
+        camera or TagCamera(),
+        rover,
+        where.goal,
+        np.random.default_rng(4),
+        lambda data, now_ns: found.append(read_pose(data)),
+        frame=where.frame,
+        backward=where.backward,
+    )
+    for now in np.arange(0.0, seconds, 0.125).tolist():
+        localiser.observe(now)
+    return found
+
+
+@pytest.mark.parametrize("direction", ["forward", "backward"])
+def test_starts_lie_before_the_place_and_see_the_tags(direction):
+    drawn = trials(direction=direction)
+    for number in range(60):
+        start = drawn.start(number)
+        assert DISTANCES_M[0] <= distance(start, drawn.place.goal) <= DISTANCES_M[1]
+        off = drawn.place.errors(start)
+        out_m = off.longitudinal_m if direction == "backward" else -off.longitudinal_m
+        assert math.atan2(abs(off.lateral_m), out_m) <= BEARING_RAD + 1e-9
+        assert measured(start, direction, TagCamera(lost=0.0), seconds=1.0)
+
+
+@pytest.mark.parametrize("pose", [Pose(1.9, 1.0, 0.0), Pose(0.2, 0.3, 0.4)])
+def test_errors_of_the_camera_are_as_large_as_its_covariance_says(pose):
+    found = measured(pose)
+    errors = [np.array(each.pose) - pose for each in found]
+    nees = [e @ np.linalg.solve(each.covariance, e) for e, each in zip(errors, found, strict=True)]
+    assert np.mean(nees) == pytest.approx(3.0, rel=0.1)
+    far = [np.hypot(*error[:2]) for error in errors]
+    assert np.median(far) < (0.003 if pose.x > 1.0 else 0.03)
+
+
+def test_camera_sees_nothing_beside_its_image_and_nothing_of_the_tags_back():
+    assert not measured(Pose(1.0, 1.0, 1.0), seconds=2.0)
+    assert not measured(Pose(3.5, 1.0, wrap_angle(math.pi)), seconds=2.0)
+
+
+@pytest.mark.parametrize(("moved_m", "reasons"), [(0.0, {}), (0.03, {"falsely docked": 1})])
+def test_docked_counts_by_the_true_pose(moved_m, reasons, monkeypatch):
+    """The tags may hang beside where the place has them: then its poses are wrong."""
+    drawn, base = trials(retries=0), TagLocaliser._base
+
+    def moved(self, seen):
+        pose = base(self, seen)
+        return pose._replace(y=pose.y + moved_m)
+
+    monkeypatch.setattr(TagLocaliser, "_base", moved)
+    found = evaluate_docking(drawn, 1, 1, Output(False), randomize="none", model=None, body="pymunk")
+    assert (found.said_docked, found.failures) == (1, reasons)
+    assert found.success_rate == (not reasons)

@@ -74,14 +74,13 @@ def run_dock(output: Output, out: Path, *, overwrite: bool) -> int:
     truth = run.truth.read()
     rewrite(read_recording(recording), recording, recorded_truth(truth))
     write_atomic(report, drive_page(read_drive(recording)))
-    ahead, left, turned = place.errors(truth[-1].pose)
-    within = math.hypot(ahead, left) <= place.position_m and abs(turned) <= place.heading_rad
+    within = place.holds(truth[-1].pose)
     dock = done.result["dock"]
     result = DockedResult(
         docked=within,
         driver=dock["error_msg"] or "docked",
         tries=dock["num_retries"] + 1,
-        true_errors=PoseErrors(longitudinal_m=ahead, lateral_m=left, yaw_rad=turned),
+        true_errors=place.errors(truth[-1].pose),
         poses=found.result.get("poses", 0),
         recording=str(recording),
         report=str(report),

@@ -45,7 +45,7 @@ class DockCamera(Protocol):
         frame: str,
         backward: bool,
     ) -> PoseSource:
-        """Return the localiser of one rover; ``stream`` draws noise, ``send`` gets a message and its moment."""
+        """Return the localiser of one rover; ``stream`` draws noise, ``send`` gets messages."""
 
 
 @dataclass(frozen=True)

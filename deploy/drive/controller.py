@@ -36,6 +36,9 @@ FORECAST_TICKS = 2
 """Steps of a forecast; a gyro's readings may be 0.25 s apart."""
 HOLD = Velocity(0.004, math.radians(1.0))
 """Near the end of a course, commands below both follow only noise of the estimate: a parked rover holds."""
+HOLD_WITHIN = 0.5
+"""Share of the tolerances within which a rover holds whatever the command; it then holds within all of them.
+Where slow commands are pulses, the last small correction would be motion in the time to be still."""
 COMING_TO_REST_S = 1.0
 """Time to come to rest before the verdict's standstill; until then, small commands correct the pose."""
 
@@ -145,7 +148,8 @@ class Controller:
         command = Velocity(float(v) / self._gains.v, float(omega) / (self._gains.omega * turn_gain))
         tiny = abs(command.v) < HOLD.v and abs(command.omega) < HOLD.omega
         if index * TICK_S > self._hold_s:
-            self._holds = (tiny or self._holds) and self._is_parked(estimate.pose)
+            error = self._goal_error(estimate.pose)
+            self._holds = error <= 1.0 and (self._holds or tiny or error <= HOLD_WITHIN)
             command = STANDSTILL if self._holds else command
         sent = self._dead_zone.pass_on(command)
         return Tick(index, index * TICK_S, estimate, sent, self._runner.potentials)
@@ -157,10 +161,11 @@ class Controller:
         y += behind * (math.sin(goal) - math.sin(theta))
         return Pose(x, y, theta)
 
-    def _is_parked(self, pose: Pose) -> bool:
+    def _goal_error(self, pose: Pose) -> float:
+        """Return the larger error from the goal, of position and heading, as a share of its tolerance."""
         rule, goal = self._course.parked, self._course.goal
         turned = abs(wrap_angle(pose.theta - goal.theta))
-        return distance(pose, goal) <= rule.position_m and turned <= rule.heading_rad
+        return max(distance(pose, goal) / rule.position_m, turned / rule.heading_rad)
 
     def record_estimate(self, index: int, t: float) -> Estimate:
         """Record the estimate at time ``t`` for the verdict, without a tick of the circuit."""

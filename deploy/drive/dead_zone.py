@@ -2,7 +2,8 @@
 
 A base stands at a command below its dead band, or turns a slow wheel at another speed than commanded. So a
 driver that knows the dead band sends such a command as 0 or as the least speed that moves the base. The
-difference is carried over to the next tick (error diffusion).
+difference is carried over to the next tick (error diffusion). `pulsed` and `clear_of` are also compiled into
+the training's kernel.
 """
 
 import math
@@ -37,7 +38,7 @@ def pulsed(wanted: float, least: float, before: Pulse) -> Pulse:
     Pulse(sent=0.05, owed=-0.020000000000000004, ticks=1)
     """
     if wanted == 0.0 or abs(wanted) >= least:
-        return Pulse(wanted)
+        return Pulse(wanted, 0.0, 0)
     total = wanted + before.owed
     if 0 < before.ticks < PULSE_TICKS:
         sent = before.sent
@@ -58,8 +59,8 @@ class DeadZone:
             omega = omega if rover.dead_band_omega is None else rover.dead_band_omega
         wheel = described.motion.wheel_min if described else 0.0
         self._half_track = described.half_track_m if described else 1.0
-        self._least = _clear_of(v, STEP.v), _clear_of(omega, STEP.omega)
-        self._wheel_least = _clear_of(wheel, 0.0)
+        self._least = clear_of(v, STEP.v), clear_of(omega, STEP.omega)
+        self._wheel_least = clear_of(wheel, 0.0)
         self.band = Velocity(max(v, wheel), max(omega, wheel / self._half_track))
         """Least speed and least turn rate that the base follows, each by itself; 0: it follows all."""
         self._pulses = [Pulse()] * 4
@@ -81,6 +82,6 @@ class DeadZone:
         return pulse.sent
 
 
-def _clear_of(band: float, step: float) -> float:
+def clear_of(band: float, step: float) -> float:
     """Return the least speed to send for a dead band; 0 for none."""
-    return (1.0 + MARGIN) * band + step if band else 0.0
+    return (1.0 + MARGIN) * band + step if band > 0.0 else 0.0

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.compiled import dead_parameters
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.streams import Domain, stream_seed
-from rover_ncp.course.course import Course
+from rover_ncp.course.course import Course, ParkedRule
 from rover_ncp.course.reference import Reference
 from sim.learn.engine.evaluator import Evaluator, Outcomes
 from sim.learn.search.cma import Cma, default_population
@@ -42,7 +42,7 @@ class Stage(NamedTuple):
     failure: float
     limit: float
     blur: float
-    """The cost of a failure, its limit in m and rad, and the width of the smooth limit."""
+    """The cost of a failure, its limit in m and rad, and the width of the smooth limit, for the usual rule."""
     rounded: bool
     """Whether commands come in whole steps, in trials that have them, every other generation."""
 
@@ -59,6 +59,9 @@ _STAGES = (
 few of a hundred, which takes many trials to see and small steps. Quantised commands come last, and only in
 some generations: they hide the small twitches of a motor neuron that should be at rest. A policy trained with
 nothing else twitches on bases without quantisation."""
+
+_USUAL_RULE = ParkedRule()
+"""The limits of stages are for its 0.1 m and 0.1 rad."""
 
 Drive = Callable[[FloatArray, int, int, Stage], FloatArray]
 """Vectors (k, P), the first trial, how many, and the stage: the costs (k, trials)."""
@@ -100,23 +103,23 @@ def policy_box(policy: Policy) -> UnitBox:
     return UnitBox.of(policy.layout(), policy.parameters(), dead_parameters(policy))
 
 
-def costs(found: Outcomes, stage: Stage = _STAGES[0]) -> FloatArray:
+def costs(found: Outcomes, stage: Stage = _STAGES[0], rule: ParkedRule = _USUAL_RULE) -> FloatArray:
     """Return a cost (candidates, trials) of each episode: smooth, and steepest where parked ends.
 
     Errors count by the logarithm, so that a lost trial does not outweigh many good ones; what parked means
-    is the course's rule as it is by default, a little tightened and blurred.
+    is the rule, a little tightened and blurred.
     """
     near = (
-        _log_square(found.error_m / 0.1)
-        + _log_square(found.error_rad / 0.1)
+        _log_square(found.error_m / rule.position_m)
+        + _log_square(found.error_rad / rule.heading_rad)
         + _log_square(found.moved_m / 0.005)
         + _log_square(found.turned_rad / 0.005)
     )
     on_the_way = 0.2 * np.log1p(found.tracking_m2 / 0.05**2) + 0.1 * np.log1p(found.tracking_rad2 / 0.1**2)
     failed = np.maximum.reduce(
         [
-            _blurred(found.error_m, stage.limit, stage.blur),
-            _blurred(found.error_rad, stage.limit, stage.blur),
+            _blurred(found.error_m / (rule.position_m / _USUAL_RULE.position_m), stage.limit, stage.blur),
+            _blurred(found.error_rad / (rule.heading_rad / _USUAL_RULE.heading_rad), stage.limit, stage.blur),
             _blurred(found.moved_m, *_STILL),
             _blurred(found.turned_rad, *_STILL),
         ]
@@ -165,9 +168,9 @@ def training_courses(
 
 
 def drive_trials(engine: Evaluator, ranges: Randomization, model: RoverModel, seed: int) -> Drive:
-    """Return what drives the trials of a search on an engine."""
+    """Return what drives the trials of a search on an engine; the rule of its first course judges all."""
     ticks = max(course.ticks for course in engine.courses)
-    apart = _training_seed(seed)
+    apart, rule = _training_seed(seed), engine.courses[0].parked
     unrounded = ranges.model_copy(update={"speed_step_m_s": 0.0, "turn_step_rad_s": 0.0})
 
     def drive(vectors: FloatArray, first: int, count: int, stage: Stage) -> FloatArray:
@@ -175,7 +178,7 @@ def drive_trials(engine: Evaluator, ranges: Randomization, model: RoverModel, se
         trials = draw_trials(now, model, apart, count=count, ticks=ticks, first=first)
         # The first few courses will do until all rollouts are driven; then all courses take their turn.
         engine.change_trials(trials, first if stage.divisor == 1 else 0)
-        return costs(engine.outcomes(vectors), stage)
+        return costs(engine.outcomes(vectors), stage, rule)
 
     return drive
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from deploy.drive.dead_zone import STEP, Pulse, clear_of, pulsed
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.signals import signals
 from rover_ncp.kernels.jit import inlined_kernel, kernel, without_refcounts
@@ -35,6 +36,7 @@ _base_errors, _odometry_errors = inlined_kernel(base_errors), inlined_kernel(odo
 _apply_base_errors = kernel(apply_base_errors)
 _dead_reckon = kernel(dead_reckon)
 _quantise = kernel(quantise)
+_clear_of, _pulsed = kernel(clear_of), kernel(pulsed)
 
 
 @cache
@@ -143,6 +145,8 @@ def start_episode(
         lanes.odometry[axis, lane] = lanes.earlier[axis, lane] = trials.start[trial, axis]
     for axis in range(2):
         lanes.held[axis, lane] = lanes.tracking[axis, lane] = 0.0
+        for part in range(3):
+            lanes.pulses[axis, part, lane] = 0.0
         faster, slower = trials.acceleration[trial, axis], trials.acceleration[trial, axis + 2]
         gain = trials.turning[trial, 0] if axis == 1 else 1.0
         fleet.rise[axis, lane] = (tasks.limits[2 * axis] * faster) * SUBSTEP_S * gain
@@ -204,14 +208,24 @@ def pass_commands(trials: Trials, lanes: Lanes) -> None:
             lanes.driven[0, lane] = lanes.driven[1, lane] = 0.0
             continue
         trial = rows[lane]
+        base = _base_errors(trials, trial)
+        v = send_pulse(lanes, 0, lane, commands[0, lane], _clear_of(base.dead_band_v, STEP.v))
+        omega = send_pulse(lanes, 1, lane, commands[1, lane], _clear_of(base.dead_band_omega, STEP.omega))
         if not trials.lost[trial, np.uint64(tick[lane])]:
-            held[0, lane] = _quantise(commands[0, lane], trials.step[0])
-            held[1, lane] = _quantise(commands[1, lane], trials.step[1])
-        lanes.driven[0, lane], lanes.driven[1, lane] = _apply_base_errors(
-            held[0, lane],
-            held[1, lane],
-            _base_errors(trials, trial),
-        )
+            held[0, lane] = _quantise(v, trials.step[0])
+            held[1, lane] = _quantise(omega, trials.step[1])
+        lanes.driven[0, lane], lanes.driven[1, lane] = _apply_base_errors(held[0, lane], held[1, lane], base)
+
+
+@inlined_kernel
+def send_pulse(lanes: Lanes, axis: int, lane: int, wanted: float, least: float) -> float:
+    """Return the command of a driver that knows the base's dead band."""
+    if least == 0.0:
+        return wanted
+    kept = lanes.pulses
+    pulse = _pulsed(wanted, least, Pulse(kept[axis, 0, lane], kept[axis, 1, lane], int(kept[axis, 2, lane])))
+    kept[axis, 0, lane], kept[axis, 1, lane], kept[axis, 2, lane] = pulse.sent, pulse.owed, float(pulse.ticks)
+    return pulse.sent
 
 
 @inlined_kernel

@@ -226,6 +226,7 @@ class Evaluator:
             poses=np.zeros((3, width)),
             held=np.zeros((2, width)),
             driven=np.zeros((2, width)),
+            pulses=np.zeros((2, 3, width)),
             odometry=np.zeros((3, width)),
             earlier=np.zeros((3, width)),
             episode=np.full(width, IDLE),

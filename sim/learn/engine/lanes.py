@@ -50,6 +50,8 @@ class Lanes(NamedTuple):
     held: FloatArray
     driven: FloatArray
     """(2, L) each: the command that arrived last, and the motion that the base makes of it."""
+    pulses: FloatArray
+    """(2, 3, L) the driver's ``Pulse`` of v and of omega."""
     odometry: FloatArray
     earlier: FloatArray
     """(3, L) each: the pose by odometry, heading not wrapped, now and a tick ago."""

@@ -4,8 +4,8 @@ An episode, as the paper's simulator runs it: every neuron at rest, one warm-up 
 start observation without the start signal, its motors ignored. Then in each control tick the circuit sees the
 pose at its start, its command is sent, ten physics substeps follow, and at its end the checkpoint that is due
 is judged. In a trial (``sim/world/randomization.py``) the circuit sees what odometry believes, the command
-may get lost, and the base makes of it what it can. ``evaluator.py`` does the same for many candidates at once
-and gives the same bits.
+may get lost, and the base makes of it what it can. A base with a dead band gets pulses, as from a driver that
+knows the band. ``evaluator.py`` does the same for many candidates at once and gives the same bits.
 """
 
 import math
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.drive.dead_zone import STEP, Pulse, clear_of, pulsed
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import FunctionRunner, RoverInterface
 from rover_ncp.circuit.runner import Runner
@@ -120,14 +121,19 @@ def rollout(
 
     runner.tick(observation(0, 0.0))
     base = base_errors(trials, row)
-    held = (0.0, 0.0)
+    least = clear_of(base.dead_band_v, STEP.v), clear_of(base.dead_band_omega, STEP.omega)
+    held, pulses = (0.0, 0.0), (Pulse(), Pulse())
     poses, seen, commands, potentials, distances = [rover.pose], [], [], [], []
     touched, total = False, 0.0
     for tick, checkpoint in enumerate(due_checkpoints(course)):
         seen.append(odometry.seen(tick))
         v, omega = runner.tick(observation(tick, course.start_signal(TICK_S * tick)))
+        pulses = pulsed(v, least[0], pulses[0]), pulsed(omega, least[1], pulses[1])
         if not trials.lost[row, tick]:
-            held = quantise(v, float(trials.step[0])), quantise(omega, float(trials.step[1]))
+            held = (
+                quantise(pulses[0].sent, float(trials.step[0])),
+                quantise(pulses[1].sent, float(trials.step[1])),
+            )
         rover.command(*apply_base_errors(*held, base))
         for _ in range(SUBSTEPS):
             rover.substep()

@@ -5,14 +5,24 @@ import numpy as np
 import pytest
 from kit.base_odometry import reported
 
-from deploy.drive.controller import Controller
+from deploy.drive.controller import COMING_TO_REST_S, Controller
+from deploy.estimator.estimator import Estimator
 from deploy.estimator.measurements import Outcome
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy import course_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.errors import ConfigError
-from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, compose, distance, relative, wrap_angle
+from rover_ncp.core.geometry import (
+    ORIGIN,
+    STANDSTILL,
+    Pose,
+    Velocity,
+    compose,
+    distance,
+    relative,
+    wrap_angle,
+)
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.signals import SIGNALS, signals
@@ -159,3 +169,25 @@ def test_turn_commands_are_divided_by_a_possible_gain(gain, sent):
     controller = Controller(policy, COURSE, settings, runner=Turning())
     controller.start(ORIGIN, 0.0)
     assert controller.tick(0, 0.0).command.omega == pytest.approx(sent)
+
+
+def test_rover_near_the_end_holds_within_half_the_tolerances_and_releases_outside_them():
+    policy = course_policy(load_circuit("tracking"))
+    controller = Controller(policy, COURSE, EstimatorSettings(), runner=Turning())
+    rule, last = COURSE.parked, COURSE.ticks
+    first = round((COURSE.horizon_s - rule.still_s - COMING_TO_REST_S) / DT) + 1
+
+    def stands(index, share):
+        """Whether the rover is told to stand at a share of the heading's tolerance from the goal."""
+        controller.estimator = Estimator(EstimatorSettings())
+        controller.start(
+            ORIGIN, 0.0, COURSE.goal._replace(theta=COURSE.goal.theta + share * rule.heading_rad)
+        )
+        return controller.tick(index, 0.0).command == STANDSTILL
+
+    assert not stands(first - 1, 0.4)
+    assert not stands(first, 0.6)
+    assert stands(first + 1, 0.4)
+    assert stands(first + 2, 0.9)
+    assert not stands(first + 3, 1.1)
+    assert not stands(last, 0.9)

@@ -42,7 +42,7 @@ class Stage(NamedTuple):
     failure: float
     limit: float
     blur: float
-    """The cost of a failure, its limit in m and rad, and the width of the smooth limit, for the usual rule."""
+    """The cost of a failure, its limit in m and rad by the usual rule, and the width of the smooth limit."""
     rounded: bool
     """Whether commands come in whole steps, in trials that have them, every other generation."""
 

@@ -1,5 +1,7 @@
 """The shipped policies do what their pages state, on trials that were not used in training."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -35,6 +37,15 @@ def test_it_drives_courses_it_never_saw():
         load_driver("course"), unseen_courses(2024, 6), load_randomization("full"), trials=120, seed=2024
     )
     assert found.success_rate >= 0.96
+
+
+def test_dock_reaches_two_centimetres_and_two_degrees_on_nominal_robots():
+    starts = load_randomization("none").model_copy(update={"start_m": 0.1, "start_rad": math.radians(10.0)})
+    course = load_course("approach")
+    assert course.parked.position_m <= 0.02
+    assert course.parked.heading_rad <= math.radians(2.01)
+    found = evaluate(load_driver("dock"), [course], starts, trials=50, seed=2024)
+    assert found.success_rate >= 0.96, found.failures
 
 
 def test_reverse_backs_into_the_bay_by_its_pose_alone_and_touches_nothing():

@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.drive.dead_zone import DeadZone
+from deploy.drive.dead_zone import COMING_TO_REST_S, HOLD_WITHIN, DeadZone, is_slow
 from deploy.estimator.estimator import Estimate, Estimator, error_95_m
 from deploy.estimator.measurements import Outcome
 from deploy.estimator.settings import TURN_GAINS, EstimatorSettings
@@ -34,13 +34,6 @@ from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
 
 FORECAST_TICKS = 2
 """Steps of a forecast; a gyro's readings may be 0.25 s apart."""
-HOLD = Velocity(0.004, math.radians(1.0))
-"""Near the end of a course, commands below both follow only noise of the estimate: a parked rover holds."""
-HOLD_WITHIN = 0.5
-"""Share of the tolerances within which a rover holds whatever the command; it then holds within all of them.
-Where slow commands are pulses, the last small correction would be motion in the time to be still."""
-COMING_TO_REST_S = 1.0
-"""Time to come to rest before the verdict's standstill; until then, small commands correct the pose."""
 
 
 @dataclass(frozen=True)
@@ -146,10 +139,10 @@ class Controller:
         v, omega = self._runner.tick(self._observation(self._steered(estimate), index, start))
         turn_gain = float(np.clip(estimate.turn_gain, *TURN_GAINS))
         command = Velocity(float(v) / self._gains.v, float(omega) / (self._gains.omega * turn_gain))
-        tiny = abs(command.v) < HOLD.v and abs(command.omega) < HOLD.omega
         if index * TICK_S > self._hold_s:
             error = self._goal_error(estimate.pose)
-            self._holds = error <= 1.0 and (self._holds or tiny or error <= HOLD_WITHIN)
+            tiny, slow = is_slow(*command, 0.0, 0.0), is_slow(*command, *self._dead_zone.band)
+            self._holds = error <= 1.0 and (self._holds or tiny or (slow and error <= HOLD_WITHIN))
             command = STANDSTILL if self._holds else command
         sent = self._dead_zone.pass_on(command)
         return Tick(index, index * TICK_S, estimate, sent, self._runner.potentials)

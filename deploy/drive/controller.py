@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.drive.dead_zone import COMING_TO_REST_S, HOLD_WITHIN, DeadZone, is_slow
+from deploy.drive.dead_zone import HOLD_WITHIN, DeadZone, hold_of, is_slow
 from deploy.estimator.estimator import Estimate, Estimator, error_95_m
 from deploy.estimator.measurements import Outcome
 from deploy.estimator.settings import TURN_GAINS, EstimatorSettings
@@ -82,8 +82,9 @@ class Controller:
     ) -> None:
         self._interface = RoverInterface(policy)
         self._course = course
-        self._hold_s = course.horizon_s - course.parked.still_s - COMING_TO_REST_S
-        self._holds = False
+        self._hold_since_s = hold_of(course)[0]
+        self.holds = False
+        """Whether the rover is near the goal at the end, and stands whatever the circuit commands."""
         self._reference = plan_reference(course) if self._interface.needs_reference else None
         if runner is None:
             assert isinstance(policy, Policy)  # signals come with a runner
@@ -139,11 +140,11 @@ class Controller:
         v, omega = self._runner.tick(self._observation(self._steered(estimate), index, start))
         turn_gain = float(np.clip(estimate.turn_gain, *TURN_GAINS))
         command = Velocity(float(v) / self._gains.v, float(omega) / (self._gains.omega * turn_gain))
-        if index * TICK_S > self._hold_s:
+        if index * TICK_S > self._hold_since_s:
             error = self._goal_error(estimate.pose)
             tiny, slow = is_slow(*command, 0.0, 0.0), is_slow(*command, *self._dead_zone.band)
-            self._holds = error <= 1.0 and (self._holds or tiny or (slow and error <= HOLD_WITHIN))
-            command = STANDSTILL if self._holds else command
+            self.holds = error <= 1.0 and (self.holds or tiny or (slow and error <= HOLD_WITHIN))
+            command = STANDSTILL if self.holds else command
         sent = self._dead_zone.pass_on(command)
         return Tick(index, index * TICK_S, estimate, sent, self._runner.potentials)
 

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from kit.base_odometry import reported
 
-from deploy.drive.controller import COMING_TO_REST_S, Controller
+from deploy.drive.controller import Controller
+from deploy.drive.dead_zone import hold_of
 from deploy.estimator.estimator import Estimator
 from deploy.estimator.measurements import Outcome
 from deploy.estimator.settings import EstimatorSettings
@@ -15,7 +16,6 @@ from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import (
     ORIGIN,
-    STANDSTILL,
     Pose,
     Velocity,
     compose,
@@ -26,6 +26,7 @@ from rover_ncp.core.geometry import (
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.signals import SIGNALS, signals
+from rover_ncp.robot.profile import RoverProfile
 from sim.learn.engine.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
@@ -171,23 +172,24 @@ def test_turn_commands_are_divided_by_a_possible_gain(gain, sent):
     assert controller.tick(0, 0.0).command.omega == pytest.approx(sent)
 
 
-def test_rover_near_the_end_holds_within_half_the_tolerances_and_releases_outside_them():
-    policy = course_policy(load_circuit("tracking"))
-    controller = Controller(policy, COURSE, EstimatorSettings(), runner=Turning())
-    rule, last = COURSE.parked, COURSE.ticks
-    first = round((COURSE.horizon_s - rule.still_s - COMING_TO_REST_S) / DT) + 1
+def test_rover_with_a_dead_band_holds_near_the_goal_and_releases_outside_the_tolerances():
+    policy, rule = course_policy(load_circuit("tracking")), COURSE.parked
+    first = round(hold_of(COURSE)[0] / DT) + 1
 
-    def stands(index, share):
-        """Whether the rover is told to stand at a share of the heading's tolerance from the goal."""
-        controller.estimator = Estimator(EstimatorSettings())
-        controller.start(
-            ORIGIN, 0.0, COURSE.goal._replace(theta=COURSE.goal.theta + share * rule.heading_rad)
-        )
-        return controller.tick(index, 0.0).command == STANDSTILL
+    def holds(band, *steps):
+        """Whether a rover with this band, whose circuit turns, holds at each share of the tolerance."""
+        known = RoverProfile(name="band", dead_band_omega=band)
+        controller = Controller(policy, COURSE, EstimatorSettings(), known, runner=Turning())
+        found = []
+        for index, share in steps:
+            controller.estimator = Estimator(EstimatorSettings())
+            pose = COURSE.goal._replace(theta=COURSE.goal.theta + share * rule.heading_rad)
+            controller.start(ORIGIN, 0.0, pose)
+            controller.tick(index, 0.0)
+            found.append(controller.holds)
+        return found
 
-    assert not stands(first - 1, 0.4)
-    assert not stands(first, 0.6)
-    assert stands(first + 1, 0.4)
-    assert stands(first + 2, 0.9)
-    assert not stands(first + 3, 1.1)
-    assert not stands(last, 0.9)
+    assert holds(0.35, (first - 2, 0.1), (first, 0.7)) == [False, True]
+    steps = (first, 0.8), (first + 1, 0.7), (first + 2, 0.9), (first + 3, 1.1), (first + 4, 0.9)
+    assert holds(0.35, *steps) == [False, True, True, False, False]
+    assert holds(0.25, (first, 0.1)) == [False]  # the circuit's 0.3 rad/s

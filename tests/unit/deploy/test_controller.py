@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from kit.base_odometry import reported
 
-from deploy.drive.controller import Controller
-from deploy.drive.dead_zone import hold_of
+from deploy.drive.controller import COMING_TO_REST_S, Controller
 from deploy.estimator.estimator import Estimator
 from deploy.estimator.measurements import Outcome
 from deploy.estimator.settings import EstimatorSettings
@@ -174,7 +173,7 @@ def test_turn_commands_are_divided_by_a_possible_gain(gain, sent):
 
 def test_rover_with_a_dead_band_holds_near_the_goal_and_releases_outside_the_tolerances():
     policy, rule = course_policy(load_circuit("tracking")), COURSE.parked
-    first = round(hold_of(COURSE)[0] / DT) + 1
+    first = round((COURSE.horizon_s - rule.still_s - COMING_TO_REST_S) / DT) + 1
 
     def holds(band, *steps):
         """Whether a rover with this band, whose circuit turns, holds at each share of the tolerance."""

@@ -2,13 +2,15 @@
 
 A base stands at a command below its dead band, or turns a slow wheel at another speed than commanded. So a
 driver that knows the dead band sends such a command as 0 or as the least speed that moves the base. The
-difference is carried over to the next tick (error diffusion).
+difference is carried over to the next tick (error diffusion). `pulsed`, `is_slow` and `clear_of` are also
+compiled into the training's kernel.
 """
 
 import math
 from typing import NamedTuple
 
 from rover_ncp.core.geometry import Velocity
+from rover_ncp.course.course import Course
 from rover_ncp.robot.description import DeadBand, RobotDescription
 from rover_ncp.robot.profile import RoverProfile
 
@@ -18,6 +20,15 @@ STEP = Velocity(0.001, math.radians(1.0))
 """A Pioneer takes whole mm/s and deg/s, and may get the next smaller one."""
 PULSE_TICKS = 3
 """Shortest pulse: gate and base take one to two ticks to accelerate to a large dead band."""
+
+COMING_TO_REST_S = 1.0
+"""Time to come to rest before the verdict's standstill; until then, small commands correct the pose."""
+HOLD = Velocity(0.004, math.radians(1.0))
+"""Near the end of a course, commands below both follow only noise of the estimate: a parked rover holds."""
+HOLD_WITHIN = 0.75
+"""Share of the tolerances within which a rover that could only be corrected by pulses holds near the end: a
+pulse would be motion while it has to stand still. Twice that share of 2 degrees is more than a pulse turns
+at a dead band of 0.1 rad/s."""
 
 
 class Pulse(NamedTuple):
@@ -37,7 +48,7 @@ def pulsed(wanted: float, least: float, before: Pulse) -> Pulse:
     Pulse(sent=0.05, owed=-0.020000000000000004, ticks=1)
     """
     if wanted == 0.0 or abs(wanted) >= least:
-        return Pulse(wanted)
+        return Pulse(wanted, 0.0, 0)
     total = wanted + before.owed
     if 0 < before.ticks < PULSE_TICKS:
         sent = before.sent
@@ -58,8 +69,8 @@ class DeadZone:
             omega = omega if rover.dead_band_omega is None else rover.dead_band_omega
         wheel = described.motion.wheel_min if described else 0.0
         self._half_track = described.half_track_m if described else 1.0
-        self._least = _clear_of(v, STEP.v), _clear_of(omega, STEP.omega)
-        self._wheel_least = _clear_of(wheel, 0.0)
+        self._least = clear_of(v, STEP.v), clear_of(omega, STEP.omega)
+        self._wheel_least = clear_of(wheel, 0.0)
         self.band = Velocity(max(v, wheel), max(omega, wheel / self._half_track))
         """Least speed and least turn rate that the base follows, each by itself; 0: it follows all."""
         self._pulses = [Pulse()] * 4
@@ -81,6 +92,18 @@ class DeadZone:
         return pulse.sent
 
 
-def _clear_of(band: float, step: float) -> float:
+def is_slow(v: float, omega: float, band_v: float, band_omega: float) -> bool:
+    """Return whether a base with these bands follows a command by pulses alone, or it answers noise."""
+    return abs(v) < max(HOLD.v, band_v) and abs(omega) < max(HOLD.omega, band_omega)
+
+
+def clear_of(band: float, step: float) -> float:
     """Return the least speed to send for a dead band; 0 for none."""
-    return (1.0 + MARGIN) * band + step if band else 0.0
+    return (1.0 + MARGIN) * band + step if band > 0.0 else 0.0
+
+
+def hold_of(course: Course) -> tuple[float, float, float]:
+    """Return when a driver begins to hold near the goal, in s, and within what m and rad if slow."""
+    rule = course.parked
+    since_s = course.horizon_s - rule.still_s - COMING_TO_REST_S
+    return since_s, HOLD_WITHIN * rule.position_m, HOLD_WITHIN * rule.heading_rad

@@ -76,7 +76,8 @@ class TrainOptions:
     randomize: Annotated[
         str | None,
         typer.Option(
-            help="Train on random trials: mild, full, harsh, skid or a YAML file.", show_default=False
+            help="Train on random trials: mild, full, harsh, skid, docking or a YAML file.",
+            show_default=False,
         ),
     ] = None
     rollouts: Annotated[

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.compiled import dead_parameters
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.streams import Domain, stream_seed
-from rover_ncp.course.course import Course
+from rover_ncp.course.course import Course, ParkedRule
 from rover_ncp.course.reference import Reference
 from sim.learn.engine.evaluator import Evaluator, Outcomes
 from sim.learn.search.cma import Cma, default_population
@@ -100,15 +100,16 @@ def policy_box(policy: Policy) -> UnitBox:
     return UnitBox.of(policy.layout(), policy.parameters(), dead_parameters(policy))
 
 
-def costs(found: Outcomes, stage: Stage = _STAGES[0]) -> FloatArray:
+def costs(found: Outcomes, stage: Stage = _STAGES[0], rule: ParkedRule | None = None) -> FloatArray:
     """Return a cost (candidates, trials) of each episode: smooth, and steepest where parked ends.
 
-    Errors count by the logarithm, so that a lost trial does not outweigh many good ones; what parked means
-    is the course's rule as it is by default, a little tightened and blurred.
+    Errors count by the logarithm of their share of the rule's tolerances, so that a lost trial does not
+    outweigh many good ones. A failure is what the default rule calls one, a little tightened and blurred.
     """
+    rule = rule or ParkedRule()
     near = (
-        _log_square(found.error_m / 0.1)
-        + _log_square(found.error_rad / 0.1)
+        _log_square(found.error_m / rule.position_m)
+        + _log_square(found.error_rad / rule.heading_rad)
         + _log_square(found.moved_m / 0.005)
         + _log_square(found.turned_rad / 0.005)
     )
@@ -159,15 +160,16 @@ def training_courses(
     for number in range(count):
         if number % _RANDOM_BETWEEN == 0:
             pairs.append(turns[number // _RANDOM_BETWEEN % 2])
-        pairs.append(random_course(apart, number))
+        course, drive = random_course(apart, number)
+        pairs.append((course.model_copy(update={"parked": given.parked}), drive))
     pairs = pairs or [turns[0]]
     return [course for course, _ in pairs], [reference for _, reference in pairs]
 
 
 def drive_trials(engine: Evaluator, ranges: Randomization, model: RoverModel, seed: int) -> Drive:
-    """Return what drives the trials of a search on an engine."""
+    """Return what drives the trials of a search on an engine; the rule of its first course judges all."""
     ticks = max(course.ticks for course in engine.courses)
-    apart = _training_seed(seed)
+    apart, rule = _training_seed(seed), engine.courses[0].parked
     unrounded = ranges.model_copy(update={"speed_step_m_s": 0.0, "turn_step_rad_s": 0.0})
 
     def drive(vectors: FloatArray, first: int, count: int, stage: Stage) -> FloatArray:
@@ -175,7 +177,7 @@ def drive_trials(engine: Evaluator, ranges: Randomization, model: RoverModel, se
         trials = draw_trials(now, model, apart, count=count, ticks=ticks, first=first)
         # The first few courses will do until all rollouts are driven; then all courses take their turn.
         engine.change_trials(trials, first if stage.divisor == 1 else 0)
-        return costs(engine.outcomes(vectors), stage)
+        return costs(engine.outcomes(vectors), stage, rule)
 
     return drive
 

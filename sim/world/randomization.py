@@ -73,6 +73,9 @@ class Randomization(StrictModel):
     wheel_min_m_s: tuple[float, float] | None = Field(
         default=None, description="least and most; of the slowest speed of a turning wheel"
     )
+    banded: float = Field(
+        default=1.0, ge=0, le=1, description="share of robots with dead bands and a least wheel speed"
+    )
     creep_m_s: float = Field(default=0.0, ge=0, description="speed of a base with motors on at command 0")
     pull_rad_m: float = Field(
         default=0.0, ge=0, description="turn per metre of wheels with different gains, which encoders measure"
@@ -159,7 +162,7 @@ def draw_trials(
     chance = np.array([stream.random((ticks + 1, 2)) for stream in streams])
     # From other streams: more draws of the first ones would change the noise, or depend on the ticks.
     others = [random_stream(seed, Domain.TRIAL_SKID, first + i) for i in range(count)]
-    skid, motors = np.hsplit(np.array([other.uniform(-1.0, 1.0, 7) for other in others]), [2])
+    skid, motors = np.hsplit(np.array([other.uniform(-1.0, 1.0, 8) for other in others]), [2])
     nominal = (model.delay_v_s, model.delay_v_s), (model.delay_omega_s, model.delay_omega_s)
     least, most = np.array([ranges.delay_v_s or nominal[0], ranges.delay_omega_s or nominal[1]]).T
     delay_s = least + (most - least) * 0.5 * (1.0 + u[:, 3:5])
@@ -205,7 +208,7 @@ def draw_trials(
 
 
 def _motors(ranges: Randomization, model: RoverModel, u: FloatArray) -> FloatArray:
-    """Return ``Trials.motors`` of draws (N, 5) in −1..1."""
+    """Return ``Trials.motors`` of draws (N, 6) in −1..1."""
     named = (
         (ranges.dead_band_m_s, model.dead_band_v),
         (ranges.dead_band_rad_s, model.dead_band_omega),
@@ -213,6 +216,7 @@ def _motors(ranges: Randomization, model: RoverModel, u: FloatArray) -> FloatArr
     )
     least, most = np.array([given or (own, own) for given, own in named]).T
     drawn = least + (most - least) * 0.5 * (1.0 + u[:, :3])
+    drawn[0.5 * (1.0 + u[:, 5]) >= ranges.banded] = 0.0
     slow = drawn[:, 2] if model.slow_wheels_turn else np.zeros(len(u))
     half_track = np.full(len(u), model.half_track_m)
     return np.column_stack([drawn, slow, half_track, ranges.creep_m_s * u[:, 3], ranges.pull_rad_m * u[:, 4]])

@@ -33,6 +33,8 @@ class Tasks(NamedTuple):
     """(C, checkpoints, 3) poses, the last one the goal."""
     goal: FloatArray
     """(C, 3)."""
+    hold: FloatArray
+    """(C, 3) ``hold_of``: for rovers with dead bands."""
     has_reference: bool
     reference: FloatArray
     """(C, T + 1, 5): x, y, theta, v, omega at the start of each tick; 0 where no policy asks for it."""
@@ -50,6 +52,8 @@ class Lanes(NamedTuple):
     held: FloatArray
     driven: FloatArray
     """(2, L) each: the command that arrived last, and the motion that the base makes of it."""
+    pulses: FloatArray
+    """(2, 3, L) the driver's ``Pulse`` of v and of omega."""
     odometry: FloatArray
     earlier: FloatArray
     """(3, L) each: the pose by odometry, heading not wrapped, now and a tick ago."""

@@ -4,8 +4,8 @@ An episode, as the paper's simulator runs it: every neuron at rest, one warm-up 
 start observation without the start signal, its motors ignored. Then in each control tick the circuit sees the
 pose at its start, its command is sent, ten physics substeps follow, and at its end the checkpoint that is due
 is judged. In a trial (``sim/world/randomization.py``) the circuit sees what odometry believes, the command
-may get lost, and the base makes of it what it can. ``evaluator.py`` does the same for many candidates at once
-and gives the same bits.
+may get lost, and the base makes of it what it can. A base with a dead band gets pulses, as from a driver that
+knows the band. ``evaluator.py`` does the same for many candidates at once and gives the same bits.
 """
 
 import math
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.drive.dead_zone import STEP, Pulse, clear_of, hold_of, is_slow, pulsed
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import FunctionRunner, RoverInterface
 from rover_ncp.circuit.runner import Runner
@@ -26,7 +27,14 @@ from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
 from sim.world.randomization import Trials, nominal_trials, trial_model
 from sim.world.rover import SUBSTEPS, RoverModel
-from sim.world.trial_errors import apply_base_errors, base_errors, dead_reckon, odometry_errors, quantise
+from sim.world.trial_errors import (
+    BaseErrors,
+    apply_base_errors,
+    base_errors,
+    dead_reckon,
+    odometry_errors,
+    quantise,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -120,14 +128,20 @@ def rollout(
 
     runner.tick(observation(0, 0.0))
     base = base_errors(trials, row)
-    held = (0.0, 0.0)
+    least = clear_of(base.dead_band_v, STEP.v), clear_of(base.dead_band_omega, STEP.omega)
+    held, pulses = (0.0, 0.0), (Pulse(), Pulse())
     poses, seen, commands, potentials, distances = [rover.pose], [], [], [], []
     touched, total = False, 0.0
     for tick, checkpoint in enumerate(due_checkpoints(course)):
         seen.append(odometry.seen(tick))
         v, omega = runner.tick(observation(tick, course.start_signal(TICK_S * tick)))
+        sent = (0.0, 0.0) if _holds(course, tick, rover.pose, (v, omega), base) else (v, omega)
+        pulses = pulsed(sent[0], least[0], pulses[0]), pulsed(sent[1], least[1], pulses[1])
         if not trials.lost[row, tick]:
-            held = quantise(v, float(trials.step[0])), quantise(omega, float(trials.step[1]))
+            held = (
+                quantise(pulses[0].sent, float(trials.step[0])),
+                quantise(pulses[1].sent, float(trials.step[1])),
+            )
         rover.command(*apply_base_errors(*held, base))
         for _ in range(SUBSTEPS):
             rover.substep()
@@ -156,3 +170,12 @@ def rollout(
         rms_m=math.sqrt(sum(error * error for error in distances) / len(distances)),
         verdict=course.judge(times, poses, touched),
     )
+
+
+def _holds(course: Course, tick: int, pose: Pose, command: tuple[float, ...], base: BaseErrors) -> bool:
+    """Return whether a driver would only send pulses, and holds near the goal instead."""
+    since_s, near_m, near_rad = hold_of(course)
+    banded = base.dead_band_v > 0.0 or base.dead_band_omega > 0.0
+    slow = banded and is_slow(command[0], command[1], base.dead_band_v, base.dead_band_omega)
+    turned = abs(wrap_angle(pose.theta - course.goal.theta))
+    return slow and TICK_S * tick > since_s and distance(pose, course.goal) <= near_m and turned <= near_rad

@@ -7,15 +7,25 @@ from kit.base_odometry import reported
 from kit.virtual_drive import AHEAD
 
 from deploy.drive.controller import Controller
+from deploy.drive.dead_zone import hold_of
+from deploy.estimator.estimator import Estimator
 from deploy.estimator.measurements import Outcome
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy import course_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.runner import Runner
-from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, compose, distance, relative
+from rover_ncp.core.geometry import (
+    ORIGIN,
+    Pose,
+    Velocity,
+    compose,
+    distance,
+    relative,
+)
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.signals import SIGNALS, signals
+from rover_ncp.robot.profile import RoverProfile
 from sim.learn.engine.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
@@ -120,3 +130,46 @@ def test_turn_commands_are_divided_by_a_possible_gain(gain, sent):
     controller = Controller(policy, COURSE, settings, runner=Turning())
     controller.start(ORIGIN, 0.0)
     assert controller.tick(0, 0.0).command.omega == pytest.approx(sent)
+
+
+def test_rover_with_a_dead_band_holds_near_the_goal_and_releases_outside_the_tolerances():
+    policy, rule = course_policy(load_circuit("tracking")), COURSE.parked
+    first = round(hold_of(COURSE)[0] / DT) + 1
+
+    def holds(band, *steps):
+        """Whether a rover with this band, whose circuit turns, holds at each share of the tolerance."""
+        known = RoverProfile(name="band", dead_band_omega=band)
+        controller = Controller(policy, COURSE, EstimatorSettings(), known, runner=Turning())
+        found = []
+        for index, share in steps:
+            controller.estimator = Estimator(EstimatorSettings())
+            pose = COURSE.goal._replace(theta=COURSE.goal.theta + share * rule.heading_rad)
+            controller.start(ORIGIN, 0.0, pose)
+            controller.tick(index, 0.0)
+            found.append(controller.holds)
+        return found
+
+    assert holds(0.35, (first - 2, 0.1), (first, 0.7)) == [False, True]
+    steps = (first, 0.8), (first + 1, 0.7), (first + 2, 0.9), (first + 3, 1.1), (first + 4, 0.9)
+    assert holds(0.35, *steps) == [False, True, True, False, False]
+    assert holds(0.25, (first, 0.1)) == [False]  # the circuit's 0.3 rad/s
+
+
+def test_lateral_error_is_hidden_once_the_rover_has_come_to_rest_at_the_end():
+    """The circuit then turns to the goal's heading; before, it has to correct both errors."""
+    seen, policy, last = [], course_policy(load_circuit("tracking")), plan_reference(COURSE).last_moving
+
+    class Resting(Turning):
+        def tick(self, observation):
+            seen.append(observation)
+            return 0.0, 0.0
+
+    controller = Controller(policy, COURSE, EstimatorSettings(), runner=Resting())
+    controller.start(
+        ORIGIN, 0.0, COURSE.goal._replace(y=COURSE.goal.y + 0.02, theta=COURSE.goal.theta + 0.05)
+    )
+    lateral = policy.sensing.inputs.index("lateral")
+    for index in (last, last + 1, last + 2):
+        controller.tick(index, 0.0)
+    assert seen[-2][lateral] == pytest.approx(-0.02, abs=0.001)
+    assert seen[-1][lateral] == pytest.approx(0.0, abs=0.001)

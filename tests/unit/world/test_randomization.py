@@ -241,6 +241,10 @@ def test_motors_are_drawn_beside_the_rest():
     least, most = drawn.motors.min(axis=0), drawn.motors.max(axis=0)
     assert least == pytest.approx([0, 0, 0, 0, MODEL.half_track_m, -0.004, -0.1], abs=0.003)
     assert most == pytest.approx([0.06, 0.14, 0.03, 0, MODEL.half_track_m, 0.004, 0.1], abs=0.003)
+    half = draw_trials(ranges.model_copy(update={"banded": 0.5}), MODEL, 1, count=N, ticks=10).motors
+    banded = half[:, :3].any(axis=1)
+    assert banded.mean() == pytest.approx(0.5, abs=4 * 0.5 / N**0.5)
+    assert np.array_equal(half[banded], drawn.motors[banded])
     known = RoverProfile(name="mine", dead_band_v=0.01)
     trials = draw_trials(ranges.model_copy(update={"rover": known}), MODEL, 1, count=N, ticks=10)
     assert set(trials.motors[:, 0]) == {0.01}

@@ -238,8 +238,7 @@ def holds(tasks: Tasks, lanes: Lanes, lane: int, base: BaseErrors) -> bool:
     if not _is_slow(lanes.commands[0, lane], lanes.commands[1, lane], base.dead_band_v, base.dead_band_omega):
         return False
     apart = np.hypot(poses[0, lane] - goal[task, 0], poses[1, lane] - goal[task, 1])
-    turned = abs(wrapped(poses[2, lane] - goal[task, 2]))
-    return bool(apart <= hold[task, 1] and turned <= hold[task, 2])
+    return apart <= hold[task, 1] and abs(wrapped(poses[2, lane] - goal[task, 2])) <= hold[task, 2]
 
 
 @inlined_kernel
@@ -250,7 +249,7 @@ def send_pulse(lanes: Lanes, axis: int, lane: int, wanted: float, least: float) 
     kept = lanes.pulses
     pulse = _pulsed(wanted, least, Pulse(kept[axis, 0, lane], kept[axis, 1, lane], int(kept[axis, 2, lane])))
     kept[axis, 0, lane], kept[axis, 1, lane], kept[axis, 2, lane] = pulse.sent, pulse.owed, float(pulse.ticks)
-    return float(pulse.sent)
+    return pulse.sent
 
 
 @inlined_kernel

@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.drive.dead_zone import HOLD_WITHIN, DeadZone, hold_of, is_slow
+from deploy.drive.dead_zone import HOLD_WITHIN, DeadZone, is_slow
 from deploy.estimator.estimator import Estimate, Estimator, error_95_m
 from deploy.estimator.measurements import Outcome
 from deploy.estimator.settings import TURN_GAINS, EstimatorSettings
@@ -34,6 +34,8 @@ from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
 
 FORECAST_TICKS = 2
 """Steps of a forecast; a gyro's readings may be 0.25 s apart."""
+COMING_TO_REST_S = 1.0
+"""Time to come to rest before the verdict's standstill; until then, small commands correct the pose."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ class Controller:
     ) -> None:
         self._interface = RoverInterface(policy)
         self._course = course
-        self._hold_since_s = hold_of(course)[0]
+        self._hold_since_s = course.horizon_s - course.parked.still_s - COMING_TO_REST_S
         self.holds = False
         """Whether the rover is near the goal at the end, and stands whatever the circuit commands."""
         self._rests = False

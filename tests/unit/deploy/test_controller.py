@@ -6,8 +6,7 @@ import pytest
 from kit.base_odometry import reported
 from kit.virtual_drive import AHEAD
 
-from deploy.drive.controller import Controller
-from deploy.drive.dead_zone import hold_of
+from deploy.drive.controller import COMING_TO_REST_S, Controller
 from deploy.estimator.estimator import Estimator
 from deploy.estimator.measurements import Outcome
 from deploy.estimator.settings import EstimatorSettings
@@ -134,7 +133,7 @@ def test_turn_commands_are_divided_by_a_possible_gain(gain, sent):
 
 def test_rover_with_a_dead_band_holds_near_the_goal_and_releases_outside_the_tolerances():
     policy, rule = course_policy(load_circuit("tracking")), COURSE.parked
-    first = round(hold_of(COURSE)[0] / DT) + 1
+    first = round((COURSE.horizon_s - rule.still_s - COMING_TO_REST_S) / DT) + 1
 
     def holds(band, *steps):
         """Whether a rover with this band, whose circuit turns, holds at each share of the tolerance."""
@@ -153,23 +152,3 @@ def test_rover_with_a_dead_band_holds_near_the_goal_and_releases_outside_the_tol
     steps = (first, 0.8), (first + 1, 0.7), (first + 2, 0.9), (first + 3, 1.1), (first + 4, 0.9)
     assert holds(0.35, *steps) == [False, True, True, False, False]
     assert holds(0.25, (first, 0.1)) == [False]  # the circuit's 0.3 rad/s
-
-
-def test_lateral_error_is_hidden_once_the_rover_has_come_to_rest_at_the_end():
-    """The circuit then turns to the goal's heading; before, it has to correct both errors."""
-    seen, policy, last = [], course_policy(load_circuit("tracking")), plan_reference(COURSE).last_moving
-
-    class Resting(Turning):
-        def tick(self, observation):
-            seen.append(observation)
-            return 0.0, 0.0
-
-    controller = Controller(policy, COURSE, EstimatorSettings(), runner=Resting())
-    controller.start(
-        ORIGIN, 0.0, COURSE.goal._replace(y=COURSE.goal.y + 0.02, theta=COURSE.goal.theta + 0.05)
-    )
-    lateral = policy.sensing.inputs.index("lateral")
-    for index in (last, last + 1, last + 2):
-        controller.tick(index, 0.0)
-    assert seen[-2][lateral] == pytest.approx(-0.02, abs=0.001)
-    assert seen[-1][lateral] == pytest.approx(0.0, abs=0.001)

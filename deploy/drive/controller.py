@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.drive.dead_zone import HOLD_WITHIN, DeadZone, is_slow
+from deploy.drive.dead_zone import DeadZone
 from deploy.estimator.estimator import Estimate, Estimator, error_95_m
 from deploy.estimator.measurements import Outcome
 from deploy.estimator.settings import TURN_GAINS, EstimatorSettings
@@ -34,6 +34,8 @@ from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
 
 FORECAST_TICKS = 2
 """Steps of a forecast; a gyro's readings may be 0.25 s apart."""
+HOLD = Velocity(0.004, math.radians(1.0))
+"""Near the end of a course, commands below both follow only noise of the estimate: a parked rover holds."""
 COMING_TO_REST_S = 1.0
 """Time to come to rest before the verdict's standstill; until then, small commands correct the pose."""
 
@@ -88,14 +90,11 @@ class Controller:
     ) -> None:
         self._interface = RoverInterface(policy)
         self._course = course
-        self._hold_since_s = course.horizon_s - course.parked.still_s - COMING_TO_REST_S
-        self.holds = False
-        """Whether the rover is near the goal at the end, and stands whatever the circuit commands."""
-        self._rests = False
+        self._hold_s = course.horizon_s - course.parked.still_s - COMING_TO_REST_S
+        self._holds = False
         if reference is None and self._interface.needs_reference:
             reference = plan_reference(course)
         self._reference = reference
-        self._last_moving = reference.last_moving if reference else course.ticks
         if runner is None:
             assert isinstance(policy, Policy)  # signals come with a runner
             runner = Runner(policy)
@@ -123,7 +122,7 @@ class Controller:
 
     def begin(self, pose: Pose) -> None:
         """Begin the course at ``pose``, anew after an earlier drive; the estimator goes on."""
-        self._times, self._estimates, self.holds, self._rests = [], [], False, False
+        self._times, self._estimates, self._holds = [], [], False
         self._runner.reset()
         self._runner.tick(self._observation(pose, 0, 0.0))
 
@@ -148,34 +147,24 @@ class Controller:
         v, omega = self._runner.tick(self._observation(self._steered(estimate), index, start))
         turn_gain = float(np.clip(estimate.turn_gain, *TURN_GAINS))
         command = Velocity(float(v) / self._gains.v, float(omega) / (self._gains.omega * turn_gain))
-        tiny, slow = is_slow(*command, 0.0, 0.0), is_slow(*command, *self._dead_zone.band)
-        self._rests = self._rests or (tiny and index > self._last_moving)
-        if index * TICK_S > self._hold_since_s:
-            error = self._goal_error(estimate.pose)
-            self.holds = error <= 1.0 and (self.holds or tiny or (slow and error <= HOLD_WITHIN))
-            command = STANDSTILL if self.holds else command
+        tiny = abs(command.v) < HOLD.v and abs(command.omega) < HOLD.omega
+        if index * TICK_S > self._hold_s:
+            self._holds = (tiny or self._holds) and self._is_parked(estimate.pose)
+            command = STANDSTILL if self._holds else command
         sent = self._dead_zone.pass_on(command)
         return Tick(index, index * TICK_S, estimate, sent, self._runner.potentials)
 
     def _steered(self, estimate: Estimate) -> Pose:
-        """Return the pose of the centre of rotation, which does not slide, shifted to meet the goal.
-
-        Once the rover has come to rest at the end, the lateral error is hidden: no turn on the spot reduces
-        it, and a circuit rests where lateral and heading error balance.
-        """
-        (x, y, theta), goal, behind = estimate.pose, self._course.goal, estimate.rotation_center_m
-        cos, sin = math.cos(goal.theta), math.sin(goal.theta)
-        x, y = x + behind * (cos - math.cos(theta)), y + behind * (sin - math.sin(theta))
-        if self._rests:
-            left = (y - goal.y) * cos - (x - goal.x) * sin
-            x, y = x + left * sin, y - left * cos
+        """Return the pose of the centre of rotation, which does not slide, shifted to meet the goal."""
+        (x, y, theta), goal, behind = estimate.pose, self._course.goal.theta, estimate.rotation_center_m
+        x += behind * (math.cos(goal) - math.cos(theta))
+        y += behind * (math.sin(goal) - math.sin(theta))
         return Pose(x, y, theta)
 
-    def _goal_error(self, pose: Pose) -> float:
-        """Return the larger error from the goal, of position and heading, as a share of its tolerance."""
+    def _is_parked(self, pose: Pose) -> bool:
         rule, goal = self._course.parked, self._course.goal
         turned = abs(wrap_angle(pose.theta - goal.theta))
-        return max(distance(pose, goal) / rule.position_m, turned / rule.heading_rad)
+        return distance(pose, goal) <= rule.position_m and turned <= rule.heading_rad
 
     def record_estimate(self, index: int, t: float) -> Estimate:
         """Record the estimate at time ``t`` for the verdict, without a tick of the circuit."""

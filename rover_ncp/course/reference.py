@@ -63,11 +63,6 @@ class Reference:
         """T, the number of ticks."""
         return len(self.poses) - 1
 
-    @property
-    def last_moving(self) -> int:
-        """The last tick at whose start it moves; 0 if it never does."""
-        return int(np.flatnonzero(self.motion.any(axis=1)).max(initial=0))
-
     def tick(self, k: int) -> tuple[Pose, Velocity]:
         """Return pose and motion at the start of tick ``k``; after the last tick, as at its end."""
         row = min(k, self.ticks)

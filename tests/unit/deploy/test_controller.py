@@ -6,25 +6,16 @@ import pytest
 from kit.base_odometry import reported
 from kit.virtual_drive import AHEAD
 
-from deploy.drive.controller import COMING_TO_REST_S, Controller
-from deploy.estimator.estimator import Estimator
+from deploy.drive.controller import Controller
 from deploy.estimator.measurements import Outcome
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy import course_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.runner import Runner
-from rover_ncp.core.geometry import (
-    ORIGIN,
-    Pose,
-    Velocity,
-    compose,
-    distance,
-    relative,
-)
+from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, compose, distance, relative
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.signals import SIGNALS, signals
-from rover_ncp.robot.profile import RoverProfile
 from sim.learn.engine.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
@@ -129,26 +120,3 @@ def test_turn_commands_are_divided_by_a_possible_gain(gain, sent):
     controller = Controller(policy, COURSE, settings, runner=Turning())
     controller.start(ORIGIN, 0.0)
     assert controller.tick(0, 0.0).command.omega == pytest.approx(sent)
-
-
-def test_rover_with_a_dead_band_holds_near_the_goal_and_releases_outside_the_tolerances():
-    policy, rule = course_policy(load_circuit("tracking")), COURSE.parked
-    first = round((COURSE.horizon_s - rule.still_s - COMING_TO_REST_S) / DT) + 1
-
-    def holds(band, *steps):
-        """Whether a rover with this band, whose circuit turns, holds at each share of the tolerance."""
-        known = RoverProfile(name="band", dead_band_omega=band)
-        controller = Controller(policy, COURSE, EstimatorSettings(), known, runner=Turning())
-        found = []
-        for index, share in steps:
-            controller.estimator = Estimator(EstimatorSettings())
-            pose = COURSE.goal._replace(theta=COURSE.goal.theta + share * rule.heading_rad)
-            controller.start(ORIGIN, 0.0, pose)
-            controller.tick(index, 0.0)
-            found.append(controller.holds)
-        return found
-
-    assert holds(0.35, (first - 2, 0.1), (first, 0.7)) == [False, True]
-    steps = (first, 0.8), (first + 1, 0.7), (first + 2, 0.9), (first + 3, 1.1), (first + 4, 0.9)
-    assert holds(0.35, *steps) == [False, True, True, False, False]
-    assert holds(0.25, (first, 0.1)) == [False]  # the circuit's 0.3 rad/s

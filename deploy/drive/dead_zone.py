@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.course.course import Course
+from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.robot.description import DeadBand, RobotDescription
 from rover_ncp.robot.profile import RoverProfile
 
@@ -27,7 +27,7 @@ HOLD = Velocity(0.004, math.radians(1.0))
 """Near the end of a course, commands below both follow only noise of the estimate: a parked rover holds."""
 HOLD_WITHIN = 0.75
 """Share of the tolerances within which a rover that could only be corrected by pulses holds near the end: a
-pulse would be motion while it has to stand still. Twice that share of 2 degrees is more than a pulse turns
+pulse would be motion while it has to stand still. Twice that share of 2 degrees is more than the turn of a pulse
 at a dead band of 0.1 rad/s."""
 
 
@@ -103,7 +103,7 @@ def clear_of(band: float, step: float) -> float:
 
 
 def hold_of(course: Course) -> tuple[float, float, float]:
-    """Return when a driver begins to hold near the goal, in s, and within what m and rad if slow."""
+    """Return when a driver begins to hold near the goal, in ticks, and within what m and rad."""
     rule = course.parked
     since_s = course.horizon_s - rule.still_s - COMING_TO_REST_S
-    return since_s, HOLD_WITHIN * rule.position_m, HOLD_WITHIN * rule.heading_rad
+    return since_s / TICK_S, HOLD_WITHIN * rule.position_m, HOLD_WITHIN * rule.heading_rad

@@ -13,7 +13,6 @@ import numpy as np
 
 from deploy.drive.dead_zone import STEP, Pulse, clear_of, is_slow, pulsed
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.course.course import TICK_S
 from rover_ncp.course.signals import signals
 from rover_ncp.kernels.jit import inlined_kernel, kernel, without_refcounts
 from sim.learn.engine.lanes import IDLE, WARMING_UP, FloatArray, IntArray, Lanes, Queue, Tasks
@@ -233,7 +232,7 @@ def holds(tasks: Tasks, lanes: Lanes, lane: int, base: BaseErrors) -> bool:
     """Return whether a driver would only send pulses, and holds near the goal instead."""
     task, poses = lanes.task[lane], lanes.poses
     goal, hold = tasks.goal, tasks.hold
-    if lanes.tick[lane] * TICK_S <= hold[task, 0]:
+    if lanes.tick[lane] <= hold[task, 0]:
         return False
     if not _is_slow(lanes.commands[0, lane], lanes.commands[1, lane], base.dead_band_v, base.dead_band_omega):
         return False

@@ -174,8 +174,8 @@ def rollout(
 
 def _holds(course: Course, tick: int, pose: Pose, command: tuple[float, ...], base: BaseErrors) -> bool:
     """Return whether a driver would only send pulses, and holds near the goal instead."""
-    since_s, near_m, near_rad = hold_of(course)
+    since, near_m, near_rad = hold_of(course)
     banded = base.dead_band_v > 0.0 or base.dead_band_omega > 0.0
     slow = banded and is_slow(command[0], command[1], base.dead_band_v, base.dead_band_omega)
     turned = abs(wrap_angle(pose.theta - course.goal.theta))
-    return slow and TICK_S * tick > since_s and distance(pose, course.goal) <= near_m and turned <= near_rad
+    return slow and tick > since and distance(pose, course.goal) <= near_m and turned <= near_rad

@@ -2,15 +2,14 @@
 
 A base stands at a command below its dead band, or turns a slow wheel at another speed than commanded. So a
 driver that knows the dead band sends such a command as 0 or as the least speed that moves the base. The
-difference is carried over to the next tick (error diffusion). `pulsed`, `is_slow` and `clear_of` are also
-compiled into the training's kernel.
+difference is carried over to the next tick (error diffusion). `pulsed` and `clear_of` are also compiled into
+the training's kernel.
 """
 
 import math
 from typing import NamedTuple
 
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.robot.description import DeadBand, RobotDescription
 from rover_ncp.robot.profile import RoverProfile
 
@@ -20,15 +19,6 @@ STEP = Velocity(0.001, math.radians(1.0))
 """A Pioneer takes whole mm/s and deg/s, and may get the next smaller one."""
 PULSE_TICKS = 3
 """Shortest pulse: gate and base take one to two ticks to accelerate to a large dead band."""
-
-COMING_TO_REST_S = 1.0
-"""Time to come to rest before the verdict's standstill; until then, small commands correct the pose."""
-HOLD = Velocity(0.004, math.radians(1.0))
-"""Near the end of a course, commands below both follow only noise of the estimate: a parked rover holds."""
-HOLD_WITHIN = 0.75
-"""Share of the tolerances within which a rover that could only be corrected by pulses holds near the end: a
-pulse would be motion while it has to stand still. Twice that share of 2 degrees is more than the turn of a pulse
-at a dead band of 0.1 rad/s."""
 
 
 class Pulse(NamedTuple):
@@ -92,18 +82,6 @@ class DeadZone:
         return pulse.sent
 
 
-def is_slow(v: float, omega: float, band_v: float, band_omega: float) -> bool:
-    """Return whether a base with these bands follows a command by pulses alone, or it answers noise."""
-    return abs(v) < max(HOLD.v, band_v) and abs(omega) < max(HOLD.omega, band_omega)
-
-
 def clear_of(band: float, step: float) -> float:
     """Return the least speed to send for a dead band; 0 for none."""
     return (1.0 + MARGIN) * band + step if band > 0.0 else 0.0
-
-
-def hold_of(course: Course) -> tuple[float, float, float]:
-    """Return when a driver begins to hold near the goal, in ticks, and within what m and rad."""
-    rule = course.parked
-    since_s = course.horizon_s - rule.still_s - COMING_TO_REST_S
-    return since_s / TICK_S, HOLD_WITHIN * rule.position_m, HOLD_WITHIN * rule.heading_rad

@@ -42,7 +42,7 @@ class Stage(NamedTuple):
     failure: float
     limit: float
     blur: float
-    """The cost of a failure, its limit in m and rad, and the width of the smooth limit."""
+    """The cost of a failure, its limit in m and rad by the usual rule, and the width of the smooth limit."""
     rounded: bool
     """Whether commands come in whole steps, in trials that have them, every other generation."""
 
@@ -59,6 +59,9 @@ _STAGES = (
 few of a hundred, which takes many trials to see and small steps. Quantised commands come last, and only in
 some generations: they hide the small twitches of a motor neuron that should be at rest. A policy trained with
 nothing else twitches on bases without quantisation."""
+
+_USUAL_RULE = ParkedRule()
+"""The limits of stages are for its 0.1 m and 0.1 rad."""
 
 Drive = Callable[[FloatArray, int, int, Stage], FloatArray]
 """Vectors (k, P), the first trial, how many, and the stage: the costs (k, trials)."""
@@ -100,13 +103,12 @@ def policy_box(policy: Policy) -> UnitBox:
     return UnitBox.of(policy.layout(), policy.parameters(), dead_parameters(policy))
 
 
-def costs(found: Outcomes, stage: Stage = _STAGES[0], rule: ParkedRule | None = None) -> FloatArray:
+def costs(found: Outcomes, stage: Stage = _STAGES[0], rule: ParkedRule = _USUAL_RULE) -> FloatArray:
     """Return a cost (candidates, trials) of each episode: smooth, and steepest where parked ends.
 
-    Errors count by the logarithm of their share of the rule's tolerances, so that a lost trial does not
-    outweigh many good ones. A failure is what the default rule calls one, a little tightened and blurred.
+    Errors count by the logarithm, so that a lost trial does not outweigh many good ones; what parked means
+    is the rule, a little tightened and blurred.
     """
-    rule = rule or ParkedRule()
     near = (
         _log_square(found.error_m / rule.position_m)
         + _log_square(found.error_rad / rule.heading_rad)
@@ -116,8 +118,8 @@ def costs(found: Outcomes, stage: Stage = _STAGES[0], rule: ParkedRule | None = 
     on_the_way = 0.2 * np.log1p(found.tracking_m2 / 0.05**2) + 0.1 * np.log1p(found.tracking_rad2 / 0.1**2)
     failed = np.maximum.reduce(
         [
-            _blurred(found.error_m, stage.limit, stage.blur),
-            _blurred(found.error_rad, stage.limit, stage.blur),
+            _blurred(found.error_m / (rule.position_m / _USUAL_RULE.position_m), stage.limit, stage.blur),
+            _blurred(found.error_rad / (rule.heading_rad / _USUAL_RULE.heading_rad), stage.limit, stage.blur),
             _blurred(found.moved_m, *_STILL),
             _blurred(found.turned_rad, *_STILL),
         ]
@@ -160,8 +162,7 @@ def training_courses(
     for number in range(count):
         if number % _RANDOM_BETWEEN == 0:
             pairs.append(turns[number // _RANDOM_BETWEEN % 2])
-        course, drive = random_course(apart, number)
-        pairs.append((course.model_copy(update={"parked": given.parked}), drive))
+        pairs.append(random_course(apart, number))
     pairs = pairs or [turns[0]]
     return [course for course, _ in pairs], [reference for _, reference in pairs]
 

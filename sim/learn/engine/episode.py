@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from deploy.drive.dead_zone import STEP, Pulse, clear_of, is_slow, pulsed
+from deploy.drive.dead_zone import STEP, Pulse, clear_of, pulsed
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.signals import signals
 from rover_ncp.kernels.jit import inlined_kernel, kernel, without_refcounts
@@ -29,21 +29,14 @@ from sim.world.fleet import (
 )
 from sim.world.randomization import Trials
 from sim.world.rover import SUBSTEP_S
-from sim.world.trial_errors import (
-    BaseErrors,
-    apply_base_errors,
-    base_errors,
-    dead_reckon,
-    odometry_errors,
-    quantise,
-)
+from sim.world.trial_errors import apply_base_errors, base_errors, dead_reckon, odometry_errors, quantise
 
 _signals = kernel(signals)
 _base_errors, _odometry_errors = inlined_kernel(base_errors), inlined_kernel(odometry_errors)
 _apply_base_errors = kernel(apply_base_errors)
 _dead_reckon = kernel(dead_reckon)
 _quantise = kernel(quantise)
-_clear_of, _is_slow, _pulsed = kernel(clear_of), kernel(is_slow), kernel(pulsed)
+_clear_of, _pulsed = kernel(clear_of), kernel(pulsed)
 
 
 @cache
@@ -88,7 +81,7 @@ def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
             for lane in range(len(episodes)):
                 before[lane] = episodes[lane]
             tick_lanes(arrays, lanes.observations, lanes.commands)
-            pass_commands(tasks, trials, lanes)
+            pass_commands(trials, lanes)
             send(fleet, lanes.driven)
             advance(fleet)
             read_poses(fleet, lanes.poses)
@@ -207,7 +200,7 @@ def observe(
 
 
 @inlined_kernel
-def pass_commands(tasks: Tasks, trials: Trials, lanes: Lanes) -> None:
+def pass_commands(trials: Trials, lanes: Lanes) -> None:
     """Bring the commands to the bases, but for those lost; rovers stay whose circuit warms up or is idle."""
     commands, held, episode, tick, rows = lanes.commands, lanes.held, lanes.episode, lanes.tick, lanes.trial
     for lane in range(len(episode)):
@@ -216,28 +209,12 @@ def pass_commands(tasks: Tasks, trials: Trials, lanes: Lanes) -> None:
             continue
         trial = rows[lane]
         base = _base_errors(trials, trial)
-        v, omega = commands[0, lane], commands[1, lane]
-        if (base.dead_band_v > 0.0 or base.dead_band_omega > 0.0) and holds(tasks, lanes, lane, base):
-            v = omega = 0.0
-        v = send_pulse(lanes, 0, lane, v, _clear_of(base.dead_band_v, STEP.v))
-        omega = send_pulse(lanes, 1, lane, omega, _clear_of(base.dead_band_omega, STEP.omega))
+        v = send_pulse(lanes, 0, lane, commands[0, lane], _clear_of(base.dead_band_v, STEP.v))
+        omega = send_pulse(lanes, 1, lane, commands[1, lane], _clear_of(base.dead_band_omega, STEP.omega))
         if not trials.lost[trial, np.uint64(tick[lane])]:
             held[0, lane] = _quantise(v, trials.step[0])
             held[1, lane] = _quantise(omega, trials.step[1])
         lanes.driven[0, lane], lanes.driven[1, lane] = _apply_base_errors(held[0, lane], held[1, lane], base)
-
-
-@inlined_kernel
-def holds(tasks: Tasks, lanes: Lanes, lane: int, base: BaseErrors) -> bool:
-    """Return whether a driver would only send pulses, and holds near the goal instead."""
-    task, poses = lanes.task[lane], lanes.poses
-    goal, hold = tasks.goal, tasks.hold
-    if lanes.tick[lane] <= hold[task, 0]:
-        return False
-    if not _is_slow(lanes.commands[0, lane], lanes.commands[1, lane], base.dead_band_v, base.dead_band_omega):
-        return False
-    apart = np.hypot(poses[0, lane] - goal[task, 0], poses[1, lane] - goal[task, 1])
-    return apart <= hold[task, 1] and abs(wrapped(poses[2, lane] - goal[task, 2])) <= hold[task, 2]
 
 
 @inlined_kernel

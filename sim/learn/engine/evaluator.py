@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deploy.drive.dead_zone import hold_of
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.course.course import TICK_S, Course, due_checkpoints
@@ -321,7 +320,6 @@ def _tasks(courses: Sequence[Course], references: Sequence[Reference] | None, mo
         due=np.full((len(courses), most), -1, np.int64),
         checkpoints=np.zeros((len(courses), points, 3)),
         goal=np.array([course.goal for course in courses]),
-        hold=np.array([hold_of(course) for course in courses]),
         has_reference=references is not None,
         reference=np.zeros((len(courses), most + 1, 5)),
         limits=np.array([model.accel, model.decel, model.alpha, model.alpha_decel]),

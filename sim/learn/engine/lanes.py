@@ -33,8 +33,6 @@ class Tasks(NamedTuple):
     """(C, checkpoints, 3) poses, the last one the goal."""
     goal: FloatArray
     """(C, 3)."""
-    hold: FloatArray
-    """(C, 3) ``hold_of``: for rovers with dead bands."""
     has_reference: bool
     reference: FloatArray
     """(C, T + 1, 5): x, y, theta, v, omega at the start of each tick; 0 where no policy asks for it."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.drive.dead_zone import STEP, Pulse, clear_of, hold_of, is_slow, pulsed
+from deploy.drive.dead_zone import STEP, Pulse, clear_of, pulsed
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import FunctionRunner, RoverInterface
 from rover_ncp.circuit.runner import Runner
@@ -27,14 +27,7 @@ from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
 from sim.world.randomization import Trials, nominal_trials, trial_model
 from sim.world.rover import SUBSTEPS, RoverModel
-from sim.world.trial_errors import (
-    BaseErrors,
-    apply_base_errors,
-    base_errors,
-    dead_reckon,
-    odometry_errors,
-    quantise,
-)
+from sim.world.trial_errors import apply_base_errors, base_errors, dead_reckon, odometry_errors, quantise
 
 FloatArray = NDArray[np.float64]
 
@@ -135,8 +128,7 @@ def rollout(
     for tick, checkpoint in enumerate(due_checkpoints(course)):
         seen.append(odometry.seen(tick))
         v, omega = runner.tick(observation(tick, course.start_signal(TICK_S * tick)))
-        sent = (0.0, 0.0) if _holds(course, tick, rover.pose, (v, omega), base) else (v, omega)
-        pulses = pulsed(sent[0], least[0], pulses[0]), pulsed(sent[1], least[1], pulses[1])
+        pulses = pulsed(v, least[0], pulses[0]), pulsed(omega, least[1], pulses[1])
         if not trials.lost[row, tick]:
             held = (
                 quantise(pulses[0].sent, float(trials.step[0])),
@@ -170,12 +162,3 @@ def rollout(
         rms_m=math.sqrt(sum(error * error for error in distances) / len(distances)),
         verdict=course.judge(times, poses, touched),
     )
-
-
-def _holds(course: Course, tick: int, pose: Pose, command: tuple[float, ...], base: BaseErrors) -> bool:
-    """Return whether a driver would only send pulses, and holds near the goal instead."""
-    since, near_m, near_rad = hold_of(course)
-    banded = base.dead_band_v > 0.0 or base.dead_band_omega > 0.0
-    slow = banded and is_slow(command[0], command[1], base.dead_band_v, base.dead_band_omega)
-    turned = abs(wrap_angle(pose.theta - course.goal.theta))
-    return slow and tick > since and distance(pose, course.goal) <= near_m and turned <= near_rad

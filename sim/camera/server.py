@@ -81,16 +81,14 @@ def _serve(
     import signal
 
     import cv2
-    import numpy as np
 
-    from rover_ncp.core.streams import Domain, integer_seed
+    from rover_ncp.core.streams import Domain, random_stream
     from sim.camera.render import Renderer
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the mock ends this process
     cv2.setNumThreads(1)
     (camera, tag_map), (hz, seed) = settings, rate
-    stream = np.random.default_rng(integer_seed(seed, Domain.PICTURES))
-    renderer = Renderer(camera, tag_map, stream)
+    renderer = Renderer(camera, tag_map, random_stream(seed, Domain.PICTURES))
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:  # the library's name

@@ -225,7 +225,7 @@ def send_pulse(lanes: Lanes, axis: int, lane: int, wanted: float, least: float) 
     kept = lanes.pulses
     pulse = _pulsed(wanted, least, Pulse(kept[axis, 0, lane], kept[axis, 1, lane], int(kept[axis, 2, lane])))
     kept[axis, 0, lane], kept[axis, 1, lane], kept[axis, 2, lane] = pulse.sent, pulse.owed, float(pulse.ticks)
-    return pulse.sent
+    return float(pulse.sent)
 
 
 @inlined_kernel

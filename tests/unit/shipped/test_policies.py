@@ -44,7 +44,7 @@ def test_dock_reaches_two_centimetres_and_two_degrees_on_nominal_robots():
     course = load_course("approach")
     assert course.parked.position_m <= 0.02
     assert course.parked.heading_rad <= math.radians(2.01)
-    found = evaluate(load_driver("dock"), [course], starts, trials=50, seed=2024)
+    found = tally(drive_trials(load_driver("dock"), [course], starts, trials=50, seed=2024))
     assert found.success_rate >= 0.96, found.failures
 
 

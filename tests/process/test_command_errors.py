@@ -44,6 +44,7 @@ LINES = {
     "paper --circuit": "paper run --task parking --seed 0 {}",
     "paper --curves": "paper report {}",
     "park --out": "park --policy parking {}",
+    "place": f"place set new {ROBOT} {{}}",
     "recover --out": "recover drive.mcap {}",
     "report --out": "report drive.mcap {}",
     "tag calibrate": f"tag calibrate --camera none --camera-file {CAMERA} --map {TAGS} {ROBOT} {{}}",

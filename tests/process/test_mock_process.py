@@ -34,16 +34,18 @@ def greet(line):
     """Open a session as a client does and wait for a report; return the names of the base."""
     decoder = Decoder()
 
-    def names():  # again, if they closed the session of an earlier client
+    def names():
+        # In an open session these frames are PULSE, OPEN and CLOSE: after a late answer, or in the session of an
+        # earlier client, they close it, and all has to be sent again.
         for kind in (0, 1, 2):
             line.write(encode_frame(kind))
-        packets = decoder.feed(line.read(0.1), time.monotonic())
-        return next((decode_names(packet.payload) for packet in packets if packet.kind == Kind.SYNC2), None)
+        packets = decoder.feed(line.read(0.5), time.monotonic())
+        found = next((decode_names(packet.payload) for packet in packets if packet.kind == Kind.SYNC2), None)
+        if found is not None:
+            line.write(encode_command(Command.OPEN))
+        return found if found is not None and line.read(2.0) else None
 
-    found = wait_for(names)
-    line.write(encode_command(Command.OPEN))
-    assert line.read(2.0)
-    return found
+    return wait_for(names)
 
 
 def reset(line):

@@ -35,8 +35,8 @@ def greet(line):
     decoder = Decoder()
 
     def names():
-        # In an open session these frames are PULSE, OPEN and CLOSE: after a late answer, or in the session of an
-        # earlier client, they close it, and all has to be sent again.
+        # In an open session these frames are PULSE, OPEN and CLOSE. After a late answer, or in the session of
+        # an earlier client, they close it, and all has to be sent again.
         for kind in (0, 1, 2):
             line.write(encode_frame(kind))
         packets = decoder.feed(line.read(0.5), time.monotonic())

@@ -17,7 +17,7 @@ from deploy.tag.tag_map import CameraFile, Mount, load_camera, load_camera_info,
 from deploy.zenoh_client import BridgeAddress, ZenohClient
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.console import Output
-from rover_ncp.core.errors import UsageError
+from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.core.files import require_writable, write_atomic
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.interruption import INTERRUPTED
@@ -41,7 +41,8 @@ class PoseLink(ZenohClient):
 
     def _take(self, row: KeySpec, data: bytes) -> None:
         if row.name == "odom":
-            self.odometry = read_odometry(data)
+            with contextlib.suppress(FormatError):  # an unreadable sample counts as none
+                self.odometry = read_odometry(data)
 
     def send(self, found: Located, wall_ns: int, frame: str) -> None:
         """Send a pose with the moment of its picture, ns since the epoch."""
@@ -141,6 +142,11 @@ def calibrate_mount(
         for each in until(pictures, seconds, lambda: interrupts.raised):
             if link.odometry is not None:
                 samples.append((link.odometry.pose, detector.detect(each.grey)))
+    if link.odometry is None:
+        raise UsageError(
+            f"no odometry arrived from the bridge at {address.robot}; with certificates, use a driver's: a "
+            "localiser's may not read it"
+        )
     found = find_mount(camera, tag_map, samples)
     _write(camera_file, camera.model_copy(update={"mount": found.mount}))
     result = TagCalibration(

@@ -1,6 +1,7 @@
 """External localisation of a simulated rover: a camera with a rate, noise and a delay."""
 
 import math
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -40,29 +41,45 @@ class Camera:
         return self.noise_m, self.noise_m, RAD_PER_M * self.noise_m
 
 
-class Localiser:
-    """Sends the pose of one rover as a camera measures it. ``stream`` draws noise and phase."""
+class PoseSource(ABC):
+    """Measures a rover's pose at a rate, and sends it after a delay. ``stream`` draws noise and phase."""
 
     def __init__(
-        self, camera: Camera, rover: Rover, stream: np.random.Generator, send: Callable[[bytes, int], None]
+        self, hz: float, delay_s: float, stream: np.random.Generator, send: Callable[[bytes, int], None]
     ) -> None:
-        self._camera, self._rover, self._stream, self._send = camera, rover, stream, send
-        self._next_s = float(stream.uniform(0.0, 1.0)) / camera.hz
+        self._period_s, self._delay_s, self._stream, self._send = 1.0 / hz, delay_s, stream, send
+        self._next_s = float(stream.uniform(0.0, 1.0)) / hz
         self._pending: deque[tuple[float, bytes]] = deque()
         """Arrival times in s, and messages."""
+
+    @abstractmethod
+    def measure(self, wall_ns: int) -> bytes | None:
+        """Return the present pose as a message with that stamp; None if nothing is seen."""
 
     def observe(self, now: float) -> None:
         """Measure the rover's pose at ``now`` s if it is due, and deliver what has arrived."""
         if now >= self._next_s:
-            self._next_s += 1.0 / self._camera.hz
-            noise = self._camera.noise
-            x, y, theta = np.array(self._rover.pose) + self._stream.normal(size=3) * noise
-            covariance = np.diag(np.square(noise))
-            wall_ns = WALL_NS + round(now * NS)
-            data = pose_with_covariance(
-                Pose(float(x), float(y), float(theta)), covariance, wall_ns, COURSE_FRAME
-            )
-            self._pending.append((now + self._camera.delay_s, data))
+            self._next_s += self._period_s
+            data = self.measure(WALL_NS + round(now * NS))
+            if data is not None:
+                self._pending.append((now + self._delay_s, data))
         while self._pending and self._pending[0][0] <= now:
             due, data = self._pending.popleft()
             self._send(data, round(due * NS))
+
+
+class Localiser(PoseSource):
+    """Sends the pose of one rover as a camera measures it."""
+
+    def __init__(
+        self, camera: Camera, rover: Rover, stream: np.random.Generator, send: Callable[[bytes, int], None]
+    ) -> None:
+        super().__init__(camera.hz, camera.delay_s, stream, send)
+        self._camera, self._rover = camera, rover
+
+    def measure(self, wall_ns: int) -> bytes:
+        """Return the pose with the camera's noise."""
+        noise = self._camera.noise
+        x, y, theta = np.array(self._rover.pose) + self._stream.normal(size=3) * noise
+        covariance = np.diag(np.square(noise))
+        return pose_with_covariance(Pose(float(x), float(y), float(theta)), covariance, wall_ns, COURSE_FRAME)

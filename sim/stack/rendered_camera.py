@@ -1,7 +1,6 @@
 """A camera on the rover whose pictures of tags are rendered, and the poses found in them."""
 
 import math
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +15,7 @@ from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose, compose
 from rover_ncp.wire.messages import pose_with_covariance
 from sim.camera.render import Renderer
-from sim.stack.lines import NS, WALL_NS
+from sim.stack.camera import PoseSource
 from sim.world.rover import Rover
 
 PLACE_M = 1.6
@@ -64,8 +63,8 @@ class RenderedCamera:
         return RenderedLocaliser(self, settings, rover, stream, send)
 
 
-class RenderedLocaliser:
-    """Sends the poses of one rover that rendered pictures give. ``stream`` draws their noise and phase."""
+class RenderedLocaliser(PoseSource):
+    """Sends the poses of one rover that rendered pictures give."""
 
     def __init__(
         self,
@@ -76,21 +75,13 @@ class RenderedLocaliser:
         send: Callable[[bytes, int], None],
     ) -> None:
         cv2.setNumThreads(1)  # trials run in as many processes as there are processors
-        self._camera, self._rover, self._send = camera, rover, send
-        self._frame = settings[1].frame
+        super().__init__(camera.hz, camera.delay_s, stream, send)
+        self._rover, self._frame = rover, settings[1].frame
         self._renderer, self._localiser = Renderer(*settings, stream), Localiser(*settings, 2.0)
-        self._next_s = float(stream.uniform(0.0, 1.0)) / camera.hz
-        self._pending: deque[tuple[float, bytes]] = deque()
 
-    def observe(self, now: float) -> None:
-        """Take a picture at ``now`` s if one is due, and deliver the poses that have arrived."""
-        if now >= self._next_s:
-            self._next_s += 1.0 / self._camera.hz
-            wall_ns = WALL_NS + round(now * NS)
-            found = self._localiser.take(Picture(self._renderer.picture(Pose(*self._rover.pose)), wall_ns))
-            if found is not None:
-                data = pose_with_covariance(found.pose, found.covariance, wall_ns, self._frame)
-                self._pending.append((now + self._camera.delay_s, data))
-        while self._pending and self._pending[0][0] <= now:
-            due, data = self._pending.popleft()
-            self._send(data, round(due * NS))
+    def measure(self, wall_ns: int) -> bytes | None:
+        """Return the pose that a picture of the present moment gives."""
+        found = self._localiser.take(Picture(self._renderer.picture(Pose(*self._rover.pose)), wall_ns))
+        if found is None:
+            return None
+        return pose_with_covariance(found.pose, found.covariance, wall_ns, self._frame)

@@ -7,7 +7,6 @@ of its image or too near.
 """
 
 import math
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -17,15 +16,8 @@ from numpy.typing import NDArray
 
 from rover_ncp.core.geometry import Pose, compose, relative, wrap_angle
 from rover_ncp.wire.messages import pose_with_covariance
-from sim.stack.lines import NS, WALL_NS
+from sim.stack.camera import PoseSource
 from sim.world.rover import Rover
-
-
-class PoseSource(Protocol):
-    """What sends the poses of one rover."""
-
-    def observe(self, now: float) -> None:
-        """Measure if it is due at ``now`` s, and deliver what has arrived."""
 
 
 class DockCamera(Protocol):
@@ -86,8 +78,8 @@ FULL_M = 3.0
 """Distance at which the growth of the errors counts in full."""
 
 
-class TagLocaliser:
-    """Sends the pose of one rover as its camera measures it. ``stream`` draws noise and phase."""
+class TagLocaliser(PoseSource):
+    """Sends the pose of one rover as its camera measures it."""
 
     def __init__(
         self,
@@ -100,26 +92,15 @@ class TagLocaliser:
         frame: str,
         backward: bool = False,
     ) -> None:
-        self._camera, self._rover, self._stream, self._send, self._frame = camera, rover, stream, send, frame
+        super().__init__(camera.hz, camera.delay_s, stream, send)
+        self._camera, self._rover, self._frame = camera, rover, frame
         self._looks = math.pi if backward else 0.0
         """Where the camera looks, from the rover's heading."""
         self._tags = compose(place, Pose(0.0, 0.0, self._looks))
         self._tags = compose(self._tags, Pose(camera.tags_ahead_m, 0.0, 0.0))
-        self._next_s = float(stream.uniform(0.0, 1.0)) / camera.hz
-        self._pending: deque[tuple[float, bytes]] = deque()
 
-    def observe(self, now: float) -> None:
-        """Measure the rover's pose at ``now`` s if it is due, and deliver what has arrived."""
-        if now >= self._next_s:
-            self._next_s += 1.0 / self._camera.hz
-            data = self._measure(WALL_NS + round(now * NS))
-            if data is not None:
-                self._pending.append((now + self._camera.delay_s, data))
-        while self._pending and self._pending[0][0] <= now:
-            due, data = self._pending.popleft()
-            self._send(data, round(due * NS))
-
-    def _measure(self, wall_ns: int) -> bytes | None:
+    def measure(self, wall_ns: int) -> bytes | None:
+        """Return the pose by the noise model."""
         camera = self._camera
         eye = compose(self._rover.pose, Pose(0.0, 0.0, self._looks))
         x, y, turn = relative(eye, self._tags)

@@ -30,7 +30,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import ConfigError, SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, wrap_angle
 from rover_ncp.course.course import TICK_S, Failure, Parked, Verdict
-from rover_ncp.course.reference import COMMAND_MAX
+from rover_ncp.course.fit import slowdown
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
@@ -91,7 +91,7 @@ class Docking:
         if staging.circuit.neurons != dock.circuit.neurons:
             raise ConfigError("the two policies of the drive", ["they have different neurons"])
         self.place, self._undock, self._config = config.place, config.undock, config
-        self._slower = slowdown(config.described)
+        self._slower = 1.0 if config.described is None else max(1.0, slowdown(config.described))
         self._staging, self._dock = staging, dock
         self.estimator = Estimator(config.estimator)
         self._approach, self._retreat = (
@@ -321,13 +321,6 @@ class _Judged(NamedTuple):
     verdict: Verdict
     estimate: PoseErrors
     poses: PoseErrors | None
-
-
-def slowdown(robot: RobotDescription | None) -> float:
-    """Return how many times slower than usual a robot must drive, as `rover_ncp.course.fit.slowed`."""
-    if robot is None:
-        return 1.0
-    return max(1.0, COMMAND_MAX.v / robot.motion.v_max, COMMAND_MAX.omega / robot.motion.omega_max)
 
 
 def place_config(

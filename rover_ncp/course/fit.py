@@ -11,8 +11,7 @@ def slowed(course: Course, robot: RobotDescription) -> tuple[Course, str]:
     The robot must reach the fastest command of a circuit that follows the reference, or it could not catch
     up. Raises ConfigError for a robot that would take more than an hour.
     """
-    motion = robot.motion
-    slower = max(COMMAND_MAX.v / motion.v_max, COMMAND_MAX.omega / motion.omega_max)
+    motion, slower = robot.motion, slowdown(robot)
     if slower <= 1.0:
         return course, ""
     slower = rounded_up(slower)
@@ -20,6 +19,11 @@ def slowed(course: Course, robot: RobotDescription) -> tuple[Course, str]:
         f"{course.name} takes {slower:g} times as long for {robot.name}: it reaches {motion.v_max:g} m/s and "
         f"{motion.omega_max:g} rad/s, a circuit commands up to {COMMAND_MAX.v:g} and {COMMAND_MAX.omega:g}"
     )
+
+
+def slowdown(robot: RobotDescription) -> float:
+    """Return how many times slower a course must be for a robot; up to 1 if it is fast enough."""
+    return max(COMMAND_MAX.v / robot.motion.v_max, COMMAND_MAX.omega / robot.motion.omega_max)
 
 
 def rounded_up(factor: float) -> float:

@@ -6,15 +6,11 @@ from typing import Annotated, Literal
 
 import typer
 
+from deploy.options import Namespace, Robot, ZenohConfig
 from rover_ncp.core.console import Json, Output, Overwrite, printable, reject
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
 
-Robot = Annotated[
-    str, typer.Option(help="Where the bridge listens: PROTOCOL/HOST[:PORT], such as tcp/192.168.1.20.")
-]
-Namespace = Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")]
-ZenohConfig = Annotated[Path | None, typer.Option(help="Zenoh configuration (JSON5) with certificates.")]
 Model = Annotated[
     str | None, typer.Option(help="The robot's description, a name or a YAML file.", show_default=False)
 ]

@@ -3,11 +3,11 @@
 import math
 import time
 from enum import StrEnum
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from deploy.options import Namespace, Robot, ZenohConfig
 from rover_ncp.core.console import Json, Output, reject
 
 if TYPE_CHECKING:
@@ -28,9 +28,7 @@ def place(
     what: Annotated[What, typer.Argument(help="set: store it. check: compare the present view with it.")],
     name: Annotated[str, typer.Argument(help="The place: NAME or NAME.yaml.")],
     *,
-    robot: Annotated[
-        str, typer.Option(help="Where the bridge listens: PROTOCOL/HOST[:PORT], such as tcp/192.168.1.20.")
-    ],
+    robot: Robot,
     seconds: Annotated[
         float, typer.Option(min=1.0, max=600.0, help="For how long poses are collected, s.")
     ] = 5.0,
@@ -41,10 +39,8 @@ def place(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="set: replace the pose of a place that exists.")
     ] = False,
-    namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
-    zenoh_config: Annotated[
-        Path | None, typer.Option(help="Zenoh configuration (JSON5) with certificates.")
-    ] = None,
+    namespace: Namespace = "",
+    zenoh_config: ZenohConfig = None,
     json: Json = False,
 ) -> int:
     """Store the place where the rover stands, or check one.

@@ -1,12 +1,12 @@
 """The command ``tag``: print tags, calibrate a camera, localise the rover by tags."""
 
 import re
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
+from deploy.options import Namespace, ZenohConfig
 from rover_ncp.core.console import Json, Output
 from rover_ncp.core.errors import UsageError
 
@@ -26,16 +26,6 @@ Map = Annotated[Path, typer.Option(help="The tags: sizes and places (YAML).")]
 Decimate = Annotated[
     float, typer.Option(min=1.0, max=4.0, help="Search for tags in a picture so many times smaller.")
 ]
-Namespace = Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")]
-ZenohConfig = Annotated[Path | None, typer.Option(help="Zenoh configuration (JSON5) with certificates.")]
-
-
-class Page(StrEnum):
-    """Sizes of paper."""
-
-    A4 = "a4"
-    A3 = "a3"
-    LETTER = "letter"
 
 
 @tag.command("print")
@@ -46,7 +36,7 @@ def print_tags(
     board: Annotated[
         bool, typer.Option("--board", help="Print the board that 'tag calibrate' wants, and no tags.")
     ] = False,
-    page: Annotated[Page, typer.Option(help="The paper.")] = Page.A4,
+    page: Annotated[Literal["a4", "a3", "letter"], typer.Option(help="The paper.")] = "a4",
     out: Annotated[Path, typer.Option(help="The PDF to write.")] = Path("tags.pdf"),
     json: Json = False,
 ) -> None:
@@ -65,9 +55,7 @@ def print_tags(
     require_writable(out)
     numbers = [] if board else parse_ids(ids)
     write_atomic(out, board_page(Board(), page) if board else tag_pages(numbers, size, page))
-    result = TagPrintResult(
-        out=str(out), ids=tuple(numbers), size=Board().size if board else size, page=str(page)
-    )
+    result = TagPrintResult(out=str(out), ids=tuple(numbers), size=Board().size if board else size, page=page)
     Output(json).result(result.model_dump(), f"wrote {out}: print it at 100 % and measure its ruler")
 
 

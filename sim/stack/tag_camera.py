@@ -56,7 +56,7 @@ class TagCamera:
     distance_m: tuple[float, float] = (0.001, 0.02)
     bearing_rad: tuple[float, float] = (0.0008, 0.0)
     turn_rad: tuple[float, float] = (0.002, math.radians(0.69))
-    """At every distance these three are at least those of rendered pictures (``benchmarks/tag_noise.py``)."""
+    """Up to 2 m above those of rendered pictures, beyond about equal: ``benchmarks/tag_noise.py``."""
     lost: float = 0.05
     """Share of images without a pose."""
 

@@ -79,6 +79,8 @@ class DeadBand(StrictModel):
     """Least speed command that moves the robot, m/s."""
     omega: float = Field(default=0.0, ge=0, le=2)
     """Least turn command that moves the robot, rad/s."""
+    stiction: float = Field(default=0.0, ge=0, le=1)
+    """Share by which a moving robot's band is narrower; a driver sends no command within the wider one."""
 
 
 class Motion(StrictModel):

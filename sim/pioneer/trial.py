@@ -30,6 +30,7 @@ class BaseTrial:
     def __init__(self, trials: Trials) -> None:
         self._trials = trials
         self._base = base_errors(trials, 0)
+        self._driven = 0.0, 0.0
         self._odometry = odometry_errors(trials._replace(sensors=(False, False)), 0)
         self.efforts = dict(
             zip(("accel", "alpha", "decel", "alpha_decel"), trials.acceleration[0].tolist(), strict=True)
@@ -40,7 +41,8 @@ class BaseTrial:
 
     def driven(self, v: float, omega: float) -> tuple[float, float]:
         """Return the motion that a setpoint (m/s, rad/s) leads to."""
-        return apply_base_errors(v, omega, self._base)
+        self._driven = apply_base_errors(v, omega, self._base, self._driven)
+        return self._driven
 
     def measured(self, motion: Velocity) -> Velocity:
         """Return the motion that encoders and gyro see."""

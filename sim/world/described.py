@@ -38,6 +38,7 @@ def described_rover(description: RobotDescription, *, motors: bool = False) -> R
     slow: dict[str, Any] = {
         "dead_band_v": motion.dead_band.v,
         "dead_band_omega": motion.dead_band.omega,
+        "stiction": motion.dead_band.stiction,
         "wheel_min": motion.wheel_min,
         "slow_wheels_turn": motion.slow_wheels == "turn",
     }

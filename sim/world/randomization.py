@@ -73,6 +73,9 @@ class Randomization(StrictModel):
     wheel_min_m_s: tuple[float, float] | None = Field(
         default=None, description="least and most; of the slowest speed of a turning wheel"
     )
+    stiction: tuple[float, float] | None = Field(
+        default=None, description="least and most; share by which the dead band of a moving base is narrower"
+    )
     banded: float = Field(
         default=1.0, ge=0, le=1, description="share of robots with dead bands and a least wheel speed"
     )
@@ -124,8 +127,8 @@ class Trials(NamedTuple):
     step: FloatArray
     """(2,) of v and omega; 0 for none."""
     motors: FloatArray
-    """(N, 7) dead band of v and of omega, least wheel speed, speed of a slower wheel, half the track, creep,
-    pull."""
+    """(N, 8) dead band of v and of omega, least wheel speed, speed of a slower wheel, half the track, creep,
+    pull, stiction."""
 
     @property
     def size(self) -> int:
@@ -162,7 +165,7 @@ def draw_trials(
     chance = np.array([stream.random((ticks + 1, 2)) for stream in streams])
     # From other streams: more draws of the first ones would change the noise, or depend on the ticks.
     others = [random_stream(seed, Domain.TRIAL_SKID, first + i) for i in range(count)]
-    skid, motors = np.hsplit(np.array([other.uniform(-1.0, 1.0, 8) for other in others]), [2])
+    skid, motors = np.hsplit(np.array([other.uniform(-1.0, 1.0, 9) for other in others]), [2])
     nominal = (model.delay_v_s, model.delay_v_s), (model.delay_omega_s, model.delay_omega_s)
     least, most = np.array([ranges.delay_v_s or nominal[0], ranges.delay_omega_s or nominal[1]]).T
     delay_s = least + (most - least) * 0.5 * (1.0 + u[:, 3:5])
@@ -208,7 +211,7 @@ def draw_trials(
 
 
 def _motors(ranges: Randomization, model: RoverModel, u: FloatArray) -> FloatArray:
-    """Return ``Trials.motors`` of draws (N, 6) in −1..1."""
+    """Return ``Trials.motors`` of draws (N, 7) in −1..1."""
     named = (
         (ranges.dead_band_m_s, model.dead_band_v),
         (ranges.dead_band_rad_s, model.dead_band_omega),
@@ -219,7 +222,10 @@ def _motors(ranges: Randomization, model: RoverModel, u: FloatArray) -> FloatArr
     drawn[0.5 * (1.0 + u[:, 5]) >= ranges.banded] = 0.0
     slow = drawn[:, 2] if model.slow_wheels_turn else np.zeros(len(u))
     half_track = np.full(len(u), model.half_track_m)
-    return np.column_stack([drawn, slow, half_track, ranges.creep_m_s * u[:, 3], ranges.pull_rad_m * u[:, 4]])
+    least, most = ranges.stiction or (model.stiction, model.stiction)
+    stiction = least + (most - least) * 0.5 * (1.0 + u[:, 6])
+    creep, pull = ranges.creep_m_s * u[:, 3], ranges.pull_rad_m * u[:, 4]
+    return np.column_stack([drawn, slow, half_track, creep, pull, stiction])
 
 
 def _of_known(

@@ -60,6 +60,9 @@ class RoverModel(StrictModel):
     )
     dead_band_v: float = Field(default=0.0, ge=0, description="least speed command that is followed")
     dead_band_omega: float = Field(default=0.0, ge=0, description="least turn command that is followed")
+    stiction: float = Field(
+        default=0.0, ge=0, le=1, description="share by which the dead bands of a moving rover are narrower"
+    )
     wheel_min: float = Field(default=0.0, ge=0, description="least speed of a turning wheel")
     slow_wheels_turn: bool = Field(
         default=False, description="whether a slower wheel turns at wheel_min, and does not stand"

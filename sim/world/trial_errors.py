@@ -12,7 +12,8 @@ from sim.world.randomization import Trials
 
 
 class BaseErrors(NamedTuple):
-    """Errors between command and motion; gains, rad/m, s; of the motors m/s, rad/s, m, rad/m."""
+    """Errors between command and motion; gains, rad/m, s; of the motors m/s, rad/s, m, rad/m,
+    share."""
 
     gain_v: float
     gain_omega: float
@@ -25,6 +26,7 @@ class BaseErrors(NamedTuple):
     half_track: float = 1.0
     creep: float = 0.0
     pull: float = 0.0
+    stiction: float = 0.0
 
 
 class OdometryErrors(NamedTuple):
@@ -60,6 +62,7 @@ def base_errors(trials: Trials, row: int) -> BaseErrors:
         float(motors[4]),
         float(motors[5]),
         float(motors[6]),
+        float(motors[7]),
     )
 
 
@@ -75,15 +78,19 @@ def odometry_errors(trials: Trials, row: int) -> OdometryErrors:
     )
 
 
-def apply_base_errors(v: float, omega: float, base: BaseErrors) -> tuple[float, float]:
+def apply_base_errors(
+    v: float, omega: float, base: BaseErrors, before: tuple[float, float] = (0.0, 0.0)
+) -> tuple[float, float]:
     """Return what a base makes of a command (m/s, rad/s): the motion it then accelerates to.
 
-    A speed within the dead band counts as 0; then each wheel that is slower than the least speed stands or
+    ``before`` is what it made of the last command. A speed within the dead band counts as 0; by stiction, the
+    band of a base that moved before is narrower. Then each wheel that is slower than the least speed stands or
     turns at its speed for slow wheels.
     """
-    if abs(v) < base.dead_band_v:
+    kinetic = 1.0 - base.stiction
+    if abs(v) < base.dead_band_v * (1.0 if before[0] == 0.0 else kinetic):
         v = 0.0
-    if abs(omega) < base.dead_band_omega:
+    if abs(omega) < base.dead_band_omega * (1.0 if before[1] == 0.0 else kinetic):
         omega = 0.0
     if base.wheel_min > 0.0:
         left, right = v - omega * base.half_track, v + omega * base.half_track

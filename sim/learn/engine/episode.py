@@ -214,7 +214,9 @@ def pass_commands(trials: Trials, lanes: Lanes) -> None:
         if not trials.lost[trial, np.uint64(tick[lane])]:
             held[0, lane] = _quantise(v, trials.step[0])
             held[1, lane] = _quantise(omega, trials.step[1])
-        lanes.driven[0, lane], lanes.driven[1, lane] = _apply_base_errors(held[0, lane], held[1, lane], base)
+        before = lanes.driven[0, lane], lanes.driven[1, lane]
+        motion = _apply_base_errors(held[0, lane], held[1, lane], base, before)
+        lanes.driven[0, lane], lanes.driven[1, lane] = motion
 
 
 @inlined_kernel

@@ -122,7 +122,7 @@ def rollout(
     runner.tick(observation(0, 0.0))
     base = base_errors(trials, row)
     least = clear_of(base.dead_band_v, STEP.v), clear_of(base.dead_band_omega, STEP.omega)
-    held, pulses = (0.0, 0.0), (Pulse(), Pulse())
+    held, driven, pulses = (0.0, 0.0), (0.0, 0.0), (Pulse(), Pulse())
     poses, seen, commands, potentials, distances = [rover.pose], [], [], [], []
     touched, total = False, 0.0
     for tick, checkpoint in enumerate(due_checkpoints(course)):
@@ -134,7 +134,8 @@ def rollout(
                 quantise(pulses[0].sent, float(trials.step[0])),
                 quantise(pulses[1].sent, float(trials.step[1])),
             )
-        rover.command(*apply_base_errors(*held, base))
+        driven = apply_base_errors(*held, base, driven)
+        rover.command(*driven)
         for _ in range(SUBSTEPS):
             rover.substep()
             touched = touched or rover.in_contact

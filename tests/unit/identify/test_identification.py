@@ -29,7 +29,8 @@ def drive(preset, number=0, *, outside=False):
     """Return the drive of a random robot, its profile, the errors of that, and the robot."""
     ranges = load_randomization("full" if preset == "dead band" else preset)
     if preset == "dead band":
-        ranges = ranges.model_copy(update={"dead_band_m_s": (0.03, 0.03), "dead_band_rad_s": (0.1, 0.1)})
+        bands = {"dead_band_m_s": (0.03, 0.03), "dead_band_rad_s": (0.1, 0.1), "stiction": (0.4, 0.4)}
+        ranges = ranges.model_copy(update=bands)
     trials = robot(ranges, SEED, number)
     done = driven(trials, outside=outside)
     found = identify(motion_log(done.messages), "mock")

@@ -140,6 +140,7 @@ MOTORS = {
     "wheel_min_m_s": (0.01, 0.03),
     "creep_m_s": 0.004,
     "pull_rad_m": 0.1,
+    "stiction": (0.0, 0.6),
 }
 
 

@@ -224,6 +224,20 @@ def test_what_a_base_makes_of_a_command(errors, command, moves):
     assert apply_base_errors(*command, base) == pytest.approx(moves, abs=1e-15)
 
 
+@pytest.mark.parametrize(
+    ("before", "command", "moves"),
+    [
+        ((0.0, 0.0), (0.04, 0.08), (0.0, 0.0)),
+        ((0.1, 0.0), (0.04, 0.08), (0.04, 0.0)),
+        ((0.0, -0.2), (0.04, 0.08), (0.0, 0.08)),
+        ((0.1, -0.2), (0.029, 0.059), (0.0, 0.0)),
+    ],
+)
+def test_stiction_narrows_the_dead_band_of_a_moving_base(before, command, moves):
+    base = BaseErrors(1.0, 1.0, 0.0, 0.0, stiction=0.4)._replace(**DEAD_BAND)
+    assert apply_base_errors(*command, base, before) == moves
+
+
 def test_commands_come_in_whole_steps():
     assert quantise(0.1234567, 0.001) == pytest.approx(0.123)
     assert quantise(-0.03, 0.0174533) == pytest.approx(-2 * 0.0174533)
@@ -233,14 +247,14 @@ def test_commands_come_in_whole_steps():
 def test_motors_are_drawn_beside_the_rest():
     full = load_randomization("full")
     motors = {"dead_band_m_s": (0.0, 0.06), "dead_band_rad_s": (0.0, 0.14), "wheel_min_m_s": (0.0, 0.03)}
-    ranges = full.model_copy(update=motors | {"creep_m_s": 0.004, "pull_rad_m": 0.1})
+    ranges = full.model_copy(update=motors | {"creep_m_s": 0.004, "pull_rad_m": 0.1, "stiction": (0.2, 0.6)})
     plain, drawn = (draw_trials(each, MODEL, 1, count=N, ticks=10) for each in (full, ranges))
     for name, before, after in zip(plain._fields, plain, drawn, strict=True):
         assert name == "motors" or np.array_equal(before, after), name
-    assert not plain.motors[:, [0, 1, 2, 3, 5, 6]].any()
+    assert not plain.motors[:, [0, 1, 2, 3, 5, 6, 7]].any()
     least, most = drawn.motors.min(axis=0), drawn.motors.max(axis=0)
-    assert least == pytest.approx([0, 0, 0, 0, MODEL.half_track_m, -0.004, -0.1], abs=0.003)
-    assert most == pytest.approx([0.06, 0.14, 0.03, 0, MODEL.half_track_m, 0.004, 0.1], abs=0.003)
+    assert least == pytest.approx([0, 0, 0, 0, MODEL.half_track_m, -0.004, -0.1, 0.2], abs=0.003)
+    assert most == pytest.approx([0.06, 0.14, 0.03, 0, MODEL.half_track_m, 0.004, 0.1, 0.6], abs=0.003)
     half = draw_trials(ranges.model_copy(update={"banded": 0.5}), MODEL, 1, count=N, ticks=10).motors
     banded = half[:, :3].any(axis=1)
     assert banded.mean() == pytest.approx(0.5, abs=4 * 0.5 / N**0.5)

@@ -92,7 +92,7 @@ class Soaked:
 
     def table(self) -> Iterator[tuple[str, ...]]:
         """Yield head and rows: how often each fault occurred, and the time with the least margin."""
-        yield "layer", "fault", "times", "slowest stands after", "allowed"
+        yield "layer", "fault", "times", "slowest standstill after", "allowed"
         for row in MATRIX:
             rounds = [done for done in self.rounds if done.row == row]
             found = [done.measured for done in rounds if done.measured is not None]

@@ -17,7 +17,7 @@ MEASURED = ROOT / "docs" / "measured"
 def pioneer_table(lines):
     """Yield the Pioneer's head and rows; what is measured includes the mock's own delay and braking."""
     found = {line["row"]: line for line in lines}
-    yield "layer", "fault", "stands after", "allowed"
+    yield "layer", "fault", "standstill after", "allowed"
     for row in MATRIX:
         measured = found[row.key]
         note = f" ({measured['note']})" if measured["note"] else ""
@@ -28,7 +28,7 @@ def pioneer_table(lines):
 def ros2_table(lines):
     """Yield head and rows of the ROS 2 robot; what is allowed includes its delay and braking."""
     found = {(line["row"], line["form"]): line for line in lines}
-    yield "layer", "fault", "stands after (ros2dds)", "stands after (rmw_zenoh)", "allowed"
+    yield "layer", "fault", "standstill after (ros2dds)", "standstill after (rmw_zenoh)", "allowed"
     for key in dict.fromkeys(row.key for row in (*MATRIX, *ROS2_ROWS) if (row.key, "ros2dds") in found):
         row, times = ROWS[key], [found.get((key, form)) for form in ("ros2dds", "rmw_zenoh")]
         words = (f"{time['seconds']:.2f} s" if time else "" for time in times)

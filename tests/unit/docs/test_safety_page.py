@@ -30,7 +30,7 @@ def test_a_measured_row_is_written_with_its_bound(tmp_path):
     with (tmp_path / "rows.csv").open(newline="") as file:
         first = next(csv.DictReader(file))
     assert first["fault"] == f"{MATRIX[0].fault} (9 a second)"
-    assert (first["stands after"], first["allowed"]) == ("0.50 s", "2 s + 0.25 s braking")
+    assert (first["standstill after"], first["allowed"]) == ("0.50 s", "2 s + 0.25 s braking")
 
 
 def test_a_row_measured_in_one_form_leaves_the_other_empty():

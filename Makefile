@@ -79,16 +79,16 @@ tutorials: $(STAMP) ## Every command of the tutorials.
 	$(BIN)/pytest tests/system/test_tutorials.py -m "not browser" --numprocesses 3 --dist worksteal
 
 .PHONY: docs
-docs: reference $(DOCS_STAMP) ## The documentation as a site in build/site; a broken link is an error.
+docs: $(DOCS_STAMP) ## The documentation as a site in build/site; a broken link is an error.
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "The site: open $(CURDIR)/build/site/index.html in a browser."
 
 .PHONY: reference
-reference: $(STAMP) ## Write the pages of docs/reference that are made from the code.
+reference: $(STAMP) ## Write the reference, which is made from the code, as Markdown in build/reference.
 	$(BIN)/python docs/reference_pages.py
 
 .PHONY: safety
-safety: $(STAMP) ## Measure the safety matrix and write it into docs/safety.md.
+safety: $(STAMP) ## Measure the safety matrix and write it into docs/measured.
 	PYTHONPATH=tests $(BIN)/python tests/tools/safety_table.py
 
 SOAK_MINUTES ?= 20

@@ -82,6 +82,10 @@ def bridge(
 ) -> int:
     """Connect a Pioneer or a ROS 2 robot to Zenoh: one driver at a time drives it, within limits.
 
+    Without certificates it listens on this machine only, unless --insecure is given. A Pioneer that refuses
+    connections is tried for 5 s. A ROS 2 robot is driven only if its description has the
+    measured_base_timeout_s that 'rover-ncp check' prints, or with --no-base-watchdog.
+
     Publishes odometry, transforms, battery, sonar, bumpers and diagnostics as ROS 2 messages, and passes
     commands on through a gate. Only the holder of the lease drives; the rover stops when no valid command
     arrives, and no command beyond the limits reaches it. Motors are off until a driver asks for them. It is
@@ -175,6 +179,8 @@ def keys(
     json: Json = False,
 ) -> None:
     """Make a certificate authority, and certificates for a bridge and its peers.
+
+    Never replaces keys. Only their owner can read the files, except ca.pem.
 
     Writes one Zenoh configuration for each end, which holds all that end needs: bridge.json5
     for 'rover-ncp bridge --zenoh-config', driver.json5 for 'rover-ncp deploy --zenoh-config',

@@ -80,8 +80,12 @@ def deploy(
     them, and later poses correct odometry. Ctrl-C stops the rover first. The motors are off after every end
     of the drive.
 
+    Poses farther than 0.2 m in x or y or 20° from the course's start end the command (4, start-pose). With
+    --pose required it waits 10 s for a pose (3 without one), and 3 s of motion without a pose that fits end
+    the drive (4, pose-age).
+
     With --to it waits for an external pose, drives to the staging pose of a place and from there into it,
-    tries again after a miss, and ends docked or back at the staging pose (docs/place.md).
+    tries again after a miss, and ends docked (0) or back at the staging pose (1; docs/place.md).
 
     The estimate is judged: parked; not parked, also after a bumper or a stall; or "parked, uncertain" if the
     rover may be outside the tolerances with a probability of more than 5 %. Ends with 0 parked, 1 not parked,
@@ -158,6 +162,7 @@ def replay(
 ) -> int:
     """Recompute a drive from its recorded odometry and compare every number with the recorded one.
 
+    A damaged recording, or one of another version of the estimator, is refused (2); 'report' reads both.
     Estimator and circuit run again at the recorded moments; estimates, potentials and commands must come out
     the same to the last bit. Ends with 0 if they do, 1 if not, and names the first that does not.
     """
@@ -212,8 +217,9 @@ def check(
 ) -> int:
     """Check a robot before it drives: on blocks, its wheels free.
 
-    Checks odometry, battery, stop button and bumpers and requests the motors. Turns the wheels forward and
-    then left for a moment and compares the reported motion with the commands. Then it sends no more commands
+    Ends at the first finding that is not ok. Checks odometry, battery, stop button and bumpers, and requests
+    the motors. Turns the wheels forward and then left for a moment and compares the reported motion with the
+    commands. Then it sends no more commands
     and measures when the wheels stop. For a ROS 2 robot the bridge then sends nothing either, for 5 s at
     most, and measures when the robot halts by itself. With --model, the bridge must drive that model, and
     odometry must come at its rate. Ends with 0 for yes, 1 for no, with the reason.
@@ -248,6 +254,8 @@ def teleop(
     u i o, j k l and m , . drive in the direction in which they lie around k, which stops; the arrows do as
     i , j l. A terminal reports a held key only by repeating it, so a key counts for 0.4 s after it was last
     sent. A single press is a small step at half speed. q and Ctrl-C stop the rover and release the lease.
+
+    Standard input has to be a terminal, whose settings are restored at the end.
 
     It drives through the same lease, gate and limits as 'rover-ncp deploy'; 'rover-ncp course new' makes a
     course of a recording. Ends with 0, 3 no bridge, no robot, not authorised or another driver, 4 stopped by

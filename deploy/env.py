@@ -84,7 +84,7 @@ class _Handover(FunctionRunner):
 class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
     """Drive a real rover through the checkpoints of a course, each at its time.
 
-    ``signals`` names what is observed, see docs/reference/files.md; by default the estimated pose in the
+    ``signals`` names what is observed, see rover_ncp/course/signals.py; by default the estimated pose in the
     course's frame and the start signal. ``robot``, ``namespace``, ``zenoh_config``, ``model``,
     ``profile`` and ``pose`` are the options of ``rover-ncp deploy``.
 

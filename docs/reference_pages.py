@@ -1,9 +1,11 @@
-"""Pages that are made from the code, which ``make reference`` writes into ``reference/``.
+"""Pages that are made from the code, which ``make reference`` writes into ``build/reference``.
 
-As a mkdocs hook, this module makes the site's front page from README.md.
+As a mkdocs hook, this module adds them to the site, with a front page made from README.md. It also replaces
+a line that only links to a table of ``measured/`` by that table.
 """
 
 import ast
+import csv
 import inspect
 import re
 import textwrap
@@ -24,10 +26,36 @@ from rover_ncp.course.builder import PoseList
 from rover_ncp.course.course import Course
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import RoverProfile
+from rover_ncp.wire import protocol
 from rover_ncp.wire.key_table import KEYS, Kind, Role
 from sim.world.randomization import Randomization
 
 DOCS = Path(__file__).parent
+BUILT = DOCS.parent / "build" / "reference"
+TABLE = re.compile(r"^\[[^\]]+\]\((measured/\w+\.csv)\)$", re.MULTILINE)
+"""A line that is a link to a table."""
+COMMON = """
+With `--json` a command prints exactly one JSON object on stdout ([JSON results](results.md)), and all
+text for people goes to stderr. A mistake of the user is one line on stderr and an exit code. With
+`--json` the object is then `{"error": ..., "kind": ..., "exit_code": ...}`.
+
+**Parked** means that the rover is within 0.10 m and 0.10 rad of the last checkpoint at the course's
+horizon, has moved less than 5 mm and 5 mrad in the last 2 s, and has touched nothing. A simulated drive
+is judged by the true pose, a real one by the estimate.
+
+No command replaces a recording, a truth file or the run of an earlier `park` without `--overwrite`.
+Results are written whole or not at all. A file that is read whole has at most 64 MiB, a YAML file
+1,048,576 characters. A recording may unpack to 1 GiB, or to 100 times its size.
+
+No output delays a command. Text that its reader does not take is dropped beyond 64 KiB, and the number of
+dropped lines is reported. The start line (`ready`, `listening on`, `watching at`) and the result are not
+dropped.
+
+No command imports Python files of the current folder, except the module of `--task MODULE:ID` or of a
+policy `module:name`. Compiled kernels are kept in `~/.cache/rover-ncp-UID`, or in the folder that
+`NUMBA_CACHE_DIR` names; it may be deleted at any time.
+"""
+"""What holds for all commands."""
 MODELS: dict[str, tuple[str, type[BaseModel]]] = {
     "course": ("Course", Course),
     "poses": ("Poses for a course", PoseList),
@@ -54,11 +82,12 @@ def reference_pages() -> dict[str, str]:
         "files.md": files_page(),
         "keys.md": keys_page(),
         "results.md": results_page(),
+        "lease.md": lease_page(),
     }
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Add the front page, and the long tables on the paper, to the site."""
+    """Add the front page, the reference and the long tables on the paper to the site."""
     from mkdocs.structure.files import File
 
     from sim.paper.claims import judge_claims, load_claims
@@ -67,10 +96,25 @@ def on_files(files: Any, config: Any) -> Any:
 
     text = front_page((DOCS.parent / "README.md").read_text())
     files.append(File.generated(config, "index.md", content=text))
+    for name, page in reference_pages().items():
+        files.append(File.generated(config, f"reference/{name}", content=page))
     store = ResultStore(DOCS.parent / "results")
     tables = long_report(store, judge_claims(store, load_claims().claims))
     files.append(File.generated(config, "paper_tables.md", content=f"# All claims and runs\n\n{tables}\n"))
     return files
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Return a page with its tables of ``measured/``."""
+    return TABLE.sub(lambda link: measured_table(DOCS / link[1]), markdown)
+
+
+def measured_table(path: Path) -> str:
+    """Return a CSV file as a Markdown table."""
+    with path.open(newline="") as file:
+        head, *rows = csv.reader(file)
+    lines = (f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows))
+    return "\n".join(lines)
 
 
 def front_page(readme: str) -> str:
@@ -80,10 +124,14 @@ def front_page(readme: str) -> str:
 
 def commands_page() -> str:
     """Return the page of all commands with their arguments and options."""
+    codes = [f"| {code} | {text} |" for code, text in cli.EXIT_CODES.items()]
     parts = [
         "# Commands",
-        "`rover-ncp --version` prints the version. Exit codes and files: [Command line](../cli.md). What "
-        "`--json` prints: [JSON results](results.md).",
+        "`rover-ncp COMMAND --help` prints the same. `rover-ncp --version` prints the version, "
+        "`--install-completion` completes commands and options in your shell.",
+        "## All commands",
+        "\n".join(["| exit code | meaning |", "|---|---|", *codes]),
+        COMMON.strip(),
     ]
     group = cli.get_command(cli._app())
     context = group.make_context("rover-ncp", [], resilient_parsing=True)
@@ -224,8 +272,8 @@ def results_page() -> str:
     parts = [
         "# JSON results",
         "With `--json` a command prints one JSON object. A dot leads into an object, or into the objects of "
-        "a list; `NAME` stands for any name. A value that is not known or not finite is null. Files and exit "
-        "codes: [Command line](../cli.md).",
+        "a list; `NAME` stands for any name. A value that is not known or not finite is null. Exit "
+        "codes: [Commands](commands.md).",
     ]
     for command in RESULTS:
         rows = ["| field | unit | meaning |", "|---|---|---|"]
@@ -235,6 +283,11 @@ def results_page() -> str:
             rows.append(f"| `{path}` | {next(units, '')} | {_cell(meaning)} |")
         parts += [f"## {command}", "\n".join(rows)]
     return "\n\n".join(parts) + "\n"
+
+
+def lease_page() -> str:
+    """Return the page of the lease protocol."""
+    return f"# Lease protocol\n\n{inspect.cleandoc(protocol.__doc__ or '')}\n"
 
 
 def _roles(roles: frozenset[Role]) -> str:
@@ -250,5 +303,7 @@ def _cell(text: str) -> str:
 
 
 if __name__ == "__main__":
+    BUILT.mkdir(parents=True, exist_ok=True)
     for name, text in reference_pages().items():
-        (DOCS / "reference" / name).write_text(text)
+        (BUILT / name).write_text(text)
+        print(BUILT / name)

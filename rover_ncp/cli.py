@@ -22,6 +22,15 @@ from rover_ncp.core.errors import FileError, MissingExtra, RoverNcpError
 from rover_ncp.core.interruption import INTERRUPTED, Interruption
 
 GROUP = "rover_ncp.commands"
+EXIT_CODES = {
+    0: "done",
+    1: "not parked or docked; a check that failed; a recording that replays differently",
+    2: "wrong option, configuration or file; port in use; missing extra; output that could not be written",
+    3: "no robot, bridge or pose; not authorised; another driver; driver and bridge of different versions",
+    4: "stopped by a safety rule, which is named",
+    130: "interrupted by Ctrl-C, SIGTERM or SIGHUP, after the rover was stopped",
+}
+"""The meaning of each exit code."""
 
 # Which extra brings a library that a command found missing.
 _EXTRAS = {
@@ -77,6 +86,7 @@ def _app() -> typer.Typer:
         cls=_Commands,
         name="rover-ncp",
         help="Train a tiny worm circuit to park a rover in simulation, then drive a real Pioneer with it.",
+        epilog="Exit codes: " + ". ".join(f"{code} {text}" for code, text in EXIT_CODES.items()) + ".",
         no_args_is_help=True,
         pretty_exceptions_enable=False,
     )
@@ -121,7 +131,7 @@ def _failed(error: Exception, as_json: bool) -> int:
 
 
 def run(arguments: list[str]) -> int:
-    """Run one command line and return its exit code; see ``docs/cli.md`` for the codes."""
+    """Run one command line and return its exit code; one of `EXIT_CODES`."""
     Output.ended = False
     try:
         result = _app()(args=arguments, prog_name="rover-ncp", standalone_mode=False)

@@ -1,9 +1,43 @@
-"""The protocol between driver and bridge about the right to drive: command tags and JSON of the queries.
+"""Driver and bridge agree by this protocol on the lease, which is the permission to drive.
 
-The driver asks ``rover/motors`` with its clock's time. The bridge answers with its own time, a lease number
-and a fresh key. From then on the driver signs each command, renewal and release with that key, and gives it a
-sequence number and the time of sending. The bridge can thus distinguish the holder of the lease from all
-others, and an old command from a fresh one, although the two clocks are not synchronised.
+One driver at a time holds the lease. The driver requests it on ``rover/motors`` with its clock's time.
+The bridge answers with its own time, the number of the lease and a fresh key of 32 random bytes. From
+then on the driver signs each command, renewal and release with that key, and adds a sequence number and
+the time of sending. The bridge thus distinguishes the holder of the lease from all others, and a stale
+command from a fresh one, although the two clocks are not synchronised.
+
+The attachment of a signed message is a tag of 40 bytes, little-endian:
+
+| bytes | content |
+|---|---|
+| 0-7 | number of the lease |
+| 8-15 | sequence number, which rises with each message |
+| 16-23 | the driver's monotonic clock in ns, signed |
+| 24-39 | digest |
+
+The digest is BLAKE2b of 16 bytes with the lease's key and the personalisation `rover-ncp lease`. It
+covers, in this order:
+
+1. the protocol's version (1 byte, 2);
+2. the kind of message (1 byte: 1 command, 2 request for the motors);
+3. the length of the key expression (2 bytes);
+4. lease number, sequence number and stamp, as in the tag;
+5. the key expression with its namespace (UTF-8);
+6. the payload.
+
+Rules:
+
+- The bridge verifies the digest before it parses the payload. A message with a wrong digest changes only
+  a counter.
+- While a lease is held, the bridge refuses every other request for the motors (`another-driver`).
+- A signed request renews or releases the lease. Each sequence number counts once.
+- The answer to a renewal does not repeat the key. A driver that lost the first answer waits until the
+  lease expires (1 s).
+- A driver that gets two answers to its request does not start (exit 3): a peer beside the bridge may have
+  relayed the request and know the key.
+- No other message, log, JSON output, status or recording holds the key. `rover/gate` shows the number of
+  the lease and the name of its driver.
+- A driver and a bridge of different protocol versions do not drive together. Both versions are named.
 """
 
 import hmac

@@ -146,8 +146,11 @@ def train(options: TrainOptions) -> None:
         rover-ncp train --seed 1 --out runs/mine
         rover-ncp train --out runs/mine --resume
 
+    A circuit with the motor neuron REV, such as four_dof, also drives backward.
+
     With --cluster, agents train on the workers of a Dask cluster, which need the same rover-ncp. The bytes
-    are those of a run on this machine; a worker that dies costs time only.
+    are those of a run on this machine; a worker that dies costs time only. Every peer that reaches a Dask
+    scheduler can run code on its workers: use it only on a network that you trust.
 
         rover-ncp train --cluster tcp://192.168.1.5:8786
 

@@ -13,7 +13,12 @@ def mock(options: MockOptions) -> None:
     starts at the origin. Delays, acceleration limits, the watchdog and walls act as on a real one. When the
     mock is ready, it prints the line "listening on HOST:PORT"; Ctrl-C or SIGTERM ends it.
 
-    With --ros2 it is a Zenoh router with the topics of the robot that --model describes.
+    With --ros2 it is a Zenoh router with the topics of the robot that --model describes. Its faults bumper
+    and stop-button do nothing; reset restarts it.
+
+    --truth writes t_ns (since the epoch), t_s, x, y, theta, v, omega, contact and clock_ns (the simulation's
+    clock). With --fault - each fault is answered by a line "applied t_ns=... late_ns=... FAULT": when it
+    began on that clock, and the longest stall of the mock since the line before.
 
     With --randomize the mock has the errors of one random trial: its delays, gains, noise and start, lost
     commands and a push, for as long as the --course lasts. They begin when the motors are first enabled.

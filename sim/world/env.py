@@ -28,7 +28,7 @@ FloatArray = NDArray[np.float64]
 class RoverParkingEnv(gymnasium.Env[FloatArray, FloatArray]):
     """Drive a rover through the checkpoints of a course, each at its time.
 
-    Observation, ``Box(float64)``: the signals that ``signals`` names, see docs/reference/files.md, from the
+    Observation, ``Box(float64)``: the signals that ``signals`` names (rover_ncp/course/signals.py), from the
     true pose. By default the pose in the course's frame and the start signal:
 
     | index | quantity        | min   | max  | unit |

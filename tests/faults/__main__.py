@@ -4,13 +4,14 @@
     PYTHONPATH=tests python -m faults --minutes 20 --seed 1
 
 Mock Pioneer, bridge, links and drivers run as real processes on this machine. For each fault the time to
-standstill is measured, by the rover's true motion, and compared with the bound of docs/safety.md. Then the
+standstill is measured, by the rover's true motion, and compared with the bound of its row. Then the
 fault is removed and the rover drives again. At the end the rover must stand still, bridge and mock must hold
 no more memory, threads or files than at the beginning, and the recordings must hold every message that
 their drivers could receive. All rows need about ten minutes; a short soak lists those that it did not reach.
 """
 
 import argparse
+import csv
 import shutil
 import sys
 from functools import partial
@@ -29,10 +30,11 @@ if __name__ == "__main__":
     given = parser.parse_args()
     shutil.rmtree(OUT, ignore_errors=True)
     soaked = soak(given.minutes * 60.0, given.seed, OUT, partial(print, flush=True))
-    page, failed = OUT / "soak.md", soaked.failed()
-    page.write_text("\n".join(soaked.table()) + "\n")
+    table, failed = OUT / "soak.csv", soaked.failed()
+    with table.open("w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(soaked.table())
     print(
-        f"{len(soaked.rounds)} faults in {soaked.wall_s / 60.0:.1f} minutes, load {soaked.load:.1f}; {page}"
+        f"{len(soaked.rounds)} faults in {soaked.wall_s / 60.0:.1f} minutes, load {soaked.load:.1f}; {table}"
     )
     if soaked.not_reached:
         print("not reached: " + ", ".join(row.key for row in soaked.not_reached))

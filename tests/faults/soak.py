@@ -90,20 +90,19 @@ class Soaked:
         ]
         return wrong if self.still else [*wrong, "the rover does not stand in the end"]
 
-    def table(self) -> Iterator[str]:
-        """Yield the rows as Markdown: how often each occurred, and the time with the least margin."""
-        yield "| layer | fault | times | slowest stands after | allowed |"
-        yield "|---|---|---:|---:|---|"
+    def table(self) -> Iterator[tuple[str, ...]]:
+        """Yield head and rows: how often each fault occurred, and the time with the least margin."""
+        yield "layer", "fault", "times", "slowest standstill after", "allowed"
         for row in MATRIX:
             rounds = [done for done in self.rounds if done.row == row]
             found = [done.measured for done in rounds if done.measured is not None]
-            head = f"| {row.layer} | {row.fault} | {len(rounds)} |"
+            head = row.layer, row.fault, str(len(rounds))
             if found:
                 worst = max(found, key=lambda each: each.seconds - each.braking_s)
                 allowed = f"{worst.bound_s:g} s + {worst.braking_s:.2f} s braking"
-                yield f"{head} {worst.seconds:.2f} s | {allowed} |"
+                yield *head, f"{worst.seconds:.2f} s", allowed
             elif rounds:
-                yield f"{head} failed | |"
+                yield *head, "failed", ""
 
 
 def soak(

@@ -1,7 +1,7 @@
 """The safety matrix: every fault, how it is injected into a running `Rig`, and how soon the rover must stand.
 
-The one table behind ``docs/safety.md``, the tests of the matrix and ``make soak``. A row that is missing
-in one of them fails a test.
+The one table behind ``docs/measured``, the tests of the matrix and ``make soak``. A row that is missing in
+one of them fails a test.
 
 A fault acts on a moving rover that a circuit or a scripted driver drives. It needs no help from the processes
 under test. After the measurement the fault is removed, and the rover must not move then.

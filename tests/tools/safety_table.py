@@ -1,5 +1,6 @@
-"""Run both safety matrices and write their figures into docs/safety.md."""
+"""Run both safety matrices and write their figures into docs/measured, for docs/safety_matrix.md."""
 
+import csv
 import json
 import os
 import subprocess
@@ -10,42 +11,41 @@ from pathlib import Path
 from faults.table import MATRIX, ROS2_ROWS, ROWS
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "safety.md"
-END = "<!-- end -->\n"
-PIONEER, ROS2 = "<!-- measured: make safety -->\n", "<!-- measured: make safety, ROS 2 -->\n"
+MEASURED = ROOT / "docs" / "measured"
 
 
 def pioneer_table(lines):
-    """Yield the Pioneer's rows as Markdown; what is measured includes the mock's own delay and braking."""
+    """Yield the Pioneer's head and rows; what is measured includes the mock's own delay and braking."""
     found = {line["row"]: line for line in lines}
-    yield "| layer | fault | stands after | allowed |"
-    yield "|---|---|---:|---|"
+    yield "layer", "fault", "standstill after", "allowed"
     for row in MATRIX:
         measured = found[row.key]
         note = f" ({measured['note']})" if measured["note"] else ""
-        yield (
-            f"| {row.layer} | {row.fault}{note} | {measured['seconds']:.2f} s | "
-            f"{measured['bound_s']:g} s + {measured['braking_s']:.2f} s braking |"
-        )
+        allowed = f"{measured['bound_s']:g} s + {measured['braking_s']:.2f} s braking"
+        yield row.layer, row.fault + note, f"{measured['seconds']:.2f} s", allowed
 
 
 def ros2_table(lines):
-    """Yield the rows of the ROS 2 robot as Markdown; what is allowed includes its delay and braking."""
+    """Yield head and rows of the ROS 2 robot; what is allowed includes its delay and braking."""
     found = {(line["row"], line["form"]): line for line in lines}
-    yield "| layer | fault | stands after (ros2dds) | (rmw_zenoh) | allowed |"
-    yield "|---|---|---:|---:|---:|"
+    yield "layer", "fault", "standstill after (ros2dds)", "standstill after (rmw_zenoh)", "allowed"
     for key in dict.fromkeys(row.key for row in (*MATRIX, *ROS2_ROWS) if (row.key, "ros2dds") in found):
         row, times = ROWS[key], [found.get((key, form)) for form in ("ros2dds", "rmw_zenoh")]
-        words = " | ".join(f"{time['seconds']:.2f} s" if time else "" for time in times)
-        allowed_s = times[0]["bound_s"] + times[0]["braking_s"]
-        yield f"| {row.layer} | {row.fault} | {words} | {allowed_s:.2f} s |"
+        words = (f"{time['seconds']:.2f} s" if time else "" for time in times)
+        yield row.layer, row.fault, *words, f"{times[0]['bound_s'] + times[0]['braking_s']:.2f} s"
+
+
+def write_table(path, rows):
+    """Write a table as CSV."""
+    with path.open("w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(rows)
 
 
 def main():
     code = 0
-    for test, begin, table in (
-        ("test_safety_matrix.py", PIONEER, pioneer_table),
-        ("test_safety_matrix_ros2.py", ROS2, ros2_table),
+    for test, name, table in (
+        ("test_safety_matrix.py", "pioneer", pioneer_table),
+        ("test_safety_matrix_ros2.py", "ros2", ros2_table),
     ):
         with tempfile.TemporaryDirectory() as folder:
             rows = Path(folder) / "rows.jsonl"
@@ -54,9 +54,7 @@ def main():
             done = subprocess.run([sys.executable, *matrix], cwd=ROOT, env=environment, check=False)
             lines = [json.loads(line) for line in rows.read_text().splitlines()] if rows.exists() else []
         if done.returncode == 0:
-            head, _, rest = PAGE.read_text().partition(begin)
-            _, _, tail = rest.partition(END)
-            PAGE.write_text(head + begin + "\n" + "\n".join(table(lines)) + "\n\n" + END + tail)
+            write_table(MEASURED / f"{name}.csv", table(lines))
         code = code or done.returncode
     return code
 

@@ -1,18 +1,40 @@
-"""The measured tables of the safety page."""
+"""The measured tables of the safety matrix, and the tool that writes them."""
+
+import csv
 
 import pytest
+import safety_table
 from faults.table import CHECKS, MATRIX, ROS2_KEYS, ROWS
 from kit.paths import ROOT
-
-PAGE = (ROOT / "docs" / "safety.md").read_text()
 
 
 @pytest.mark.parametrize(
     ("table", "rows"),
-    [("make safety", MATRIX), ("make safety, ROS 2", [ROWS[key] for key in (*ROS2_KEYS, *CHECKS)])],
+    [("pioneer", MATRIX), ("ros2", [ROWS[key] for key in (*ROS2_KEYS, *CHECKS)])],
 )
-def test_the_page_shows_every_row(table, rows):
-    measured = PAGE.partition(f"<!-- measured: {table} -->")[2].partition("<!-- end -->")[0]
-    lines = [line for line in measured.splitlines() if line.startswith("| ")]
-    for row, line in zip(rows, lines[1:], strict=True):
-        assert line.startswith(f"| {row.layer} | {row.fault}"), line
+def test_the_table_has_every_row(table, rows):
+    with (ROOT / "docs" / "measured" / f"{table}.csv").open(newline="") as file:
+        lines = [*csv.DictReader(file)]
+    for row, line in zip(rows, lines, strict=True):
+        assert line["layer"] == row.layer
+        assert line["fault"].startswith(row.fault)
+        assert line["allowed"]
+
+
+def test_a_measured_row_is_written_with_its_bound(tmp_path):
+    lines = [
+        {"row": row.key, "seconds": 0.5, "bound_s": 2.0, "braking_s": 0.25, "note": "9 a second"}
+        for row in MATRIX
+    ]
+    safety_table.write_table(tmp_path / "rows.csv", safety_table.pioneer_table(lines))
+    with (tmp_path / "rows.csv").open(newline="") as file:
+        first = next(csv.DictReader(file))
+    assert first["fault"] == f"{MATRIX[0].fault} (9 a second)"
+    assert (first["standstill after"], first["allowed"]) == ("0.50 s", "2 s + 0.25 s braking")
+
+
+def test_a_row_measured_in_one_form_leaves_the_other_empty():
+    key = next(iter(CHECKS))
+    line = {"row": key, "form": "ros2dds", "seconds": 0.13, "bound_s": 0.5, "braking_s": 0.12}
+    _, row = safety_table.ros2_table([line])
+    assert row == (ROWS[key].layer, ROWS[key].fault, "0.13 s", "", "0.62 s")

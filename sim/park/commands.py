@@ -46,6 +46,9 @@ def park(
     what failed.
 
     With --dock, a localiser by tags is the fourth process, and the first approach is blocked on purpose.
+
+        rover-ncp park --out runs/park
+        rover-ncp park --dock --out runs/dock
     """
     if dock:
         from sim.park.dock import run_dock

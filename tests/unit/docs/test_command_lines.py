@@ -1,4 +1,4 @@
-"""The command line parses every ``rover-ncp`` line of the README and the pages; no command runs."""
+"""The command line parses every ``rover-ncp`` line of README, pages and helps; no command runs."""
 
 import re
 import shlex
@@ -6,6 +6,7 @@ import shlex
 import pytest
 import typer
 from kit.paths import ROOT
+from typer.core import TyperGroup
 from typer.main import get_command
 
 from rover_ncp.cli import _app
@@ -18,6 +19,19 @@ PLACEHOLDERS = {"S": "1", "N": "1", "NAME": "algorithm1"}
 """Words of the pages that stand for a number or a name."""
 NO_COMMANDS = {"lease"}
 """`rover-ncp lease` is text that the bridge signs."""
+GROUP = get_command(_app())
+
+
+def commands(group=GROUP, path="rover-ncp"):
+    """Yield the path of each command, and the command; those of several and their parts too."""
+    for name in group.list_commands(None):
+        command = group.get_command(None, name)
+        yield f"{path} {name}", command
+        if isinstance(command, TyperGroup):
+            yield from commands(command, f"{path} {name}")
+
+
+COMMANDS = dict(commands())
 
 
 def lines(pattern):
@@ -33,10 +47,11 @@ def parse(line):
     words = shlex.split(line.replace("\\\n", " "), comments=True)
     end = next((place for place, word in enumerate(words) if word in ENDS), None)
     words = [PLACEHOLDERS.get(word, word) for word in words[1:end]]
-    group = get_command(_app())
-    name, *arguments = words
-    command = group.get_command(None, name)
-    assert command is not None, f"no command {name}"
+    command, name, arguments = GROUP, "rover-ncp", words
+    while isinstance(command, TyperGroup):
+        name, *arguments = arguments
+        command = command.get_command(None, name)
+        assert command is not None, f"no command {name}"
     command.make_context(name, arguments)
 
 
@@ -51,6 +66,20 @@ def test_command_in_a_sentence_has_only_real_options(line):
         parse(line)
     except typer.BadParameter as error:  # a sentence may leave arguments out
         assert type(error).__name__ == "MissingParameter"
+
+
+@pytest.mark.parametrize("path", COMMANDS)
+def test_help_of_a_command_has_an_example_and_its_lines_are_parsed(path):
+    examples = LINE.findall(COMMANDS[path].help)
+    assert any(f"{line} ".startswith(f"{path} ") for line in examples)
+    for line in examples:
+        parse(line)
+
+
+def test_every_command_is_in_a_panel_of_the_help():
+    assert {
+        name for name in GROUP.list_commands(None) if GROUP.get_command(None, name).rich_help_panel is None
+    } == set()
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,12 @@ GRADIENTS_STAMP := $(VENV)/.gradients
 FUZZ_STAMP := $(VENV)/.fuzz
 # uv where it is present, or pip.
 UV := $(shell uv --version >/dev/null 2>&1 && command -v uv)
-MAKE_VENV := $(if $(UV),$(UV) venv --quiet --seed --allow-existing --python $(PYTHON),$(PYTHON) -m venv)
+# The pip of an older Python knows no dependency groups, the newest does.
+MAKE_VENV := $(if $(UV),$(UV) venv --quiet --seed --allow-existing --python $(PYTHON),$(PYTHON) -m venv --upgrade-deps)
 # A test starts hundreds of Python processes: each would compile the libraries anew.
 unexport PYTHONDONTWRITEBYTECODE
 INSTALL := $(if $(UV),$(UV) pip install --quiet --compile-bytecode --python $(BIN)/python,$(BIN)/python -m pip install --quiet) --constraint constraints.txt
+DEV := --editable '.[research,tag]' --group dev
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 
 .PHONY: help
@@ -163,24 +165,24 @@ nightly-cpu:
 $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "rover-ncp needs Python 3.11 to 3.13, found %d.%d; run make PYTHON=..." % v)'
 	$(MAKE_VENV) $(VENV)
-	$(INSTALL) --editable '.[dev]'
+	$(INSTALL) $(DEV)
 	touch $@
 
 $(BROWSER_STAMP): $(STAMP)
-	$(INSTALL) --editable '.[dev,browser]'
+	$(INSTALL) $(DEV) --group browser
 	touch $@
 
 $(DOCS_STAMP): $(STAMP)
-	$(INSTALL) --editable '.[dev,docs]'
+	$(INSTALL) $(DEV) --group docs
 	touch $@
 
 $(FUZZ_STAMP): $(STAMP)
-	$(INSTALL) --editable '.[dev,fuzz]'
+	$(INSTALL) $(DEV) --group fuzz
 	touch $@
 
 # By pip: the environment may limit what pip takes of torch, which uv does not read.
 $(GRADIENTS_STAMP): $(STAMP)
-	$(PIP_INSTALL) --editable '.[dev,paper]'
+	$(PIP_INSTALL) --editable '.[gradients]'
 	touch $@
 
 .PHONY: clean

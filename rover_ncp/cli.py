@@ -25,15 +25,12 @@ GROUP = "rover_ncp.commands"
 
 # Which extra brings a library that a command found missing.
 _EXTRAS = {
-    **dict.fromkeys(("numba", "filterpy", "scipy"), "drive"),
-    **dict.fromkeys(("pymunk", "cmaes", "psutil", "gymnasium", "matplotlib"), "train"),
-    "mujoco": "mujoco",
-    **dict.fromkeys(("imageio", "stable_baselines3", "torch"), "paper"),
-    **dict.fromkeys(("jinja2", "plotly", "starlette", "uvicorn", "websockets"), "report"),
-    "cryptography": "keys",
-    "distributed": "cluster",
-    "apriltag": "tag",
-    "cv2": "tag",
+    **dict.fromkeys(("numba", "filterpy", "scipy", "matplotlib", "cryptography"), "drive"),
+    **dict.fromkeys(("jinja2", "plotly", "starlette", "uvicorn", "websockets"), "drive"),
+    **dict.fromkeys(("pymunk", "cmaes", "gymnasium"), "train"),
+    **dict.fromkeys(("apriltag", "cv2"), "tag"),
+    **dict.fromkeys(("mujoco", "imageio", "distributed", "psutil"), "research"),
+    **dict.fromkeys(("stable_baselines3", "torch"), "gradients"),
 }
 # The panels of ``--help``, in the order in which a newcomer meets the commands. Other packages' come first.
 _PANELS = {

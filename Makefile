@@ -120,6 +120,17 @@ paper-gradients: $(GRADIENTS_STAMP) ## PPO and A2C: installs stable-baselines3, 
 test-torch: $(GRADIENTS_STAMP) ## CfC and LTC against the library ncps, whose cells need torch.
 	$(BIN)/pytest tests/unit/learn/test_liquid.py
 
+# All platforms and Pythons in one file; no address, so that any index can serve it. gradients has no lock: torch comes from
+# an index of its choice.
+LOCK := uv pip compile --quiet --universal --python-version 3.11 --constraint constraints.txt --generate-hashes \
+	--no-header --no-annotate --no-emit-index-url pyproject.toml
+.PHONY: lock
+lock: ## Write requirements/: the versions of constraints.txt with hashes, for each extra. Needs uv.
+	$(LOCK) --output-file requirements/base.txt
+	for extra in drive train tag research; do \
+		$(LOCK) --extra $$extra --output-file requirements/$$extra.txt || exit 1; \
+	done
+
 .PHONY: coverage-gate
 coverage-gate: $(STAMP) ## The gate's own tests must run every line and branch of it.
 	$(BIN)/coverage run --branch --include='bridge/gate/*.py' --data-file=.coverage-gate \

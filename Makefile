@@ -7,6 +7,8 @@ BROWSER_STAMP := $(VENV)/.browser
 DOCS_STAMP := $(VENV)/.docs
 GRADIENTS_STAMP := $(VENV)/.gradients
 FUZZ_STAMP := $(VENV)/.fuzz
+FILES_STAMP := $(VENV)/.files
+RELEASE_STAMP := $(VENV)/.release
 # uv where it is present, or pip.
 UV := $(shell uv --version >/dev/null 2>&1 && command -v uv)
 # The pip of an older Python knows no dependency groups, the newest does.
@@ -131,6 +133,26 @@ lock: ## Write requirements/: the versions of constraints.txt with hashes, for e
 		$(LOCK) --extra $$extra --output-file requirements/$$extra.txt || exit 1; \
 	done
 
+.PHONY: files
+files: $(FILES_STAMP) ## Workflows, compose file, Dockerfile and CITATION.cff by their schemas and linters.
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-issue-forms .github/ISSUE_TEMPLATE/[!c]*.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-issue-config .github/ISSUE_TEMPLATE/config.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.dependabot .github/dependabot.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec packaging/compose.yaml
+	$(BIN)/check-jsonschema --builtin-schema vendor.citation-file-format CITATION.cff
+	$(BIN)/zizmor --offline --quiet .github
+	$(BIN)/hadolint packaging/Dockerfile
+
+.PHONY: dist
+dist: $(RELEASE_STAMP) ## Wheel and sdist in dist, and the bill of materials of each lock in build/sbom.
+	rm -rf dist build/sbom && mkdir -p build/sbom
+	$(BIN)/python -m build
+	for lock in requirements/*.txt; do \
+		$(BIN)/cyclonedx-py requirements --output-reproducible --pyproject pyproject.toml --mc-type application \
+			--output-file build/sbom/$$(basename $$lock .txt).cdx.json $$lock || exit 1; \
+	done
+
 .PHONY: coverage-gate
 coverage-gate: $(STAMP) ## The gate's own tests must run every line and branch of it.
 	$(BIN)/coverage run --branch --include='bridge/gate/*.py' --data-file=.coverage-gate \
@@ -189,6 +211,14 @@ $(DOCS_STAMP): $(STAMP)
 
 $(FUZZ_STAMP): $(STAMP)
 	$(INSTALL) $(DEV) --group fuzz
+	touch $@
+
+$(FILES_STAMP): $(STAMP)
+	$(INSTALL) $(DEV) --group files
+	touch $@
+
+$(RELEASE_STAMP): $(STAMP)
+	$(INSTALL) $(DEV) --group release
 	touch $@
 
 # By pip: the environment may limit what pip takes of torch, which uv does not read.

@@ -1,25 +1,18 @@
 """The command line parses every ``rover-ncp`` line of README, pages and helps; no command runs."""
 
 import re
-import shlex
 
 import pytest
 import typer
+from kit.command_lines import GROUP, parse
 from kit.paths import ROOT
 from typer.core import TyperGroup
-from typer.main import get_command
-
-from rover_ncp.cli import _app
 
 PAGES = [ROOT / "README.md", *sorted(p for p in (ROOT / "docs").rglob("*.md") if "reference" not in p.parts)]
 LINE = re.compile(r"^ *(rover-ncp (?:.*\\\n)*.*)", re.MULTILINE)
 INLINE = re.compile(r"`(rover-ncp [a-z][^`]*)`")
-ENDS = {"|", ">", "2>", "&", "&&", ";"}
-PLACEHOLDERS = {"S": "1", "N": "1", "NAME": "algorithm1"}
-"""Words of the pages that stand for a number or a name."""
 NO_COMMANDS = {"lease"}
 """`rover-ncp lease` is text that the bridge signs."""
-GROUP = get_command(_app())
 
 
 def commands(group=GROUP, path="rover-ncp"):
@@ -41,18 +34,6 @@ def lines(pattern):
         for line in pattern.findall(page.read_text()):
             found.setdefault(line, pytest.param(line, id=f"{page.stem}: {line}"))
     return found.values()
-
-
-def parse(line):
-    words = shlex.split(line.replace("\\\n", " "), comments=True)
-    end = next((place for place, word in enumerate(words) if word in ENDS), None)
-    words = [PLACEHOLDERS.get(word, word) for word in words[1:end]]
-    command, name, arguments = GROUP, "rover-ncp", words
-    while isinstance(command, TyperGroup):
-        name, *arguments = arguments
-        command = command.get_command(None, name)
-        assert command is not None, f"no command {name}"
-    command.make_context(name, arguments)
 
 
 @pytest.mark.parametrize("line", [p for p in lines(LINE) if p.values[0] != "rover-ncp --help"])

@@ -7,12 +7,16 @@ BROWSER_STAMP := $(VENV)/.browser
 DOCS_STAMP := $(VENV)/.docs
 GRADIENTS_STAMP := $(VENV)/.gradients
 FUZZ_STAMP := $(VENV)/.fuzz
+FILES_STAMP := $(VENV)/.files
+RELEASE_STAMP := $(VENV)/.release
 # uv where it is present, or pip.
 UV := $(shell uv --version >/dev/null 2>&1 && command -v uv)
-MAKE_VENV := $(if $(UV),$(UV) venv --quiet --seed --allow-existing --python $(PYTHON),$(PYTHON) -m venv)
+# The pip of an older Python knows no dependency groups, the newest does.
+MAKE_VENV := $(if $(UV),$(UV) venv --quiet --seed --allow-existing --python $(PYTHON),$(PYTHON) -m venv --upgrade-deps)
 # A test starts hundreds of Python processes: each would compile the libraries anew.
 unexport PYTHONDONTWRITEBYTECODE
 INSTALL := $(if $(UV),$(UV) pip install --quiet --compile-bytecode --python $(BIN)/python,$(BIN)/python -m pip install --quiet) --constraint constraints.txt
+DEV := --editable '.[research,tag]' --group dev
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 
 .PHONY: help
@@ -118,6 +122,37 @@ paper-gradients: $(GRADIENTS_STAMP) ## PPO and A2C: installs stable-baselines3, 
 test-torch: $(GRADIENTS_STAMP) ## CfC and LTC against the library ncps, whose cells need torch.
 	$(BIN)/pytest tests/unit/learn/test_liquid.py
 
+# All platforms and Pythons in one file; no address, so that any index can serve it. gradients has no lock: torch comes from
+# an index of its choice.
+LOCK := uv pip compile --quiet --universal --python-version 3.11 --constraint constraints.txt --generate-hashes \
+	--no-header --no-annotate --no-emit-index-url pyproject.toml
+.PHONY: lock
+lock: ## Write requirements/: the versions of constraints.txt with hashes, for each extra. Needs uv.
+	$(LOCK) --output-file requirements/base.txt
+	for extra in drive train tag research; do \
+		$(LOCK) --extra $$extra --output-file requirements/$$extra.txt || exit 1; \
+	done
+
+.PHONY: files
+files: $(FILES_STAMP) ## Workflows, compose file, Dockerfile and CITATION.cff by their schemas and linters.
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-issue-forms .github/ISSUE_TEMPLATE/[!c]*.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-issue-config .github/ISSUE_TEMPLATE/config.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.dependabot .github/dependabot.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec packaging/compose.yaml
+	$(BIN)/check-jsonschema --builtin-schema vendor.citation-file-format CITATION.cff
+	$(BIN)/zizmor --offline --quiet .github
+	$(BIN)/hadolint packaging/Dockerfile
+
+.PHONY: dist
+dist: $(RELEASE_STAMP) ## Wheel and sdist in dist, and the bill of materials of each lock in build/sbom.
+	rm -rf dist build/sbom && mkdir -p build/sbom
+	$(BIN)/python -m build
+	for lock in requirements/*.txt; do \
+		$(BIN)/cyclonedx-py requirements --output-reproducible --pyproject pyproject.toml --mc-type application \
+			--output-file build/sbom/$$(basename $$lock .txt).cdx.json $$lock || exit 1; \
+	done
+
 .PHONY: coverage-gate
 coverage-gate: $(STAMP) ## The gate's own tests must run every line and branch of it.
 	$(BIN)/coverage run --branch --include='bridge/gate/*.py' --data-file=.coverage-gate \
@@ -163,24 +198,32 @@ nightly-cpu:
 $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "rover-ncp needs Python 3.11 to 3.13, found %d.%d; run make PYTHON=..." % v)'
 	$(MAKE_VENV) $(VENV)
-	$(INSTALL) --editable '.[dev]'
+	$(INSTALL) $(DEV)
 	touch $@
 
 $(BROWSER_STAMP): $(STAMP)
-	$(INSTALL) --editable '.[dev,browser]'
+	$(INSTALL) $(DEV) --group browser
 	touch $@
 
 $(DOCS_STAMP): $(STAMP)
-	$(INSTALL) --editable '.[dev,docs]'
+	$(INSTALL) $(DEV) --group docs
 	touch $@
 
 $(FUZZ_STAMP): $(STAMP)
-	$(INSTALL) --editable '.[dev,fuzz]'
+	$(INSTALL) $(DEV) --group fuzz
+	touch $@
+
+$(FILES_STAMP): $(STAMP)
+	$(INSTALL) $(DEV) --group files
+	touch $@
+
+$(RELEASE_STAMP): $(STAMP)
+	$(INSTALL) $(DEV) --group release
 	touch $@
 
 # By pip: the environment may limit what pip takes of torch, which uv does not read.
 $(GRADIENTS_STAMP): $(STAMP)
-	$(PIP_INSTALL) --editable '.[dev,paper]'
+	$(PIP_INSTALL) --editable '.[gradients]'
 	touch $@
 
 .PHONY: clean

@@ -89,8 +89,10 @@ def bridge(
     Publishes odometry, transforms, battery, sonar, bumpers and diagnostics as ROS 2 messages, and passes
     commands on through a gate. Only the holder of the lease drives; the rover stops when no valid command
     arrives, and no command beyond the limits reaches it. Motors are off until a driver asks for them. It is
-    ready when it prints
-    "ready zenoh=... base=..."; Ctrl-C or SIGTERM stops the rover and ends it.
+    ready when it prints "ready zenoh=... base=..."; Ctrl-C or SIGTERM stops the rover and ends it.
+
+        rover-ncp bridge --base serial//dev/ttyUSB0 --limits limits.yaml
+        rover-ncp bridge --base ros2/tcp/127.0.0.1 --model turtlebot4
     """
     from bridge.bases import choose_base, gate_limits, open_base
     from bridge.inbox import Inbox
@@ -159,6 +161,8 @@ def urdf(
     """Print a robot's shape as a URDF, for RViz and robot_state_publisher.
 
     Its frames are those that the bridge publishes on tf_static.
+
+        rover-ncp urdf p3at-sh > p3at-sh.urdf
     """
     from bridge.ros2.urdf import UrdfResult
     from bridge.ros2.urdf import urdf as urdf_of
@@ -188,6 +192,8 @@ def keys(
     only publish the rover's pose. With them both ends prove their identity, all traffic is encrypted, and
     each role has only the rights that the table of keys grants. ca-key.pem signs certificates: keep it off
     the robot.
+
+        rover-ncp keys --host 192.168.1.20 --out keys
     """
     from bridge.zenoh.credentials import KeysResult, make_credentials
     from rover_ncp.core.files import require_writable, write_atomic

@@ -91,6 +91,8 @@ def deploy(
     rover may be outside the tolerances with a probability of more than 5 %. Ends with 0 parked, 1 not parked,
     3 no bridge, no robot, not authorised or another driver, 4 stopped by a safety rule, which is named, 130
     interrupted.
+
+        rover-ncp deploy --robot tcp/192.168.1.20 --record run.mcap
     """
     if record is None:
         reject("needs --record", overwrite=overwrite)
@@ -165,6 +167,8 @@ def replay(
     A damaged recording, or one of another version of the estimator, is refused (2); 'report' reads both.
     Estimator and circuit run again at the recorded moments; estimates, potentials and commands must come out
     the same to the last bit. Ends with 0 if they do, 1 if not, and names the first that does not.
+
+        rover-ncp replay run.mcap
     """
     from deploy.replay import replay as recompute
 
@@ -196,6 +200,8 @@ def watch(
     Stop button stops the rover until released. The page shows whether this user may stop the rover. Only
     this machine can open the page; the page shows the SSH command by which another device opens it. It is
     ready when it prints "watching at ADDRESS". Ctrl-C ends it and does not affect the rover.
+
+        rover-ncp watch --robot tcp/192.168.1.20
     """
     from deploy.view.server import run
     from deploy.zenoh_client import BridgeAddress
@@ -223,6 +229,8 @@ def check(
     and measures when the wheels stop. For a ROS 2 robot the bridge then sends nothing either, for 5 s at
     most, and measures when the robot halts by itself. With --model, the bridge must drive that model, and
     odometry must come at its rate. Ends with 0 for yes, 1 for no, with the reason.
+
+        rover-ncp check --robot tcp/192.168.1.20 --on-blocks
     """
     if not on_blocks:
         raise UsageError("the check turns the wheels: put the robot on blocks and give --on-blocks")
@@ -260,6 +268,8 @@ def teleop(
     It drives through the same lease, gate and limits as 'rover-ncp deploy'; 'rover-ncp course new' makes a
     course of a recording. Ends with 0, 3 no bridge, no robot, not authorised or another driver, 4 stopped by
     a safety rule, which is named, 130 Ctrl-C.
+
+        rover-ncp teleop --robot tcp/192.168.1.20 --record taught.mcap
     """
     from deploy.recorder import Recorder
     from deploy.teleop import run

@@ -34,18 +34,23 @@ EXIT_CODES = {
 
 # Which extra brings a library that a command found missing.
 _EXTRAS = {
-    **dict.fromkeys(("numba", "filterpy", "scipy"), "drive"),
-    **dict.fromkeys(("pymunk", "cmaes", "psutil", "gymnasium", "matplotlib"), "train"),
-    "mujoco": "mujoco",
-    **dict.fromkeys(("imageio", "stable_baselines3", "torch"), "paper"),
-    **dict.fromkeys(("jinja2", "plotly", "starlette", "uvicorn", "websockets"), "report"),
-    "cryptography": "keys",
-    "distributed": "cluster",
-    "apriltag": "tag",
-    "cv2": "tag",
+    **dict.fromkeys(("numba", "filterpy", "scipy", "matplotlib", "cryptography"), "drive"),
+    **dict.fromkeys(("jinja2", "plotly", "starlette", "uvicorn", "websockets"), "drive"),
+    **dict.fromkeys(("pymunk", "cmaes", "gymnasium"), "train"),
+    **dict.fromkeys(("apriltag", "cv2"), "tag"),
+    **dict.fromkeys(("mujoco", "imageio", "distributed", "psutil"), "research"),
+    **dict.fromkeys(("stable_baselines3", "torch"), "gradients"),
 }
-# The order in which a newcomer meets the commands; others follow by name.
-_ORDER = ["park", "train", "eval", "mock", "bridge", "deploy", "replay"]
+# The panels of ``--help``, in the order in which a newcomer meets the commands. Other packages' come first.
+_PANELS = {
+    "Park": ["park"],
+    "Train": ["train", "eval", "explain", "export"],
+    "Drive": ["deploy", "teleop", "course", "place", "tag"],
+    "Look": ["watch", "report", "replay", "recover"],
+    "Robot": ["mock", "bridge", "check", "identify", "keys", "urdf"],
+    "Research": ["paper", "bench"],
+}
+_PANEL = {name: panel for panel, names in _PANELS.items() for name in names}
 # The base class of errors for a wrong command line. Typer publishes only its subclasses.
 _WrongCommandLine: type[Exception] = typer.BadParameter.__mro__[2]
 
@@ -60,19 +65,20 @@ class _Commands(TyperGroup):
         self.commands = dict.fromkeys(self._points)  # type: ignore[assignment]
 
     def list_commands(self, ctx: Any) -> list[str]:
-        return sorted(
-            self._points, key=lambda name: (_ORDER.index(name) if name in _ORDER else len(_ORDER), name)
-        )
+        return [*sorted(set(self._points) - set(_PANEL)), *(name for name in _PANEL if name in self._points)]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         if cmd_name not in self._points:
             return None
         found = self._points[cmd_name].load()
         if isinstance(found, typer.Typer):  # a command of several
-            return get_command(found)
-        app = typer.Typer(add_completion=False)
-        app.command(cmd_name)(found)
-        return get_command(app)
+            command: Any = get_command(found)
+        else:
+            app = typer.Typer(add_completion=False)
+            app.command(cmd_name)(found)
+            command = get_command(app)
+        command.rich_help_panel = _PANEL.get(cmd_name)
+        return command
 
 
 def _print_version(requested: bool) -> None:

@@ -14,7 +14,9 @@ tag = typer.Typer(
     name="tag",
     no_args_is_help=True,
     add_completion=False,
-    help="Localise the rover by printed AprilTags: print them, calibrate a camera, send poses.",
+    help="Localise the rover by printed AprilTags: print them, calibrate a camera, send poses.\n\n"
+    "The order is print, calibrate, run.\n\n"
+    "    rover-ncp tag run --camera 0 --camera-file camera.yaml --map tags.yaml --robot tcp/127.0.0.1",
 )
 
 Camera = Annotated[

@@ -94,6 +94,8 @@ def report(
     The page shows the path, every neuron and synapse, the driver's commands and the gate's setpoints over one
     time slider, with a sentence for each phase of the manoeuvre. It holds all its data and loads nothing from
     the network.
+
+        rover-ncp report run.mcap --out run.html
     """
     from deploy.view.page import write_report
     from rover_ncp.core.files import existing_file

@@ -22,6 +22,8 @@ def recover(
     Messages that a killed process had not yet written are lost, half a second at most. The file is replaced
     at once or not at all. A recording that is whole already stays as it is, and so does one that is still
     being written. Memory does not grow with the length of the recording.
+
+        rover-ncp recover run.mcap
     """
     from rover_ncp.core.files import require_creatable
     from rover_ncp.recording.recording import recover as make_whole

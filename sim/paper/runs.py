@@ -137,7 +137,7 @@ def _search(
 
 
 def _train_by_gradients(task: Task, name: RunName) -> tuple[Found, int, dict[str, Any]]:
-    from sim.paper.search.gradients import train_actor  # needs the extra paper
+    from sim.paper.search.gradients import train_actor  # needs the extra gradients
 
     if name.budget in FAITHFUL:
         raise UsageError(f"the paper states no budget for {name.agent}")

@@ -49,6 +49,9 @@ def park(
     folder has train/, run.mcap (with the true pose as truth/pose), run.html, trajectory.png and log/.
 
     With --dock, a localiser by tags is the fourth process, and the first approach is blocked on purpose.
+
+        rover-ncp park --out runs/park
+        rover-ncp park --dock --out runs/dock
     """
     if dock:
         from sim.park.dock import run_dock

@@ -27,6 +27,9 @@ def mock(options: MockOptions) -> None:
     its own; 'tag run --camera http://127.0.0.1:8102/' reads it.
 
     --body mujoco simulates four wheels with friction, weight and motors, on level or sloped ground.
+
+        rover-ncp mock --randomize full --truth truth.csv
+        rover-ncp mock --ros2 --model turtlebot4
     """
     from sim.pioneer.run import run_mock
 

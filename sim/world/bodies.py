@@ -18,6 +18,6 @@ PRESETS = {
 }
 """The first changes nothing."""
 
-BODY_WORDS = "Simulator of the rover: pymunk, or mujoco, which needs the extra mujoco."
+BODY_WORDS = "Simulator of the rover: pymunk, or mujoco, which needs the extra research."
 PRESET_WORDS = "; ".join(f"{body}: {', '.join(names)}" for body, names in PRESETS.items())
 """For the help of an option, as BODY_WORDS."""

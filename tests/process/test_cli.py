@@ -149,19 +149,22 @@ NEEDS = {
         "course check parking",
         "export no.yaml --to c --out exported",
         "export parking --to c --out exported",
+        f"watch {NO_BRIDGE} --port 0 --policy parking",
+        "report no.mcap",
+        "keys --out keys",
     ],
-    "drive,report": [f"watch {NO_BRIDGE} --port 0 --policy parking", "report no.mcap"],
-    "keys": ["keys --out keys"],
     "train": [
         "train --course no.yaml",
         "eval parking",
         "mock --listen nowhere",
         "explain no.mcap",
         "paper replay --task none",
+        "park --course no.yaml",
     ],
-    "report,train": ["park --course no.yaml"],
 }
-"""Command lines that end at once, by the extras they need."""
+"""Command lines that end at once, by the extra they need."""
+BROUGHT = {"": {""}, "drive": {"drive"}, "train": {"drive", "train"}}
+"""By the extra that a user installs, all that it brings."""
 WITHOUT = """
 import json, os, sys
 from importlib.abc import MetaPathFinder
@@ -190,24 +193,18 @@ for missing, lines in json.loads(sys.argv[1]):
 """
 
 
-def brought(extras):
-    """Return the extras that a user has who installs these."""
-    return {*extras.split(","), *["drive"] * ("train" in extras)}
-
-
 def test_a_missing_library_names_an_extra_of_the_command_in_one_line_and_that_is_enough(tmp_path):
-    tasks = [(list(cli._EXTRAS), [line for extras, lines in NEEDS.items() if extras for line in lines])]
-    for extras, lines in NEEDS.items():
-        missing = {library for library, extra in cli._EXTRAS.items() if extra not in brought(extras)}
-        # Two extras bring matplotlib.
-        tasks.append((sorted(missing - ({"matplotlib"} if "report" in extras else set())), lines))
+    tasks = [(list(cli._EXTRAS), [line for extra, lines in NEEDS.items() if extra for line in lines])]
+    for extra, lines in NEEDS.items():
+        missing = [library for library, its in cli._EXTRAS.items() if its not in BROUGHT[extra]]
+        tasks.append((missing, lines))
     done = python(["-c", WITHOUT, json.dumps(tasks)], cwd=tmp_path, stdin=subprocess.DEVNULL)
     answers = done.stderr.split("#\n")[:-1]
     without, *found = [dict(part.split("\n", 1) for part in answer.split("$ ")[1:]) for answer in answers]
     assert [list(each) for each in (without, *found)] == [lines for _, lines in tasks]
-    for extras, answers in zip(NEEDS, found, strict=True):
-        expected = "|".join(brought(extras))
+    for extra, answers in zip(NEEDS, found, strict=True):
+        expected = "|".join(BROUGHT[extra])
         for line, words in answers.items():
             pattern = rf"rover-ncp: \w+ is not installed: .* the extra ({expected}), as .*\n"
-            assert not extras or re.fullmatch(pattern, without[line]), line
+            assert not extra or re.fullmatch(pattern, without[line]), line
             assert "is not installed" not in words, line

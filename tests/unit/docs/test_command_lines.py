@@ -1,23 +1,30 @@
-"""The command line parses every ``rover-ncp`` line of the README and the pages; no command runs."""
+"""The command line parses every ``rover-ncp`` line of README, pages and helps; no command runs."""
 
 import re
-import shlex
 
 import pytest
 import typer
+from kit.command_lines import GROUP, parse
 from kit.paths import ROOT
-from typer.main import get_command
-
-from rover_ncp.cli import _app
+from typer.core import TyperGroup
 
 PAGES = [ROOT / "README.md", *sorted(p for p in (ROOT / "docs").rglob("*.md") if "reference" not in p.parts)]
 LINE = re.compile(r"^ *(rover-ncp (?:.*\\\n)*.*)", re.MULTILINE)
 INLINE = re.compile(r"`(rover-ncp [a-z][^`]*)`")
-ENDS = {"|", ">", "2>", "&", "&&", ";"}
-PLACEHOLDERS = {"S": "1", "N": "1", "NAME": "algorithm1"}
-"""Words of the pages that stand for a number or a name."""
 NO_COMMANDS = {"lease"}
 """`rover-ncp lease` is text that the bridge signs."""
+
+
+def commands(group=GROUP, path="rover-ncp"):
+    """Yield the path of each command, and the command; those of several and their parts too."""
+    for name in group.list_commands(None):
+        command = group.get_command(None, name)
+        yield f"{path} {name}", command
+        if isinstance(command, TyperGroup):
+            yield from commands(command, f"{path} {name}")
+
+
+COMMANDS = dict(commands())
 
 
 def lines(pattern):
@@ -27,17 +34,6 @@ def lines(pattern):
         for line in pattern.findall(page.read_text()):
             found.setdefault(line, pytest.param(line, id=f"{page.stem}: {line}"))
     return found.values()
-
-
-def parse(line):
-    words = shlex.split(line.replace("\\\n", " "), comments=True)
-    end = next((place for place, word in enumerate(words) if word in ENDS), None)
-    words = [PLACEHOLDERS.get(word, word) for word in words[1:end]]
-    group = get_command(_app())
-    name, *arguments = words
-    command = group.get_command(None, name)
-    assert command is not None, f"no command {name}"
-    command.make_context(name, arguments)
 
 
 @pytest.mark.parametrize("line", [p for p in lines(LINE) if p.values[0] != "rover-ncp --help"])
@@ -51,6 +47,20 @@ def test_command_in_a_sentence_has_only_real_options(line):
         parse(line)
     except typer.BadParameter as error:  # a sentence may leave arguments out
         assert type(error).__name__ == "MissingParameter"
+
+
+@pytest.mark.parametrize("path", COMMANDS)
+def test_help_of_a_command_has_an_example_and_its_lines_are_parsed(path):
+    examples = LINE.findall(COMMANDS[path].help)
+    assert any(f"{line} ".startswith(f"{path} ") for line in examples)
+    for line in examples:
+        parse(line)
+
+
+def test_every_command_is_in_a_panel_of_the_help():
+    assert {
+        name for name in GROUP.list_commands(None) if GROUP.get_command(None, name).rich_help_panel is None
+    } == set()
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,8 @@ import json
 import math
 import shutil
 import subprocess
+from dataclasses import replace
+from itertools import cycle, islice
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +28,7 @@ from rover_ncp.export.circuit_c import circuit_files
 from rover_ncp.export.vectors import c_files
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+COURSE = load_policy("course")
 LIBRARY = "p.so", "-shared", "-fPIC"
 FLOAT = "-DROVER_NCP_FLOAT"
 
@@ -87,10 +90,19 @@ def test_an_observation_that_is_not_finite_gives_no_command_and_leaves_the_state
 
 
 @pytest.mark.parametrize(
-    ("name", "course"), [("course", "parking"), ("course", "reverse"), ("parking", "parking")]
+    ("name", "course", "first"),
+    [
+        ("course", "parking", None),
+        ("course", "reverse", None),
+        ("parking", "parking", None),
+        *(("course", "parking", first) for first in range(0, len(SIGNALS), len(COURSE.sensing.inputs))),
+    ],
 )
-def test_the_course_shows_what_a_policy_sees_in_the_simulator(name, course, tmp_path):
+def test_the_course_shows_what_a_policy_sees_in_the_simulator(name, course, first, tmp_path):
     policy, known = load_policy(name), load_course(course)
+    if first is not None:  # every signal, also those that no shipped policy observes
+        inputs = tuple(islice(cycle(SIGNALS), first, first + len(policy.sensing.inputs)))
+        policy = replace(policy, sensing=policy.sensing.model_copy(update={"inputs": inputs}))
     library = compile_c(c_files(policy, name, known), tmp_path, *LIBRARY)
     c = CCourse(policy, library, name)
     reference = plan_reference(known) if name == "course" else None

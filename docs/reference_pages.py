@@ -79,10 +79,10 @@ def reference_pages() -> dict[str, str]:
     """Return the generated pages by their name in ``reference/``."""
     return {
         "commands.md": commands_page(),
+        "lease.md": lease_page(),
         "files.md": files_page(),
         "keys.md": keys_page(),
         "results.md": results_page(),
-        "lease.md": lease_page(),
     }
 
 

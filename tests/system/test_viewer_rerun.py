@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from kit.paths import DATA
+from kit.paths import DATA, ROOT
 from kit.recorded_drives import write_drive
 
 from rover_ncp import cli
@@ -18,15 +18,23 @@ pytestmark = pytest.mark.browser
 COURSE = DATA / "short_course.yaml"
 
 
-def checked(recording):
-    """Return topic → status as `rerun mcap check` prints them; it must find the file sound."""
-    program = shutil.which(
+QUIET = os.environ | {"RERUN_ANALYTICS": "0", "NO_COLOR": "1"}
+
+
+def rerun():
+    """Return the path of the viewer's command."""
+    found = shutil.which(
         "rerun", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     )
-    assert program, "no rerun: make test-browser installs it"
+    assert found, "no rerun: make test-browser installs it"
+    return found
+
+
+def checked(recording):
+    """Return topic → status as `rerun mcap check` prints them; it must find the file sound."""
     done = subprocess.run(
-        [program, "mcap", "check", str(recording)],
-        env=os.environ | {"RERUN_ANALYTICS": "0", "NO_COLOR": "1"},
+        [rerun(), "mcap", "check", str(recording)],
+        env=QUIET,
         capture_output=True,
         text=True,
         timeout=60,
@@ -60,3 +68,15 @@ def test_a_recovered_recording_opens_and_a_cut_off_one_does_not(tmp_path):
         checked(recording)
     assert cli.run(["recover", str(recording)]) == 0
     assert {status for status, _ in checked(recording).values()} == {"ok"}
+
+
+def test_layout_and_recording_are_written_into_one_file(tmp_path):
+    target = tmp_path / "run.rrd"
+    script = ROOT / "docs" / "viewing" / "rerun_drive.py"
+    recording = DATA / "formats" / "0.1.0" / "drive.mcap"
+    how = {"env": QUIET, "timeout": 60, "capture_output": True, "text": True}
+    subprocess.run([sys.executable, str(script), str(recording), "--save", str(target)], check=True, **how)
+    text = subprocess.run([rerun(), "rrd", "print", str(target)], check=True, **how).stdout
+    assert "Blueprint" in text
+    for path in ("/neurons/AVB", "/deploy/path", "/rover/status"):
+        assert f" - {path} " in text

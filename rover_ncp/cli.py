@@ -6,6 +6,7 @@ returns its exit code, or None for 0. Only the module of the command that runs i
 all of them for their first lines.
 """
 
+import inspect
 import json
 import os
 import sys
@@ -78,7 +79,15 @@ class _Commands(TyperGroup):
             app.command(cmd_name)(found)
             command = get_command(app)
         command.rich_help_panel = _PANEL.get(cmd_name)
+        for each in (command, *getattr(command, "commands", {}).values()):
+            each.help = _unwrapped(each.help)
         return command
+
+
+def _unwrapped(text: str | None) -> str:
+    """Return a help with each paragraph in one line: a terminal breaks lines at its own width."""
+    paragraphs = inspect.cleandoc(text or "").split("\n\n")
+    return "\n\n".join(each if each.startswith(" ") else each.replace("\n", " ") for each in paragraphs)
 
 
 def _print_version(requested: bool) -> None:

@@ -1,0 +1,7 @@
+"""What the tests with ROS 2 share. ``make test-ros`` runs them."""
+
+from ros.rig import ROS2DDS_BRIDGE
+
+
+def pytest_report_header():
+    return f"between DDS and Zenoh: {ROS2DDS_BRIDGE or 'tests/ros/relay.py, a stand-in for zenoh-bridge-ros2dds'}"

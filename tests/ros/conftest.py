@@ -4,4 +4,5 @@ from ros.rig import ROS2DDS_BRIDGE
 
 
 def pytest_report_header():
-    return f"between DDS and Zenoh: {ROS2DDS_BRIDGE or 'tests/ros/relay.py, a stand-in for zenoh-bridge-ros2dds'}"
+    """Say which program carried the topics."""
+    return f"between DDS and Zenoh: {ROS2DDS_BRIDGE or 'a stand-in for zenoh-bridge-ros2dds'}"

@@ -1,13 +1,13 @@
-"""A stand-in for zenoh-bridge-ros2dds, for machines that do not have it: rclpy on one side, Zenoh on the other.
+"""A stand-in for zenoh-bridge-ros2dds, for machines that do not have it: rclpy and Zenoh.
 
 It passes on CDR bytes unread and does what the bridge's sources say (zenoh-plugin-ros2dds 1.x: routes_mgr.rs,
-route_publisher.rs, route_subscriber.rs, liveliness_mgt.rs; facts only): plain topic names as keys, no attachment,
-a token for each route that a local node uses, one route for each name and direction, whose type is the first
-one seen. A DDS reader exists only while a Zenoh subscriber matches. Services and actions are left out.
+route_publisher.rs, route_subscriber.rs, liveliness_mgt.rs; facts only). Keys are plain topic names; topics
+have no attachment. A route has a token while a local node uses it. Each name and direction has one route, of
+the first type seen. A DDS reader exists only while a Zenoh subscriber matches. It leaves out services and
+actions, and topics whose type has no Python package here.
 """
 
 import argparse
-import importlib
 import json
 import time
 from collections import deque
@@ -15,24 +15,12 @@ from collections import deque
 import rclpy
 import zenoh
 import zenoh.ext
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from wires import message_class, profile
 
 NODE = "relay"
 SCAN_S = 0.1
 HIDDEN = {"/rosout", "/parameter_events", "/ros_discovery_info"}
-
-
-def message_class(ros_type):
-    package, _, name = ros_type.split("/")
-    return getattr(importlib.import_module(f"{package}.msg"), name)
-
-
-def profile(reliable, latched):
-    return QoSProfile(
-        depth=1 if latched else 10,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-    )
 
 
 class Route:

@@ -16,7 +16,8 @@ from sim.live.processes import GrowingFile, ProcessError, wait_for
 from sim.pioneer.ros2_server import free_port
 
 FOLDER = Path(__file__).parent
-PYTHON = FOLDER.parents[1] / "build" / "venv-ros" / "bin" / "python"
+VENV = FOLDER.parents[1] / "build" / "venv-ros"
+PYTHON = VENV / "bin" / "python"
 ROS2DDS_BRIDGE = shutil.which("zenoh-bridge-ros2dds")
 """The real one, which is used where it is present; else the stand-in."""
 STARTED_S = 30.0
@@ -34,6 +35,7 @@ def ros_environment(domain):
         "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
         "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",  # shared memory outlives processes that are killed
         "OPENBLAS_NUM_THREADS": "1",
+        "CYDR_CACHE_DIR": str(VENV / "cydr"),
     }
 
 
@@ -103,7 +105,7 @@ class RosProcess(ClosedAtExit):
 
 
 class RosRun(LiveRun):
-    """A robot of ROS 2, the Zenoh integration beside it, and our bridge; ``way`` is a wire of ``wires.py``."""
+    """A robot of ROS 2, its Zenoh integration, and our bridge; ``way`` is a wire of ``wires.py``."""
 
     def __init__(self, folder, *bridge, model="turtlebot4", robot=(), way="rclpy", namespace=""):
         super().__init__(folder, bridge=["--model", model, "--no-base-watchdog", *bridge])

@@ -1,8 +1,8 @@
 """A robot with differential drive as a ROS 2 node: real rclpy on DDS, or a foreign rmw_zenoh in Python.
 
 It has odometry with covariance, a gyro, a battery, limits of acceleration, a delay, and a timeout of its own.
-Each 0.1 s it prints its true state as JSON. Lines of its input change it: ``clock 0.5`` sets its clock forward,
-``rate 1`` its odometry's rate.
+Each 0.1 s it prints its true state as JSON. Lines of its input change it: ``clock 0.5`` sets its clock
+forward, ``rate 1`` is its odometry's new rate in Hz.
 """
 
 import argparse
@@ -59,7 +59,7 @@ class Robot:
         self.arguments, self.clock_s, self.rate_hz = arguments, arguments.clock, arguments.rate
         self.body = Body(arguments.accel, arguments.alpha, 0.08, arguments.timeout)
         self.body.x, self.body.y, self.body.theta = arguments.start
-        self.wire = WIRES[arguments.by](arguments.namespace, arguments.name, arguments.router)
+        self.wire = WIRES[arguments.by](arguments.name, arguments.namespace, arguments.router)
         reliable = not arguments.best_effort
         self.publishers = {
             name: self.wire.publisher(topic, ros_type, reliable)

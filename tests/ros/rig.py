@@ -26,6 +26,11 @@ _FIRST = 1 + 30 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
 _domains = itertools.cycle(range(_FIRST, _FIRST + 30))
 
 
+def next_domain():
+    """Return a ROS_DOMAIN_ID that no other test has now."""
+    return next(_domains)
+
+
 def ros_environment(domain):
     """Return the environment of a ROS process, which finds others of its domain on this machine only."""
     ours = ("PATH", "HOME", "LANG", "TMPDIR")
@@ -44,7 +49,8 @@ class RosProcess(ClosedAtExit):
 
     def __init__(self, name, command, folder, domain):
         self.name, log = name, folder / f"{name}.log"
-        run = [str(PYTHON), str(FOLDER / command[0])] if command[0].endswith(".py") else command[:1]
+        self._script = command[0].endswith(".py")
+        run = [str(PYTHON), str(FOLDER / command[0])] if self._script else command[:1]
         with log.open("wb") as out:
             self._child = subprocess.Popen(
                 [*run, *map(str, command[1:])],
@@ -93,11 +99,13 @@ class RosProcess(ClosedAtExit):
         self._child.wait()
 
     def stop(self):
+        """End it: our scripts when their input ends, programs by SIGTERM."""
         with suppress(BrokenPipeError):
             self._child.stdin.close()
-        self._child.terminate()
+        if not self._script:
+            self._child.terminate()
         try:
-            self._child.wait(3.0)
+            self._child.wait(5.0)
         except subprocess.TimeoutExpired:
             self.kill()
 
@@ -109,7 +117,7 @@ class RosRun(LiveRun):
 
     def __init__(self, folder, *bridge, model="turtlebot4", robot=(), way="rclpy", namespace=""):
         super().__init__(folder, bridge=["--model", model, "--no-base-watchdog", *bridge])
-        self.domain, self.way = next(_domains), way
+        self.domain, self.way = next_domain(), way
         self._base_form = f"{ROS2DDS}#" if way == "rclpy" else f"{RMW_ZENOH}&domain={self.domain}"
         self._base_form += f"&namespace={namespace}" if namespace else ""
         self._robot_arguments = ["--by", way, "--namespace", namespace, *robot]

@@ -8,13 +8,10 @@ forward, ``rate 1`` is its odometry's new rate in Hz.
 import argparse
 import json
 import math
-import os
-import selectors
-import sys
 import time
 from collections import deque
 
-from wires import WIRES, header
+from wires import WIRES, header, input_lines
 
 STEP_S, PRINT_S = 0.01, 0.1
 ODOMETRY, IMU, BATTERY = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu", "sensor_msgs/msg/BatteryState"
@@ -77,15 +74,12 @@ class Robot:
         self.body.command(twist.linear.x, twist.angular.z)
 
     def run(self):
-        keys = selectors.DefaultSelector()
-        keys.register(sys.stdin, selectors.EVENT_READ)
         now = time.monotonic()
         due = dict.fromkeys(("odom", "imu", "battery", "print"), now)
-        while True:
+        while (lines := input_lines()) is not None:
+            self.change(lines)
             self.wire.spin(max(0.0, min(due.values()) - time.monotonic()))
             self.body.advance(now := time.monotonic())
-            if keys.select(0) and not self.change(os.read(0, 4096).decode()):
-                return
             periods = {"odom": 1 / self.rate_hz, "imu": 1 / self.arguments.imu_rate, "battery": 1.0}
             for name in [name for name, at in due.items() if now >= at]:
                 # A robot that was held up does not send what it missed.
@@ -95,15 +89,15 @@ class Robot:
                     print(json.dumps(self.body.truth), flush=True)
                 else:
                     self.publishers[name](getattr(self, name)())
+        self.wire.close()
 
-    def change(self, text):
-        for line in text.splitlines():
+    def change(self, lines):
+        for line in lines:
             name, value = line.split()
             if name == "clock":
                 self.clock_s += float(value)
             else:
                 self.rate_hz = float(value)
-        return bool(text)
 
     def header(self, frame):
         return header(time.time() + self.clock_s, frame)

@@ -78,7 +78,7 @@ def read_by_ros(messages):
     for (ros_type, data), answer in zip(messages, answers, strict=True):
         # As text: NaN is equal to NaN.
         assert json.dumps(plain(fields(decode(ros_type, data)))) == json.dumps(answer["values"]), ros_type
-        assert (len(data) + 3) // 4 * 4 == answer["length"], ros_type  # ROS pads the whole to 4 bytes
+        assert 0 <= answer["length"] - len(data) < 4, ros_type  # ROS may pad the end
     return answers
 
 

@@ -7,7 +7,9 @@ dicts of their fields; what is left out has the type's default.
 import importlib
 import json
 import math
+import os
 import queue
+import select
 import sys
 from pathlib import Path
 
@@ -20,6 +22,14 @@ def header(stamp_s, frame):
     """Return a header; ``stamp_s`` is of any clock."""
     seconds = math.floor(stamp_s)
     return {"stamp": {"sec": seconds, "nanosec": int((stamp_s - seconds) * 1e9)}, "frame_id": frame}
+
+
+def input_lines():
+    """Return the lines of the standard input since the last call; None when it has ended."""
+    if not select.select([sys.stdin], [], [], 0)[0]:
+        return []
+    text = os.read(0, 4096).decode()
+    return text.splitlines() if text else None
 
 
 def message_class(ros_type):
@@ -68,6 +78,11 @@ class Rclpy:
         """Wait for a message so long, and handle it."""
         rclpy.spin_once(self.node, timeout_sec=seconds)
 
+    def close(self):
+        """Let the others of the graph know that the node ends."""
+        self.node.destroy_node()
+        rclpy.shutdown()
+
 
 class OnZenoh:
     """What both implementations of rmw_zenoh share: their messages arrive on Zenoh's threads."""
@@ -86,6 +101,9 @@ class OnZenoh:
         except queue.Empty:
             return
         receive(message)
+
+    def close(self):
+        """End, with the session."""
 
 
 class Sdk(OnZenoh):

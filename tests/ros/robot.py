@@ -140,7 +140,7 @@ def main():
     add("--stamped", action="store_true")
     add("--best-effort", action="store_true")
     add("--rate", type=float, default=20.0)
-    add("--imu-rate", type=float, default=50.0)
+    add("--imu-rate", type=float, default=25.0)
     add("--clock", type=float, default=0.0, help="its clock minus this machine's, s")
     add("--timeout", type=float, default=0.5)
     add("--accel", type=float, default=0.9)

@@ -41,8 +41,8 @@ def log_of_its_own():
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(items):
-    """Mark system tests as long; put the longest files first."""
+    """Mark system tests and those with ROS 2 as long; put the longest files first."""
     for item in items:
-        if item.path.parent.name == "system":
+        if item.path.parent.name in {"system", "ros"}:
             item.add_marker("long")
     items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))

@@ -354,13 +354,13 @@ class Ros2Base:
         return self._odometer.problem or f"no odometry on {where} for {LOSS_S} s"
 
     def _no_odometry(self, where: str, now: float) -> str:
+        types = sorted({found.ros_type for found in self._announced(self._topics.odom, published=True)})
+        if types and types != [ODOMETRY]:
+            return f"{where} has the type {', '.join(types)}, expected {ODOMETRY}"
         rate = self._odometer.rate_hz(now)
         if rate > 0:
             least = f"expected {MIN_IN_RATE / RATE_S:g} or more, evenly"
             return self._odometer.problem or f"odometry on {where} arrives {rate:.1f} times a second, {least}"
-        types = sorted({found.ros_type for found in self._announced(self._topics.odom, published=True)})
-        if types and types != [ODOMETRY]:
-            return f"{where} has the type {', '.join(types)}, expected {ODOMETRY}"
         published = sorted(
             {found.topic for found in self._tokens if found.published and found.zid != self._line.zid}
         )

@@ -215,6 +215,12 @@ def test_bytes_that_are_no_odometry_never_make_it_ready(world, payload):
     assert not world.reports
 
 
+def test_another_type_of_odometry_is_named_although_its_messages_arrive(world):
+    world.tell(announced("odom", POSE))
+    world.run(7.0, odom=False, each=lambda: world.hear("odom", b"\0\1\0\0"))
+    assert world.last == Failed(f"tcp/robot:7447: odom has the type {POSE}, expected {ODOMETRY}")
+
+
 @pytest.mark.parametrize("values", [{"x": math.nan}, {"v": math.inf}, {"x": math.inf, "theta": math.nan}])
 def test_odometry_that_is_not_finite_stops_it(ready, values):
     ready.run(1.0, **values)

@@ -1,0 +1,155 @@
+"""A robot with differential drive as a ROS 2 node: real rclpy on DDS, or a foreign rmw_zenoh in Python.
+
+It has odometry with covariance, a gyro, a battery, limits of acceleration, a delay, and a timeout of its own.
+Each 0.1 s it prints its true state as JSON. Lines of its input change it: ``clock 0.5`` sets its clock
+forward, ``rate 1`` is its odometry's new rate in Hz.
+"""
+
+import argparse
+import json
+import math
+import time
+from collections import deque
+
+from wires import WIRES, header, input_lines
+
+STEP_S, PRINT_S = 0.01, 0.1
+ODOMETRY, IMU, BATTERY = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu", "sensor_msgs/msg/BatteryState"
+
+
+class Body:
+    """Where the robot is and how fast it moves; commands act after a delay, and end after ``timeout_s``."""
+
+    def __init__(self, accel, alpha, delay_s, timeout_s):
+        self.accel, self.alpha, self.delay_s, self.timeout_s = accel, alpha, delay_s, timeout_s
+        self.x = self.y = self.theta = self.v = self.omega = 0.0
+        self.wanted, self.fed_s, self.now, self.commands = (0.0, 0.0), -math.inf, time.monotonic(), 0
+        self.queue = deque()
+
+    def command(self, v, omega):
+        self.commands += 1
+        self.queue.append((time.monotonic() + self.delay_s, v, omega))
+
+    def advance(self, now):
+        while self.now < now:
+            self.now += STEP_S
+            while self.queue and self.queue[0][0] <= self.now:
+                self.fed_s, *self.wanted = self.queue.popleft()
+            if self.now - self.fed_s > self.timeout_s:
+                self.wanted = (0.0, 0.0)
+            v, omega = self.wanted
+            self.v += max(-self.accel * STEP_S, min(self.accel * STEP_S, v - self.v))
+            self.omega += max(-self.alpha * STEP_S, min(self.alpha * STEP_S, omega - self.omega))
+            self.theta += self.omega * STEP_S
+            self.x += self.v * math.cos(self.theta) * STEP_S
+            self.y += self.v * math.sin(self.theta) * STEP_S
+
+    @property
+    def truth(self):
+        return {name: getattr(self, name) for name in ("x", "y", "theta", "v", "omega", "commands")}
+
+
+class Robot:
+    """The body and its topics."""
+
+    def __init__(self, arguments):
+        self.arguments, self.clock_s, self.rate_hz = arguments, arguments.clock, arguments.rate
+        self.body = Body(arguments.accel, arguments.alpha, 0.08, arguments.timeout)
+        self.body.x, self.body.y, self.body.theta = arguments.start
+        self.wire = WIRES[arguments.by](arguments.name, arguments.namespace, arguments.router)
+        reliable = not arguments.best_effort
+        self.publishers = {
+            name: self.wire.publisher(topic, ros_type, reliable)
+            for name, topic, ros_type in [
+                ("odom", arguments.odom, arguments.odom_type),
+                ("imu", arguments.imu, IMU),
+                ("battery", arguments.battery, BATTERY),
+            ]
+        }
+        command = "TwistStamped" if arguments.stamped else "Twist"
+        self.wire.subscribe(arguments.cmd_vel, f"geometry_msgs/msg/{command}", self.receive)
+
+    def receive(self, message):
+        twist = message.twist if self.arguments.stamped else message
+        self.body.command(twist.linear.x, twist.angular.z)
+
+    def run(self):
+        now = time.monotonic()
+        due = dict.fromkeys(("odom", "imu", "battery", "print"), now)
+        while (lines := input_lines()) is not None:
+            self.change(lines)
+            self.wire.spin(max(0.0, min(due.values()) - time.monotonic()))
+            self.body.advance(now := time.monotonic())
+            periods = {"odom": 1 / self.rate_hz, "imu": 1 / self.arguments.imu_rate, "battery": 1.0}
+            for name in [name for name, at in due.items() if now >= at]:
+                # A robot that was held up does not send what it missed.
+                period = periods.get(name, PRINT_S)
+                due[name] = now + period if now > due[name] + period else due[name] + period
+                if name == "print":
+                    print(json.dumps(self.body.truth), flush=True)
+                else:
+                    self.publishers[name](getattr(self, name)())
+        self.wire.close()
+
+    def change(self, lines):
+        for line in lines:
+            name, value = line.split()
+            if name == "clock":
+                self.clock_s += float(value)
+            else:
+                self.rate_hz = float(value)
+
+    def header(self, frame):
+        return header(time.time() + self.clock_s, frame)
+
+    def odom(self):
+        body, (frame, child) = self.body, self.arguments.frames
+        if self.arguments.odom_type != ODOMETRY:
+            return {"header": self.header(frame)}
+        turn = {"z": math.sin(body.theta / 2), "w": math.cos(body.theta / 2)}
+        spread = [0.0] * 36
+        spread[0], spread[7], spread[14], spread[21], spread[28], spread[35] = 1e-4, 1e-4, 1e6, 1e6, 1e6, 1e-3
+        pose = {"position": {"x": body.x, "y": body.y}, "orientation": turn}
+        twist = {"linear": {"x": body.v}, "angular": {"z": body.omega}}
+        return {
+            "header": self.header(frame),
+            "child_frame_id": child,
+            "pose": {"pose": pose, "covariance": spread},
+            "twist": {"twist": twist, "covariance": spread},
+        }
+
+    def imu(self):
+        return {"header": self.header("imu_link"), "angular_velocity": {"z": self.body.omega}}
+
+    def battery(self):
+        return {"header": self.header("base_link"), "voltage": self.arguments.volts, "present": True}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    add = parser.add_argument
+    add("--by", choices=WIRES, default="rclpy")
+    add("--router", default="", help="HOST:PORT of the Zenoh router, for rmw_zenoh")
+    add("--name", default="robot")
+    add("--namespace", default="")
+    add("--odom", default="odom")
+    add("--odom-type", default=ODOMETRY)
+    add("--imu", default="imu")
+    add("--battery", default="battery_state")
+    add("--cmd-vel", default="cmd_vel")
+    add("--stamped", action="store_true")
+    add("--best-effort", action="store_true")
+    add("--rate", type=float, default=20.0)
+    add("--imu-rate", type=float, default=25.0)
+    add("--clock", type=float, default=0.0, help="its clock minus this machine's, s")
+    add("--timeout", type=float, default=0.5)
+    add("--accel", type=float, default=0.9)
+    add("--alpha", type=float, default=7.7)
+    add("--volts", type=float, default=14.4)
+    add("--frames", nargs=2, default=("odom", "base_link"))
+    add("--start", nargs=3, type=float, default=(0.0, 0.0, 0.0))
+    Robot(parser.parse_args()).run()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,42 @@
+"""A robot of real ROS 2, checked and parked: three ways by which its topics reach Zenoh."""
+
+import math
+
+import pytest
+from ros.rig import RosRun
+from ros.test_messages import NO_WHEEL, read_by_ros
+
+from deploy.replay import replay
+from rover_ncp.core.geometry import Pose, distance, relative
+from rover_ncp.course.course import load_course
+from rover_ncp.recording.recording import read_recording
+
+PARKED_M = 0.1
+
+
+def true_pose(robot):
+    return Pose(*(robot.last[name] for name in ("x", "y", "theta")))
+
+
+@pytest.mark.parametrize("way", ["rclpy", "zenoh-ros2-sdk", "pyzeros"])
+def test_a_robot_parks_and_the_recording_replays(way, tmp_path):
+    with RosRun(tmp_path, way=way) as run:
+        begin, drive = true_pose(run.body), tmp_path / "run.mcap"
+        done = run.deploy("--model", "turtlebot4", "--course", "parking", "--record", str(drive)).wait(120.0)
+        assert done.code == 0, done.last_line
+        assert done.result["verdict"] == "parked"
+        reached = relative(begin, true_pose(run.body))
+        goal = load_course("parking").goal
+        assert distance(reached, goal) < PARKED_M
+        assert math.remainder(reached.theta - goal.theta, math.tau) == pytest.approx(0.0, abs=PARKED_M)
+        assert run.bridge.stop().code == 0
+    assert replay(drive).difference is None
+    assert_ros_reads(drive)
+
+
+def assert_ros_reads(path):
+    """ROS reads a recording's messages as we do."""
+    newest = {(item.topic, number % 5): item for number, item in enumerate(read_recording(path).messages)}
+    known = [(item.type, item.data) for item in newest.values() if item.type not in NO_WHEEL]
+    assert len({ros_type for ros_type, _ in known}) >= 7
+    read_by_ros(known)

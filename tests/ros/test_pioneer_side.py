@@ -1,0 +1,105 @@
+"""ROS nodes beside a Pioneer: what they see, and how they drive it under --accept-ros."""
+
+import json
+from contextlib import contextmanager
+
+import pytest
+from kit.bridge_bench import Driver, wait_for
+from ros.rig import RosProcess, next_domain, start_relay
+
+from deploy.place.place import load_place
+from rover_ncp import cli
+from rover_ncp.wire.messages import POSE_STAMPED, POSE_WITH_COVARIANCE, TWIST, TWIST_STAMPED
+from sim.live.live_run import LiveRun
+
+# teleop_twist_keyboard's first message of its key i: speed 0.5, turn 1.0, and no frame.
+LINEAR = {"x": 0.5, "y": 0.0, "z": 0.0}
+TELEOP = {
+    TWIST: {"linear": LINEAR, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}},
+    TWIST_STAMPED: {"header": {"frame_id": ""}, "twist": {"linear": LINEAR}},
+}
+
+
+class Pioneer(LiveRun):
+    """A mock Pioneer, a bridge in both forms of ROS, and a relay between the bridge and DDS."""
+
+    def start(self):
+        self.domain = next_domain()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("ROS_DOMAIN_ID", str(self.domain))
+            super().start()
+        start_relay(self, "-e", self.robot)
+
+    def ros(self, name, *command):
+        return self.start_process(lambda: RosProcess(name, command, self.folder, self.domain))
+
+    @contextmanager
+    def topic(self, *command, by="rclpy"):
+        """A node that publishes or listens until the block ends."""
+        router = ["--by", by, "--router", self.robot.removeprefix("tcp/")]
+        node = self.ros("topic", "topic.py", *command, *router)
+        try:
+            node.wait_for_line("{")
+            yield node
+        finally:
+            self.end_process(node)
+
+
+@pytest.fixture(scope="module")
+def pioneer(tmp_path_factory):
+    options = ["--accept-ros", "--ros", "ros2dds", "--ros", "rmw-zenoh"]
+    with Pioneer(tmp_path_factory.mktemp("pioneer"), bridge=options) as run:
+        yield run
+
+
+def moved(odometry):
+    return odometry["pose"]["pose"]["position"]["x"]
+
+
+@pytest.mark.parametrize("way", ["rclpy", "zenoh-ros2-sdk", "pyzeros"])
+@pytest.mark.parametrize("ros_type", [TWIST, TWIST_STAMPED], ids=["Twist", "TwistStamped"])
+def test_the_keyboard_node_of_ros_drives_a_pioneer(ros_type, way, pioneer):
+    with pioneer.topic("echo", "odom", "nav_msgs/msg/Odometry") as odometry:
+        begin = moved(odometry.last)
+        assert odometry.last["header"]["frame_id"] == "odom"
+        with pioneer.topic("pub", "cmd_vel", ros_type, json.dumps(TELEOP[ros_type]), by=way):
+            wait_for(lambda: moved(odometry.last) > begin + 0.1, 20.0)
+        wait_for(lambda: odometry.last["twist"]["twist"]["linear"]["x"] == 0.0)
+    with Driver(pioneer.robot) as driver:  # the node is gone: the gate is free again
+        wait_for(lambda: driver.motors().granted)
+        driver.motors(enable=False)
+
+
+def test_ros_lists_the_topics_of_the_bridge_before_any_subscription(pioneer):
+    wanted = {
+        "/odom": "nav_msgs/msg/Odometry",
+        "/battery_state": "sensor_msgs/msg/BatteryState",
+        "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+        "/rover/gate": "std_msgs/msg/String",
+        "/rover/cmd_out": TWIST_STAMPED,
+    }
+    with pioneer.topic("list") as node:
+        wait_for(lambda: wanted.items() <= {name: kind for name, (kind, *_) in node.last.items()}.items())
+        assert "/cmd_vel" not in node.last
+
+
+@pytest.mark.parametrize(
+    ("ros_type", "fields", "options"),
+    [
+        # AMCL's publisher is transient local.
+        (POSE_WITH_COVARIANCE, {"pose": {"pose": None, "covariance": [1e-4] * 36}}, ["--latched"]),
+        # What Nav2's docking server reads on detected_dock_pose.
+        (POSE_STAMPED, {"pose": None}, []),
+    ],
+    ids=["AMCL", "dock pose"],
+)
+def test_poses_of_ros_nodes_become_a_place(ros_type, fields, options, pioneer, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    pose = {"position": {"x": 2.0, "y": 1.0}, "orientation": {"z": 1.0, "w": 0.0}}
+    inner = fields["pose"] | {"pose": pose} if fields["pose"] else pose
+    message = {"header": {"frame_id": "map"}, "pose": inner}
+    with pioneer.topic("pub", "pose", ros_type, json.dumps(message), *options):
+        assert cli.run(["place", "set", "charger", "--robot", pioneer.robot, "--seconds", "2"]) == 0
+    place = load_place("charger")
+    assert place.frame == "map"
+    assert (place.goal.x, place.goal.y, abs(place.goal.theta)) == pytest.approx((2.0, 1.0, 3.14159), abs=1e-4)

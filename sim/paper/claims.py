@@ -39,12 +39,17 @@ class Verdict(StrEnum):
     NOT_TESTED = "not tested"
 
 
-class Claim(StrictModel):
+class Statement(StrictModel):
+    """A statement of the paper."""
+
+    name: str = Field(description="short name of the claim")
+    words: str = Field(description="what the paper says")
+    where: str = Field(description="section, table or figure of the paper")
+
+
+class Claim(Statement):
     """A claim of the paper and the test that decides on it."""
 
-    name: str
-    words: str
-    where: str
     test: Literal["rate", "value", "compare", "sign", "fact"] | None = None
     """None: nothing in this project can test it."""
     arguments: dict[str, Any] = Field(default_factory=dict)
@@ -57,6 +62,10 @@ class ClaimsFile(StrictModel):
 
     questions: dict[str, tuple[str, ...]]
     claims: tuple[Claim, ...]
+
+    def of(self, test: str) -> list[Claim]:
+        """Return the claims that a test decides on."""
+        return [claim for claim in self.claims if claim.test == test]
 
 
 @dataclass(frozen=True)
@@ -73,12 +82,9 @@ class Outcome:
     """What a significant p means."""
 
 
-class Judged(StrictModel):
+class Judged(Statement):
     """A claim with its verdict."""
 
-    name: str = Field(description="short name of the claim")
-    words: str = Field(description="what the paper says")
-    where: str = Field(description="section, table or figure of the paper")
     verdict: Verdict = Field(description="reproduced, differs, inconclusive or not tested")
     figure: str = Field(description="what was measured")
     why: str = Field(description="the reason of the verdict, or a deviation")
@@ -200,13 +206,12 @@ def compare(  # noqa: PLR0917
     better: bool = False,
 ) -> Outcome:
     """Compare the circuit's returns with those of another agent: ``better``, or at least equal."""
-    ours = store.results(task, "circuit", BudgetName(budget))
-    theirs = store.results(task, other, BudgetName(other_budget or budget))
+    ours = store.returns(task, "circuit", BudgetName(budget))
+    theirs = store.returns(task, other, BudgetName(other_budget or budget))
     if min(len(ours), len(theirs)) < MIN_RUNS:
         return _too_few(min(len(ours), len(theirs)))
-    returns = [np.array([run.mean for run in runs]) for runs in (ours, theirs)]
-    found = permutation(*returns)
-    means = " against ".join(mean_text(float(row.mean())) for row in returns)
+    found = permutation(ours, theirs)
+    means = " against ".join(mean_text(float(row.mean())) for row in (ours, theirs))
     return Outcome(
         f"{means}; difference of return {found.text()}",
         _reproduced(not better and found.low > -TASKS[task].margin),

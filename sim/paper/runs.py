@@ -23,7 +23,6 @@ from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import GRADIENTS, NETWORKS, build_agent, load_agent
 from sim.paper.evaluator import Evaluator
 from sim.paper.results import Packed, Result, ResultStore, RunName, Score
-from sim.paper.search.cma import CMA, HALVING, search_by_cma, search_by_halving
 from sim.paper.search.estimate import BenchmarkEstimator, Budget, Found
 from sim.paper.search.parking import ParkingEvaluator, search_parking
 from sim.paper.search.published import SEARCHES, Checkpoint, search_from_one
@@ -52,7 +51,7 @@ def budget_for(task: Task, name: BudgetName, agent: str = "circuit") -> Budget:
         task.steps,
         task.untuned,
         patience=15_000,
-        strategy=task.search,
+        strategy=task.published_search if isinstance(task, Benchmark) else "gauss-newton",
         prunes=True,
     )
     if name is BudgetName.PUBLISHED and agent in NETWORKS:
@@ -125,15 +124,7 @@ def _search(
             found = search_parking(parking, agent, seed, budget)
         return found, parking.steps, vars(budget)
     evaluator = BenchmarkEstimator(task, agent, seed, budget)
-    if budget.strategy in SEARCHES:
-        found = search_from_one(evaluator, agent, seed, budget, checkpoint)
-        return found, evaluator.steps, vars(budget)
-    limits = {"steps": budget.steps, "starts": budget.starts}
-    if budget.strategy == "halving":
-        return search_by_halving(evaluator, agent, seed, budget), evaluator.steps, limits | HALVING
-    judge = Evaluator(task, agent)
-    found = search_by_cma(evaluator, judge, agent, seed, budget)
-    return found, evaluator.steps + judge.steps, limits | CMA
+    return search_from_one(evaluator, agent, seed, budget, checkpoint), evaluator.steps, vars(budget)
 
 
 def _train_by_gradients(task: Task, name: RunName) -> tuple[Found, int, dict[str, Any]]:

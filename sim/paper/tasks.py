@@ -59,8 +59,6 @@ class Task:
     """Difference of returns that counts as none."""
     threshold_from: str = "ours"
     """Origin of ``success``; the paper states no threshold."""
-    search: str = "gauss-newton"
-    """The search of the default budget, which may differ from that of the published code."""
     published_search: str = "published-parking"
     wiring: str = "tap_withdrawal"
     """Name of the tap-withdrawal circuit with the task's motor neurons."""
@@ -86,7 +84,6 @@ class Benchmark(Task):
     model: MujocoModel | None = None
     search_plant: int | None = None
     """A faster plant for the search; reported results are those of ``plant``."""
-    search: str = "published-benchmarks"
     bonus: float = 0.0
     """Added to every rewarded step, times 1 - |x| of the cart."""
     warm_up: int = 1
@@ -157,7 +154,6 @@ def _pendulum(name: str, title: str, roboschool: bool) -> Benchmark:
         environment="InvertedPendulum-v5",
         model=MujocoModel("inverted_pendulum.xml", *((0.0165, 1) if roboschool else (0.02, 2))),
         search_plant=WRITTEN_PENDULUM,
-        search="cma",
         bonus=0.2,
         most=1200.0,
         untuned=5000,
@@ -212,7 +208,6 @@ _ALL = (
         start=lambda rng: np.concatenate([rng.uniform(-0.1, 0.1, 9), 0.1 * rng.standard_normal(9)]),
         environment="HalfCheetah-v5",
         model=MujocoModel("half_cheetah.xml", 0.01, 5),
-        search="halving",
         untuned=400,
     ),
     Benchmark(

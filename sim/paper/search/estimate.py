@@ -98,20 +98,15 @@ class BenchmarkEstimator(Evaluator):
         return estimates
 
 
-def best_starts(
-    evaluator: Evaluator, starts: Vector, seed: int, *, keep: int = 1, horizon: int | None = None
-) -> Vector:
-    """Return the best of many starts, ``keep`` or more, the best first."""
+def best_start(evaluator: Evaluator, starts: Vector, seed: int) -> Vector:
+    """Return the best (P,) of many starts (n, P)."""
     left, total = np.arange(len(starts)), np.zeros(len(starts))
     for number, rollouts in enumerate(_START_ROUNDS):
-        if number:
-            left = left[: max(-(-len(left) // 4), keep)]
-        if len(left) <= keep:
-            break
-        seeds = draw_seeds(seed, (_STARTS, number), rollouts)
-        total[left] += evaluator.returns(starts[left], seeds, horizon=horizon).sum(axis=1)
-        left = left[np.argsort(-total[left], kind="stable")]
-    best: Vector = starts[left]
+        total[left] += evaluator.returns(starts[left], draw_seeds(seed, (_STARTS, number), rollouts)).sum(
+            axis=1
+        )
+        left = left[np.argsort(-total[left], kind="stable")][: -(-len(left) // 4)]
+    best: Vector = starts[left[0]]
     return best
 
 

@@ -39,7 +39,7 @@ from sim.paper.search.estimate import (
     Budget,
     Found,
     Point,
-    best_starts,
+    best_start,
     confirmed,
     generator_of,
 )
@@ -270,7 +270,7 @@ def search_from_one(
     generator, kind = generator_of(seed), SEARCHES[budget.strategy]
     if isinstance(evaluator, BenchmarkEstimator) and budget.starts > 1:
         starts = untuned(agent, generator, budget.starts)
-        search = kind(agent.layout(), best_starts(evaluator, starts, seed)[0], generator)
+        search = kind(agent.layout(), best_start(evaluator, starts, seed), generator)
     else:
         first = agent.parameters() if isinstance(agent, Policy) else agent.start(generator)
         search = kind.begin(agent.layout(), first, generator)

@@ -23,7 +23,8 @@ from sim.explain.explain import (
 )
 from sim.explain.what_if import Outcome
 from sim.learn.engine.environment import EnvironmentEvaluator
-from sim.paper.interpretation import BenchmarkEpisodes, best_circuit, trained
+from sim.paper.evaluator import Evaluator
+from sim.paper.interpretation import best_circuit, trained
 from sim.paper.results import ResultStore
 from sim.paper.score_file import benchmark_policy
 from sim.paper.tasks import TASKS, Benchmark, Task
@@ -94,14 +95,14 @@ def stored_policy(task: Task, runs: Path = RUNS) -> tuple[str, Policy]:
 
 def _subject(
     source: str | None, task: str, runs: Path
-) -> tuple[str, Policy, BenchmarkEpisodes | EnvironmentEvaluator]:
+) -> tuple[str, Policy, Evaluator | EnvironmentEvaluator]:
     known = TASKS.get(task)
     if isinstance(known, Benchmark):
         if source is None:
             name, policy = stored_policy(known, runs)
         else:
             name, policy = source, benchmark_policy(source, known)
-        return name, policy, BenchmarkEpisodes(known, policy)
+        return name, policy, Evaluator(known, policy)
     if source is None:
         raise UsageError(f"--task {task}: an environment needs a policy")
     policy = load_policy(source)

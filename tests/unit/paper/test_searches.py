@@ -9,8 +9,8 @@ from sim.learn.search.base import draw_seeds
 from sim.paper import BudgetName
 from sim.paper.agents import build_agent
 from sim.paper.runs import budget_for
-from sim.paper.search.estimate import BenchmarkEstimator
-from sim.paper.search.parking import ParkingEvaluator, search_parking
+from sim.paper.search.estimate import BenchmarkEstimator, ParkingEvaluator
+from sim.paper.search.loop import search_parking
 from sim.paper.tasks import TASKS
 
 

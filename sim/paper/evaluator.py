@@ -19,7 +19,7 @@ from sim.learn.engine.environment import Play
 from sim.learn.engine.lanes import IDLE
 from sim.learn.engine.networks import Net, network_commander
 from sim.learn.search.base import Seeds
-from sim.paper.plants.lanes import NO_MUJOCO, Plants, observe, reset_plant, step_plant
+from sim.paper.plants.lanes import KINDS, NO_MUJOCO, Plants, observe, reset_plant, step_plant
 from sim.paper.tasks import Benchmark
 
 FloatArray = NDArray[np.float64]
@@ -91,15 +91,15 @@ def make_plants(task: Benchmark, count: int | None = None, *, for_search: bool =
 
     ``for_search`` takes the task's faster plant where it has one.
     """
-    kind = task.search_plant if for_search and task.search_plant is not None else task.plant
+    plant = task.search_plant if for_search and task.search_plant is not None else task.plant
     pool = None
-    if task.model is not None and kind == task.plant:
+    if task.model is not None and plant == task.plant:
         from sim.paper.plants.mujoco import MujocoPool  # an extra that the other tasks do without
 
         pool = MujocoPool(task.model.file, task.model.step_s, count or _MUJOCO_LANES)
     count = count or (_MUJOCO_LANES if pool else _LANES)
     plants = Plants(
-        kind=kind,
+        kind=KINDS[plant],
         bonus=task.bonus,
         step_s=task.model.step_s if task.model else 0.0,
         frames=task.model.frames if task.model else 1,

@@ -5,17 +5,18 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, Field
 
 from rover_ncp.core.files import read_text
 from sim.learn.search.base import Vector
 from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import AGENTS, GRADIENTS, LIQUID
-from sim.paper.claims import ClaimsFile, Judged, Verdict, summary
+from sim.paper.claims import ClaimsFile, Judged, Verdict
 from sim.paper.interpretation import clear_signs, drives, readings, time_constants
 from sim.paper.results import Result, ResultStore
 from sim.paper.selection import grid
-from sim.paper.statistics import improvement, interquartile_mean, mean_text, wilson
+from sim.paper.statistics import improvement, interquartile_mean, mean_text, summary, wilson
 from sim.paper.tasks import TASKS
 
 Row = Sequence[object]
@@ -117,7 +118,7 @@ def paper_table(store: ResultStore, file: ClaimsFile, name: str) -> str:
         for task in columns:
             given = paper[task, agent]
             share = f" ({given['rate']:.0%})" if "rate" in given else ""
-            ours = store.results(task, agent, BudgetName(given.get("budget", "published")))
+            ours = store.results(task, agent, given.get("budget", "published"))
             cells += [mean_text(given["mean"], given["std"]) + share, _score(ours)]
         rows.append((agent, *cells))
     return markdown(rows)
@@ -126,8 +127,8 @@ def paper_table(store: ResultStore, file: ClaimsFile, name: str) -> str:
 def _score(runs: Sequence[Result]) -> str:
     if not runs:
         return "not tested"
-    share = sum(run.success for run in runs) / len(runs)
-    mean, std, _ = summary(runs)
+    share = np.mean([run.success for run in runs])
+    mean, std, _ = summary(np.array([run.mean for run in runs]))
     return f"{mean_text(mean, std)} ({share:.0%})"
 
 

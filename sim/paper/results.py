@@ -129,7 +129,7 @@ class ResultStore:
         self.folder = folder
         self._read: dict[Path, dict[tuple[str, int], Result]] = {}
 
-    def path(self, task: str, budget: BudgetName) -> Path:
+    def path(self, task: str, budget: str) -> Path:
         """Return the file of a task and a budget."""
         return self.folder / budget / f"{task}.jsonl"
 
@@ -141,12 +141,12 @@ class ResultStore:
         """Return a run. Raises FileError."""
         return self._runs(self.path(name.task, name.budget)).get((name.agent, name.seed))
 
-    def results(self, task: str, agent: str, budget: BudgetName = BudgetName.DEFAULT) -> list[Result]:
+    def results(self, task: str, agent: str, budget: str = BudgetName.DEFAULT) -> list[Result]:
         """Return the finished runs of an agent, by seed. Raises FileError."""
         runs = self._runs(self.path(task, budget)).values()
         return sorted((run for run in runs if run.name.agent == agent), key=lambda run: run.name.seed)
 
-    def returns(self, task: str, agent: str, budget: BudgetName = BudgetName.DEFAULT) -> Vector:
+    def returns(self, task: str, agent: str, budget: str = BudgetName.DEFAULT) -> Vector:
         """Return the mean returns (n,) of these runs. Raises FileError."""
         return np.array([run.mean for run in self.results(task, agent, budget)])
 

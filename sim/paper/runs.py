@@ -41,7 +41,7 @@ replay is compared by its verdict."""
 
 def budget_for(task: Task, name: BudgetName, agent: str = "circuit") -> Budget:
     """Return a budget: the paper's, one of some core-minutes at most, or one of seconds."""
-    iterations, rollouts, worst = task.settings
+    (iterations, rollouts, worst), default = task.settings, task.default
     if name is BudgetName.PUBLISHED and agent in NETWORKS:
         return Budget(*_NETWORK_SETTINGS)
     if name in FAITHFUL:
@@ -49,10 +49,10 @@ def budget_for(task: Task, name: BudgetName, agent: str = "circuit") -> Budget:
         return Budget(rollouts, worst, strategy, iterations, warm_up=task.warm_up)
     strategy = task.published_search if isinstance(task, Benchmark) else "gauss-newton"
     if name is BudgetName.QUICK:
-        starts = min(task.untuned, 300 if task.horizon < 1000 else 100)
+        starts = min(default.untuned, 300 if task.horizon < 1000 else 100)
         limits = {"steps": _QUICK_STEPS, "starts": starts}
         return Budget(min(rollouts, 3), min(worst, 3), strategy, **limits, prunes=True)
-    return Budget(rollouts, worst, strategy, steps=task.steps, starts=task.untuned, prunes=True)
+    return Budget(rollouts, worst, strategy, steps=default.steps, starts=default.untuned, prunes=True)
 
 
 def train_run(

@@ -24,6 +24,10 @@ class Estimate(NamedTuple):
     high: float
     p: float = 1.0
 
+    def within(self, margin: float) -> bool:
+        """Whether the whole interval is nearer to 0 than a margin."""
+        return self.low > -margin and self.high < margin
+
     def text(self) -> str:
         """Return the value and its interval."""
         return f"{mean_text(self.value)} ({mean_text(self.low)} .. {mean_text(self.high)})"
@@ -35,6 +39,11 @@ class Summary(NamedTuple):
     mean: float
     std: float
     runs: int
+
+
+def summary(values: FloatArray) -> Summary:
+    """Return mean and standard deviation of one or more values (n,)."""
+    return Summary(float(np.mean(values)), float(np.std(values, ddof=min(len(values) - 1, 1))), len(values))
 
 
 def permutation(ours: FloatArray, theirs: FloatArray) -> Estimate:

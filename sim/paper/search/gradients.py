@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sim.learn.search.base import Vector
 from sim.paper.evaluator import make_plants
-from sim.paper.plants.lanes import MOUNTAIN_CAR, reset_plant, step_plant
+from sim.paper.plants.lanes import reset_plant, step_plant
 from sim.paper.tasks import Benchmark
 
 FloatArray = NDArray[np.float64]
@@ -117,7 +117,7 @@ def train_actor(task: Benchmark, agent: str, seed: int, *, quick: bool) -> tuple
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
     torch.set_num_threads(1)
-    training = (_CAR if task.plant == MOUNTAIN_CAR else _PENDULUM)[agent]
+    training = (_CAR if task.plant == "mountain-car" else _PENDULUM)[agent]
     options = training.options
     worlds = DummyVecEnv([lambda: PaperEnvironment(task)] * training.environments)
     world = VecNormalize(worlds, gamma=options.get("gamma", 0.99))

@@ -94,7 +94,7 @@ def search_from_one(
         vectors = search.ask(min(ahead, budget.evaluations - search.iterations))
         search.tell(estimator.estimate(vectors, number, search.to_beat))
         assert search.value is not None
-        if budget.prunes and search.value >= estimator.task.enough:
+        if budget.prunes and search.value >= estimator.task.default.enough:
             assert isinstance(estimator, BenchmarkEstimator)
             search.value = confirmed(estimator, search.incumbent, seed, search.evaluations)
         if search.value != before:
@@ -102,7 +102,7 @@ def search_from_one(
         ahead = min(2 * ahead, _MAX_AHEAD) if search.value == before else _MIN_AHEAD
         checkpoint.save(state)
         ended = _spent(budget, search.iterations, estimator.steps)
-        if budget.prunes and search.value >= estimator.task.enough:
+        if budget.prunes and search.value >= estimator.task.default.enough:
             ended = "enough"
         elif budget.prunes and not ended and _is_flat(curve, search.iterations):
             ended = "plateau"
@@ -162,7 +162,7 @@ def search_parking(evaluator: ParkingEvaluator, agent: Policy | Net, seed: int, 
         curve.append(Point(search.evaluations, evaluator.steps, best))
         if best >= evaluator.task.success and evaluator.outcome(search.incumbent)[1]:
             parks = search.incumbent
-            if best >= evaluator.task.enough:
+            if best >= evaluator.task.default.enough:
                 ended = "enough"
     return Found(search.incumbent if parks is None else parks, search.evaluations, tuple(curve), ended)
 

@@ -1,7 +1,5 @@
 """Plants in lanes against Gymnasium's environments, step by step."""
 
-from dataclasses import replace
-
 import gymnasium
 import numpy as np
 import pytest
@@ -168,7 +166,7 @@ def test_half_cheetah_is_gymnasiums_to_the_last_bit():
 
 @pytest.mark.parametrize("name", ["cart-pole", "pendulum", "half-cheetah"])
 def test_an_episode_depends_neither_on_its_lane_nor_on_the_others(name):
-    task = replace(TASKS[name], horizon=100)
+    task = TASKS[name].model_copy(update={"horizon": 100})
     agent = build_agent(task, "mlp", 0)
     vectors = np.random.default_rng(3).normal(0.0, 0.7, (40, agent.layout().size))
     seeds = draw_seeds(0, (1,), len(vectors))

@@ -30,7 +30,7 @@ def budget(name, iterations, which=BudgetName.PUBLISHED, **changes):
 
 
 def search(name, limits, *, checkpoint=ALONE, most=None):
-    task = TASKS[name] if most is None else replace(TASKS[name], most=most)
+    task = TASKS[name] if most is None else TASKS[name].model_copy(update={"most": most})
     agent = build_agent(task, "circuit", 1)
     return search_from_one(BenchmarkEstimator(task, agent, 1, limits), agent, 1, limits, checkpoint)
 
@@ -180,7 +180,7 @@ def test_published_network_takes_raw_inputs_and_ends_at_one():
 
 
 def test_warm_up_tick_changes_an_episode_but_not_its_length():
-    task = replace(TASKS["pendulum"], horizon=5)
+    task = TASKS["pendulum"].model_copy(update={"horizon": 5})
     agent = build_agent(task, "circuit", 0)
     vectors, seeds = np.tile(agent.parameters(), (40, 1)), np.arange(40, dtype=np.uint64)
     cold, warm = (

@@ -21,7 +21,7 @@ RESULTS = {
     "eval --trials": "sim.evaluate.results:TrialsResult",
     "eval --trials --stack, besides": "sim.evaluate.results:StackResult",
     "eval --stack --to": "sim.evaluate.docking_runs:DockingResult",
-    "eval --task, a benchmark of the paper": "sim.paper.score_file:BenchmarkResult",
+    "eval --task, a benchmark of the paper": "sim.evaluate.results:BenchmarkResult",
     "eval --task, an environment": "sim.evaluate.results:EnvironmentResult",
     "bench deploy": "sim.benchmarks.deploy:BenchResult",
     "paper run": "sim.paper.results:MadeResult",

@@ -13,6 +13,7 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.streams import Domain, episode_seeds
 from rover_ncp.course.course import load_course
+from sim.evaluate.benchmark import benchmark_policy
 from sim.explain.explain import (
     Explanation,
     Progress,
@@ -26,7 +27,6 @@ from sim.learn.engine.environment import EnvironmentEvaluator
 from sim.paper.evaluator import Evaluator
 from sim.paper.interpretation import best_circuit, trained
 from sim.paper.results import ResultStore
-from sim.paper.score_file import benchmark_policy
 from sim.paper.tasks import TASKS, Benchmark, Task
 
 EPISODES = 8

@@ -97,13 +97,9 @@ def run_experiments(
     made: list[MadeRun] = []
 
     def on_result(result: "Result") -> None:
-        made.append(
-            MadeRun(
-                path=str(store.path(result.name.task, result.name.budget)),
-                **result.name.model_dump(),
-                **result.model_dump(include=set(RunSummary.model_fields)),
-            )
-        )
+        summary = result.model_dump(include=set(RunSummary.model_fields))
+        path = str(store.path(result.name.task, result.name.budget))
+        made.append(MadeRun(path=path, **result.name.model_dump(), **summary))
         outcome = "" if result.success else ", no success"
         output.say(
             f"{len(made)} of {len(left)}: {result.name}: {result.mean:.4g} ± {result.std:.3g}{outcome} "
@@ -112,14 +108,9 @@ def run_experiments(
 
     if left:
         require_writable(store.path(left[0].task, budget))
+        every_s = 60.0 * (5.0 if checkpoint is None else checkpoint)
         make_runs(
-            left,
-            store,
-            circuit,
-            processes=processes,
-            cluster=cluster,
-            every_s=60.0 * (5.0 if checkpoint is None else checkpoint),
-            on_result=on_result,
+            left, store, circuit, processes=processes, cluster=cluster, every_s=every_s, on_result=on_result
         )
     found = MadeResult(made=made, found=len(names) - len(left))
     output.result(found.model_dump(), f"{len(made)} runs made")

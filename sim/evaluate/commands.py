@@ -343,8 +343,8 @@ def _sensors(sensors: Sensors | None, robot: "RobotDescription | None") -> "tupl
 
 def _play_task(options: EvalOptions, task: str) -> int:
     """Play a task; return 1 if a single episode was played and no success."""
+    from sim.evaluate.benchmark import EPISODES, score_circuit
     from sim.learn.engine.laws import LAWS
-    from sim.paper.score_file import EPISODES, score_circuit
     from sim.paper.tasks import TASKS
 
     if options.policy in LAWS or (":" in options.policy and not Path(options.policy).exists()):

@@ -39,6 +39,15 @@ class StackResult(BaseModel):
     estimate: EstimateSummary = Field(description="of the driver, against the truth")
 
 
+class BenchmarkResult(EpisodesResult):
+    """Score of a circuit in one of the paper's benchmarks; returns have the task's bonus, if it has one."""
+
+    task: str = Field(description="its name")
+    plain_return: float = Field(description="Gymnasium's")
+    success: bool = Field(description="whether the mean is past the threshold")
+    ranges: dict[str, float] = Field(description="of the sensors, by name")
+
+
 class EnvironmentResult(EpisodesResult):
     """Result of episodes of a Gymnasium environment."""
 

@@ -13,6 +13,7 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.streams import Domain, episode_seeds
 from rover_ncp.course.course import load_course
+from sim.evaluate.benchmark import benchmark_policy
 from sim.explain.explain import (
     Explanation,
     Progress,
@@ -23,9 +24,9 @@ from sim.explain.explain import (
 )
 from sim.explain.what_if import Outcome
 from sim.learn.engine.environment import EnvironmentEvaluator
-from sim.paper.interpretation import BenchmarkEpisodes, best_circuit, trained
+from sim.paper.evaluator import Evaluator
+from sim.paper.interpretation import best_circuit, trained
 from sim.paper.results import ResultStore
-from sim.paper.score_file import benchmark_policy
 from sim.paper.tasks import TASKS, Benchmark, Task
 
 EPISODES = 8
@@ -94,14 +95,14 @@ def stored_policy(task: Task, runs: Path = RUNS) -> tuple[str, Policy]:
 
 def _subject(
     source: str | None, task: str, runs: Path
-) -> tuple[str, Policy, BenchmarkEpisodes | EnvironmentEvaluator]:
+) -> tuple[str, Policy, Evaluator | EnvironmentEvaluator]:
     known = TASKS.get(task)
     if isinstance(known, Benchmark):
         if source is None:
             name, policy = stored_policy(known, runs)
         else:
             name, policy = source, benchmark_policy(source, known)
-        return name, policy, BenchmarkEpisodes(known, policy)
+        return name, policy, Evaluator(known, policy)
     if source is None:
         raise UsageError(f"--task {task}: an environment needs a policy")
     policy = load_policy(source)

@@ -11,14 +11,10 @@ Any other name is that of a circuit file.
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rover_ncp.circuit import compiled
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.core.errors import UsageError
 from sim.learn.engine.networks import Net, NetKind, net_for
 from sim.learn.random_circuit import random_circuit
@@ -34,16 +30,6 @@ PAPERS = ("circuit", "random", "mlp", "lstm")
 LIQUID = ("cfc", "ltc")
 AGENTS = (*PAPERS, *LIQUID, *GRADIENTS)
 _MAX_PERTURBATIONS = 6
-_PUBLISHED_CELLS = 12
-"""Cells of a network in the published code; the paper says eleven."""
-
-
-def load_agent(task: Task, circuit: Path) -> Policy:
-    """Return the agent of a circuit file.
-
-    Raises FileError, or ConfigError when the circuit lacks a neuron that the task's mapping names.
-    """
-    return task.policy(load_circuit(circuit))
 
 
 def build_agent(task: Task, agent: str, seed: int, budget: BudgetName = BudgetName.DEFAULT) -> Policy | Net:
@@ -55,27 +41,18 @@ def build_agent(task: Task, agent: str, seed: int, budget: BudgetName = BudgetNa
         return task.policy(random_circuit(seed, own.neurons, own.synapse_count))
     if agent in set(NetKind):
         net = net_for(task.policy(own), NetKind(agent))
-        return _as_published(net) if budget is BudgetName.PUBLISHED else net
+        if budget is BudgetName.PUBLISHED:
+            # The published code has 12 cells (the paper: eleven), raw inputs, and outputs clipped at ±1.
+            zeros, ones, ends = (0.0,) * len(net.scale), (1.0,) * len(net.scale), (1.0,) * len(net.high)
+            low, most = tuple(-end for end in ends), (math.inf,) * len(ones)
+            net = replace(net, center=zeros, scale=ones, most=most, low=low, high=ends, cells=12)
+        return net
     raise UsageError(f"no agent {agent!r} to search for; there are {', '.join(AGENTS)}, or --circuit FILE")
 
 
-def _as_published(net: Net) -> Net:
-    """Return the network of the published code: 12 cells, raw inputs, outputs that the environment clips."""
-    inputs, outputs = len(net.scale), len(net.high)
-    return replace(
-        net,
-        center=(0.0,) * inputs,
-        scale=(1.0,) * inputs,
-        most=(math.inf,) * inputs,
-        low=(-1.0,) * outputs,
-        high=(1.0,) * outputs,
-        cells=_PUBLISHED_CELLS,
-    )
-
-
-def dead_parameters(agent: Policy | Net) -> NDArray[np.bool_] | None:
-    """Return which parameters (P,) have no effect on the output; None where that is not known."""
-    return compiled.dead_parameters(agent) if isinstance(agent, Policy) else None
+def first_vector(agent: Policy | Net, generator: np.random.Generator) -> Vector:
+    """Return the parameters (P,) of an untuned agent: a circuit's defaults, a network's random weights."""
+    return agent.parameters() if isinstance(agent, Policy) else agent.start(generator)
 
 
 def untuned(agent: Policy | Net, generator: np.random.Generator, count: int) -> Vector:
@@ -86,7 +63,7 @@ def untuned(agent: Policy | Net, generator: np.random.Generator, count: int) -> 
     layout = agent.layout()
     rows = []
     for number in range(count):
-        row = agent.parameters() if isinstance(agent, Policy) else agent.start(generator)
+        row = first_vector(agent, generator)
         for _ in range(1 + number % _MAX_PERTURBATIONS):
             row = perturb(layout, row, generator)
         rows.append(row)

@@ -11,16 +11,24 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 from pydantic import Field
 
 from rover_ncp.core.config import StrictModel, parse_yaml
 from rover_ncp.core.files import read_text
-from sim.paper import BudgetName
 from sim.paper.agents import build_agent
 from sim.paper.interpretation import clear_signs, drives, readings, time_constants
-from sim.paper.results import Result, ResultStore
-from sim.paper.statistics import LEVEL, Summary, fisher, holm, mean_text, permutation, welch, wilson
+from sim.paper.results import ResultStore
+from sim.paper.statistics import (
+    LEVEL,
+    Summary,
+    fisher,
+    holm,
+    mean_text,
+    permutation,
+    summary,
+    welch,
+    wilson,
+)
 from sim.paper.tasks import TASKS
 
 CLAIMS = Path(__file__).parent / "claims.yaml"
@@ -39,12 +47,17 @@ class Verdict(StrEnum):
     NOT_TESTED = "not tested"
 
 
-class Claim(StrictModel):
+class Statement(StrictModel):
+    """A statement of the paper."""
+
+    name: str = Field(description="short name of the claim")
+    words: str = Field(description="what the paper says")
+    where: str = Field(description="section, table or figure of the paper")
+
+
+class Claim(Statement):
     """A claim of the paper and the test that decides on it."""
 
-    name: str
-    words: str
-    where: str
     test: Literal["rate", "value", "compare", "sign", "fact"] | None = None
     """None: nothing in this project can test it."""
     arguments: dict[str, Any] = Field(default_factory=dict)
@@ -57,6 +70,10 @@ class ClaimsFile(StrictModel):
 
     questions: dict[str, tuple[str, ...]]
     claims: tuple[Claim, ...]
+
+    def of(self, test: str) -> list[Claim]:
+        """Return the claims that a test decides on."""
+        return [claim for claim in self.claims if claim.test == test]
 
 
 @dataclass(frozen=True)
@@ -73,12 +90,9 @@ class Outcome:
     """What a significant p means."""
 
 
-class Judged(StrictModel):
+class Judged(Statement):
     """A claim with its verdict."""
 
-    name: str = Field(description="short name of the claim")
-    words: str = Field(description="what the paper says")
-    where: str = Field(description="section, table or figure of the paper")
     verdict: Verdict = Field(description="reproduced, differs, inconclusive or not tested")
     figure: str = Field(description="what was measured")
     why: str = Field(description="the reason of the verdict, or a deviation")
@@ -100,13 +114,12 @@ def judge_claims(store: ResultStore, claims: Sequence[Claim]) -> list[Judged]:
         _TESTS[claim.test](store, **claim.arguments) if claim.test else Outcome("", Verdict.NOT_TESTED)
         for claim in claims
     ]
-    groups: dict[tuple[str, str | None], list[int]] = {}
+    places: dict[tuple[str, str | None], dict[int, float]] = {}
     for number, (claim, outcome) in enumerate(zip(claims, outcomes, strict=True)):
         if outcome.p is not None:
-            groups.setdefault((claim.where, claim.test), []).append(number)
-    for numbers in groups.values():
-        corrected = holm([p for number in numbers if (p := outcomes[number].p) is not None])
-        for number, p in zip(numbers, corrected, strict=True):
+            places.setdefault((claim.where, claim.test), {})[number] = outcome.p
+    for found in places.values():
+        for number, p in zip(found, holm(list(found.values())), strict=True):
             outcomes[number] = replace(outcomes[number], p=p)
     return [_judged(claim, outcome) for claim, outcome in zip(claims, outcomes, strict=True)]
 
@@ -120,7 +133,7 @@ def _judged(claim: Claim, outcome: Outcome) -> Judged:
         why = outcome.why if outcome.p is None else f"p = {outcome.p:.2g}, {outcome.why}"
     elif verdict is Verdict.NOT_TESTED:
         why = claim.why or outcome.why
-    data = claim.model_dump(include={"name", "words", "where"})
+    data = claim.model_dump(include=set(Statement.model_fields))
     return Judged(**data, verdict=verdict, figure=outcome.figure, why=why)
 
 
@@ -128,20 +141,11 @@ def _too_few(count: int) -> Outcome:
     return Outcome("", Verdict.NOT_TESTED, f"{count} of at least {MIN_RUNS} runs exist")
 
 
-def _reproduced(holds: bool) -> Verdict | None:
-    return Verdict.REPRODUCED if holds else None
-
-
-def rate(  # noqa: PLR0917
-    store: ResultStore,
-    task: str,
-    hits: int,
-    of: int,
-    budget: str = "published",
-    within: int | None = None,
+def rate(
+    store: ResultStore, *, task: str, hits: int, of: int, budget: str = "published", within: int | None = None
 ) -> Outcome:
     """Compare the circuit's success rate with another one; ``within`` counts successes in some iterations."""
-    runs = store.results(task, "circuit", BudgetName(budget))
+    runs = store.results(task, "circuit", budget)
     if len(runs) < MIN_RUNS:
         return _too_few(len(runs))
     succeeded = [run.success for run in runs]
@@ -150,18 +154,16 @@ def rate(  # noqa: PLR0917
         if any(each is None for each in values):
             return Outcome("", Verdict.NOT_TESTED, "the curves are not complete")
         succeeded = [each is not None and each >= TASKS[task].success for each in values]
-    found = fisher(sum(succeeded), len(runs), hits, of)
-    low, high = wilson(sum(succeeded), len(runs))
-    return Outcome(
-        f"{sum(succeeded)} of {len(runs)} ({low:.0%} to {high:.0%}) against {hits} of {of}",
-        _reproduced(found.low > -RATE_MARGIN and found.high < RATE_MARGIN),
-        f"n = {len(runs)} and {of}",
-        found.p,
-    )
+    count = sum(succeeded)
+    found, (low, high) = fisher(count, len(runs), hits, of), wilson(count, len(runs))
+    figure = f"{count} of {len(runs)} ({low:.0%} to {high:.0%}) against {hits} of {of}"
+    verdict = Verdict.REPRODUCED if found.within(RATE_MARGIN) else None
+    return Outcome(figure, verdict, f"n = {len(runs)} and {of}", found.p)
 
 
-def value(  # noqa: PLR0917
+def value(
     store: ResultStore,
+    *,
     task: str,
     agent: str,
     mean: float,
@@ -171,28 +173,19 @@ def value(  # noqa: PLR0917
     budget: str = "published",
 ) -> Outcome:
     """Compare mean and standard deviation of returns with the paper's, where ``rate`` of the runs succeed."""
-    runs = store.results(task, agent, BudgetName(budget))
-    if len(runs) < MIN_RUNS:
-        return _too_few(len(runs))
-    ours = summary(runs)
-    found, margin = welch(ours, Summary(mean, std, of)), TASKS[task].margin
-    return Outcome(
-        f"{mean_text(ours.mean, ours.std)} against {mean_text(mean, std)}",
-        _reproduced(-margin < found.low and found.high < margin),
-        f"n = {len(runs)} and {of}",
-        found.p,
-    )
+    returns = store.returns(task, agent, budget)
+    if len(returns) < MIN_RUNS:
+        return _too_few(len(returns))
+    ours = summary(returns)
+    found = welch(ours, Summary(mean, std, of))
+    figure = f"{mean_text(ours.mean, ours.std)} against {mean_text(mean, std)}"
+    verdict = Verdict.REPRODUCED if found.within(TASKS[task].margin) else None
+    return Outcome(figure, verdict, f"n = {ours.runs} and {of}", found.p)
 
 
-def summary(runs: Sequence[Result]) -> Summary:
-    """Return mean and standard deviation of the returns of one or more runs."""
-    returns = [run.mean for run in runs]
-    std = float(np.std(returns, ddof=min(len(runs) - 1, 1)))
-    return Summary(float(np.mean(returns)), std, len(runs))
-
-
-def compare(  # noqa: PLR0917
+def compare(
     store: ResultStore,
+    *,
     task: str,
     other: str,
     budget: str = "published",
@@ -200,23 +193,22 @@ def compare(  # noqa: PLR0917
     better: bool = False,
 ) -> Outcome:
     """Compare the circuit's returns with those of another agent: ``better``, or at least equal."""
-    ours = store.results(task, "circuit", BudgetName(budget))
-    theirs = store.results(task, other, BudgetName(other_budget or budget))
+    ours, theirs = store.returns(task, "circuit", budget), store.returns(task, other, other_budget or budget)
     if min(len(ours), len(theirs)) < MIN_RUNS:
         return _too_few(min(len(ours), len(theirs)))
-    returns = [np.array([run.mean for run in runs]) for runs in (ours, theirs)]
-    found = permutation(*returns)
-    means = " against ".join(mean_text(float(row.mean())) for row in returns)
+    found = permutation(ours, theirs)
+    means = " against ".join(mean_text(float(row.mean())) for row in (ours, theirs))
+    reproduced = not better and found.low > -TASKS[task].margin
     return Outcome(
         f"{means}; difference of return {found.text()}",
-        _reproduced(not better and found.low > -TASKS[task].margin),
+        Verdict.REPRODUCED if reproduced else None,
         f"n = {len(ours)} and {len(theirs)}",
         found.p,
         Verdict.REPRODUCED if found.value > 0.0 else Verdict.DIFFERS,
     )
 
 
-def sign(store: ResultStore, source: str, destination: str, expected: str) -> Outcome:
+def sign(store: ResultStore, *, source: str, destination: str, expected: str) -> Outcome:
     """Compare the sign of a contribution with the paper's, in circuits where all readings agree."""
     found = [readings(policy, drive, source, destination) for policy, drive in drives(store)]
     if len(found) < MIN_RUNS:

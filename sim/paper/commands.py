@@ -1,69 +1,51 @@
-"""The command ``paper``; heavy libraries load only when it runs."""
+"""The commands ``paper run``, ``replay`` and ``report``; heavy libraries load only when one of them runs."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rover_ncp.core.console import Json, Output, reject
-from rover_ncp.core.errors import UsageError
+from rover_ncp.core.console import Json, Output
+from rover_ncp.core.errors import FileError, UsageError
 from sim.paper import BudgetName
 
+if TYPE_CHECKING:
+    from sim.paper.results import Result
 
-class What(StrEnum):
-    """Actions on the paper's experiments."""
+paper = typer.Typer(
+    name="paper",
+    no_args_is_help=True,
+    add_completion=False,
+    help="Reproduce the paper's experiments: make runs, replay them, report which claims they confirm.",
+)
 
-    RUN = "run"
-    REPLAY = "replay"
-    REPORT = "report"
+Tasks = Annotated[list[str] | None, typer.Option(help="Only this task; may be repeated.", show_default="all")]
+Agents = Annotated[
+    list[str] | None, typer.Option(help="Only this agent; may be repeated.", show_default="all")
+]
+Seeds = Annotated[list[int] | None, typer.Option(help="Only this seed; may be repeated.", show_default="all")]
+Results = Annotated[Path, typer.Option(help="Folder of the runs.")]
+RESULTS = Path("results")
 
 
-_SELECTION = {"task", "agent", "seed", "budget"}
-_OPTIONS = {
-    What.RUN: _SELECTION | {"circuit", "again", "processes", "cluster", "checkpoint"},
-    What.REPLAY: _SELECTION | {"circuit"},
-    What.REPORT: {"long", "curves"},
-}
-"""Options of each action, besides --results and --json."""
-
-
-def paper(
-    what: Annotated[
-        What,
-        typer.Argument(
-            help="run: make runs. replay: score stored parameters again. report: the paper's claims, and "
-            "whether the runs reproduce them."
-        ),
-    ],
+@paper.command("run")
+def run_experiments(
     *,
-    task: Annotated[
-        list[str] | None, typer.Option(help="Only this task; may be repeated.", show_default="all")
-    ] = None,
-    agent: Annotated[
-        list[str] | None, typer.Option(help="Only this agent; may be repeated.", show_default="all")
-    ] = None,
-    seed: Annotated[
-        list[int] | None, typer.Option(help="Only this seed; may be repeated.", show_default="all")
-    ] = None,
+    task: Tasks = None,
+    agent: Agents = None,
+    seed: Seeds = None,
     circuit: Annotated[
         Path | None,
         typer.Option(help="A wiring of your own, YAML or .bnn, as one more agent.", show_default=False),
     ] = None,
     budget: Annotated[
-        BudgetName | None,
+        BudgetName,
         typer.Option(
             help="quick: seconds a run. default: minutes. published: the paper's iterations with the search "
-            "of its code. algorithm1: the same with the search as printed.",
-            show_default="default; of replay all",
+            "of its code. algorithm1: the same with the search as printed."
         ),
-    ] = None,
-    results: Annotated[Path, typer.Option(help="Folder of the runs.")] = Path("results"),
-    long: Annotated[bool, typer.Option("--long", help="report: the tables of all claims and runs.")] = False,
-    curves: Annotated[
-        Path | None,
-        typer.Option(help="report: write the published search's curves to this PNG.", show_default=False),
-    ] = None,
+    ] = BudgetName.DEFAULT,
+    results: Results = RESULTS,
     again: Annotated[bool, typer.Option("--again", help="Repeat runs that exist already.")] = False,
     processes: Annotated[
         int | None,
@@ -90,104 +72,72 @@ def paper(
         ),
     ] = None,
     json: Json = False,
-) -> int:
-    """Reproduce the paper's experiments: a grid of runs (task, agent, seed), and the claims that they test.
+) -> None:
+    """Make the runs that do not exist yet.
 
     A run is one line of RESULTS/BUDGET/TASK.jsonl: settings, versions, learning curve, trained parameters.
-    Existing runs are not repeated. An interrupted run of the paper's own searches continues from its last
-    checkpoint when the command is repeated.
+    An interrupted run of the paper's own searches continues from its last checkpoint when the command is
+    repeated.
 
-        rover-ncp paper report
         rover-ncp paper run --task mountain-car --agent circuit --seed 3 --again
-        rover-ncp paper replay --task mountain-car
         rover-ncp paper run --task cart-pole --circuit mine.bnn
         rover-ncp paper run --cluster tcp://192.168.1.5:8786
         rover-ncp paper run --budget published --task parking
     """
-    from sim.paper.command_results import MadeResult
-    from sim.paper.results import ResultStore
-    from sim.paper.runs import is_stored
+    from rover_ncp.core.files import require_writable
+    from sim.paper.results import MadeResult, MadeRun, ResultStore, RunSummary
+    from sim.paper.runs import is_stored, make_runs
     from sim.paper.selection import select
 
-    given: dict[str, Any] = {"task": task, "agent": agent, "seed": seed, "circuit": circuit, "budget": budget}
-    given |= {"long": long, "curves": curves, "again": again, "processes": processes, "cluster": cluster}
-    given["checkpoint"] = checkpoint
-    reject(f"has no effect on {what}", **{k: v for k, v in given.items() if k not in _OPTIONS[what]})
-    output, store = Output(json), ResultStore(results)
-    if what is What.REPORT:
-        return _report(output, store, long=long, curves=curves)
-    if what is What.REPLAY:
-        agents = [circuit.stem] if circuit else agent
-        wanted = {"task": task, "agent": agents, "seed": seed, "budget": [budget] if budget else None}
-        return _replay(output, store, wanted)
     if cluster is not None and any(each is not None for each in (processes, circuit, checkpoint)):
         raise UsageError("--cluster cannot be combined with --processes, --circuit or --checkpoint")
-    names = select(task, agent, seed, circuit, budget or BudgetName.DEFAULT)
+    output, store = Output(json), ResultStore(results)
+    names = select(task, agent, seed, circuit, budget)
     left = [name for name in names if again or not is_stored(store, name, circuit)]
-    every_s = 60.0 * (5.0 if checkpoint is None else checkpoint)
-    options = {"circuit": circuit, "cluster": cluster, "processes": processes, "every_s": every_s}
-    made = _make(output, store, left, options) if left else []
-    result = MadeResult(made=made, found=len(names) - len(left))
-    output.result(result.model_dump(), f"{len(made)} runs made")
-    return 0
-
-
-def _make(output: Output, store: Any, names: list[Any], options: dict[str, Any]) -> list[Any]:
-    """Make runs; return a summary of each."""
-    from rover_ncp.core.files import require_writable
-    from sim.paper.command_results import MadeRun
-    from sim.paper.results import RunSummary
-    from sim.paper.runs import make_runs
-
     made: list[MadeRun] = []
 
-    def on_result(result: Any) -> None:
-        made.append(
-            MadeRun(
-                path=str(store.path(result.name.task, result.name.budget)),
-                **result.name.model_dump(),
-                **result.model_dump(include=set(RunSummary.model_fields)),
-            )
-        )
+    def on_result(result: "Result") -> None:
+        summary = result.model_dump(include=set(RunSummary.model_fields))
+        path = str(store.path(result.name.task, result.name.budget))
+        made.append(MadeRun(path=path, **result.name.model_dump(), **summary))
         outcome = "" if result.success else ", no success"
         output.say(
-            f"{len(made)} of {len(names)}: {result.name}: {result.mean:.4g} ± {result.std:.3g}{outcome} "
+            f"{len(made)} of {len(left)}: {result.name}: {result.mean:.4g} ± {result.std:.3g}{outcome} "
             f"({result.cpu_s:.0f} s of a core, ended by {result.ended})"
         )
 
-    require_writable(store.path(names[0].task, names[0].budget))
-    make_runs(names, store, on_result=on_result, **options)
-    return made
+    if left:
+        require_writable(store.path(left[0].task, budget))
+        every_s = 60.0 * (5.0 if checkpoint is None else checkpoint)
+        make_runs(
+            left, store, circuit, processes=processes, cluster=cluster, every_s=every_s, on_result=on_result
+        )
+    found = MadeResult(made=made, found=len(names) - len(left))
+    output.result(found.model_dump(), f"{len(made)} runs made")
 
 
-def _report(output: Output, store: Any, *, long: bool, curves: Path | None) -> int:
-    """Print the report; write the learning curves if wanted."""
-    from rover_ncp.core.files import require_writable, write_atomic
-    from sim.paper.claims import judge_claims, load_claims
-    from sim.paper.command_results import ReportResult
-    from sim.paper.curves import curves_png
-    from sim.paper.report import coverage, long_report, short_report
-
-    if curves is not None:
-        require_writable(curves)
-        write_atomic(curves, curves_png(store))
-    file = load_claims()
-    judged = judge_claims(store, file.claims)
-    text = long_report(store, judged) if long else short_report(store, file, judged)
-    output.result(ReportResult(claims=judged, groups=coverage(store)).model_dump(), text)
-    return 0
-
-
-def _replay(output: Output, store: Any, wanted: dict[str, Any]) -> int:
+@paper.command("replay")
+def replay_experiments(
+    *,
+    task: Tasks = None,
+    agent: Agents = None,
+    seed: Seeds = None,
+    budget: Annotated[
+        BudgetName | None, typer.Option(help="Only runs of this budget.", show_default="all")
+    ] = None,
+    results: Results = RESULTS,
+    json: Json = False,
+) -> int:
     """Score the parameters of stored runs again; exit 1 if a verdict or a return differs.
 
-    ``wanted`` has the values of some fields of a run's name; None: any.
+    rover-ncp paper replay --task mountain-car
     """
-    from sim.paper.command_results import DifferentRun, ReplayResult
+    from sim.paper.results import DifferentRun, ReplayResult, ResultStore
     from sim.paper.runs import agrees, replay
 
+    wanted = {"task": task, "agent": agent, "seed": seed, "budget": budget and [budget]}
     differ, replayed, exact = [], 0, 0
-    for result in store.every():
+    for result in ResultStore(results).every():
         name = result.name
         if not all(values is None or getattr(name, field) in values for field, values in wanted.items()):
             continue
@@ -197,9 +147,43 @@ def _replay(output: Output, store: Any, wanted: dict[str, Any]) -> int:
         if not agrees(result, found):
             differ.append(DifferentRun(**name.model_dump(), stored=result.mean, replayed=found.mean))
     if not replayed:
-        raise UsageError(f"{store.folder}: has no such runs to replay")
-    output.result(
+        raise UsageError(f"{results}: has no such runs to replay")
+    Output(json).result(
         ReplayResult(replayed=replayed, exact=exact, differ=differ).model_dump(),
         f"{replayed} runs replayed, {exact} to the last bit, {len(differ)} differ",
     )
     return 1 if differ else 0
+
+
+@paper.command("report")
+def report_experiments(
+    *,
+    results: Results = RESULTS,
+    long: Annotated[bool, typer.Option("--long", help="The tables of all claims and runs.")] = False,
+    curves: Annotated[
+        Path | None,
+        typer.Option(help="Write the published search's curves to this PNG.", show_default=False),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Report the paper's claims, and whether the stored runs reproduce them.
+
+    rover-ncp paper report
+    rover-ncp paper report --curves curves.png
+    """
+    from rover_ncp.core.files import require_writable, write_atomic
+    from sim.paper.claims import judge_claims, load_claims
+    from sim.paper.curves import curves_png
+    from sim.paper.report import ReportResult, coverage, long_report, short_report
+    from sim.paper.results import ResultStore
+
+    if curves is not None:
+        require_writable(curves)
+    if not results.is_dir():
+        raise FileError(f"{results}: no such folder")
+    store, file = ResultStore(results), load_claims()
+    if curves is not None:
+        write_atomic(curves, curves_png(store))
+    judged = judge_claims(store, file.claims)
+    text = long_report(store, judged) if long else short_report(store, file, judged)
+    Output(json).result(ReportResult(claims=judged, groups=coverage(store)).model_dump(), text)

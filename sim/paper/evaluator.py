@@ -5,19 +5,21 @@ other episodes.
 """
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.runner import Runner
 from rover_ncp.kernels.jit import kernel
 from rover_ncp.kernels.vectors import WIDTH
 from sim.learn.engine.commander import circuit_commander
+from sim.learn.engine.environment import Play
 from sim.learn.engine.lanes import IDLE
 from sim.learn.engine.networks import Net, network_commander
 from sim.learn.search.base import Seeds
-from sim.paper.plants.lanes import NO_MUJOCO, Plants, observe, reset_plant, step_plant
+from sim.paper.plants.lanes import KINDS, NO_MUJOCO, Plants, observe, reset_plant, step_plant
 from sim.paper.tasks import Benchmark
 
 FloatArray = NDArray[np.float64]
@@ -89,15 +91,15 @@ def make_plants(task: Benchmark, count: int | None = None, *, for_search: bool =
 
     ``for_search`` takes the task's faster plant where it has one.
     """
-    kind = task.search_plant if for_search and task.search_plant is not None else task.plant
+    plant = task.search_plant if for_search and task.search_plant is not None else task.plant
     pool = None
-    if task.model is not None and kind == task.plant:
+    if task.model is not None and plant == task.plant:
         from sim.paper.plants.mujoco import MujocoPool  # an extra that the other tasks do without
 
         pool = MujocoPool(task.model.file, task.model.step_s, count or _MUJOCO_LANES)
     count = count or (_MUJOCO_LANES if pool else _LANES)
     plants = Plants(
-        kind=kind,
+        kind=KINDS[plant],
         bonus=task.bonus,
         step_s=task.model.step_s if task.model else 0.0,
         frames=task.model.frames if task.model else 1,
@@ -115,16 +117,11 @@ class Evaluator:
     """
 
     def __init__(
-        self,
-        task: Benchmark,
-        agent: Policy | Net,
-        lanes: int | None = None,
-        *,
-        for_search: bool = False,
-        warm_up: int = 0,
+        self, task: Benchmark, agent: Policy | Net, *, for_search: bool = False, warm_up: int = 0
     ) -> None:
-        self.task, self.steps, self._warm_up = task, 0, warm_up
-        self._plants, self._pool = make_plants(task, lanes, for_search=for_search)
+        self.task, self.agent, self.steps, self._warm_up = task, agent, 0, warm_up
+        self.enough = task.success
+        self._plants, self._pool = make_plants(task, for_search=for_search)
         if isinstance(agent, Policy):
             commander = circuit_commander(agent)
             self._shape = len(agent.sensing.inputs), len(agent.motors.outputs)
@@ -133,28 +130,45 @@ class Evaluator:
         self._arrays = commander.allocate(self._plants.state.shape[1])
         self._kernel = episode_kernel(commander.start_lane, commander.tick_lanes)
 
+    def of(self, agent: Policy) -> Self:
+        """Return the same episodes for another agent with the task's inputs and outputs."""
+        return type(self)(self.task, agent)
+
     def starts(self, seeds: Seeds) -> FloatArray:
         """Return the first states (n, S) that the environment's ``reset(seed)`` gives for seeds (n,)."""
         generators = (np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(s)))) for s in seeds)
         return np.array([self.task.start(generator) for generator in generators])
 
-    def run(self, vectors: ArrayLike, seeds: Seeds, *, horizon: int | None = None) -> FloatArray:
+    def run(self, vectors: ArrayLike, seeds: Seeds) -> FloatArray:
         """Run one episode for each vector (n, P) and seed (n,).
 
         Returns (n, 3): Gymnasium's return, the sum of bonuses, and steps, which ``self.steps`` counts. An
-        unstable simulation returns -1e6. The default horizon is the task's.
+        unstable simulation returns -1e6.
         """
         rows = np.ascontiguousarray(vectors, np.float64)
-        queue = Episodes(rows, self.starts(seeds), horizon or self.task.horizon, self._warm_up)
+        queue = Episodes(rows, self.starts(seeds), self.task.horizon, self._warm_up)
         results: FloatArray = self._kernel(self._arrays, self._plants, self._shape, queue)
         self.steps += int(results[:, 2].sum())
         results[~np.isfinite(results[:, :2].sum(axis=1)), :2] = (_LOST, 0.0)
         return results
 
-    def returns(self, vectors: FloatArray, seeds: Seeds, *, horizon: int | None = None) -> FloatArray:
+    def returns(self, vectors: FloatArray, seeds: Seeds) -> FloatArray:
         """Return the returns with bonus (n, k) of vectors (n, P), each in the episodes of seeds (k,)."""
-        found = self.run(
-            np.repeat(vectors, len(seeds), axis=0), np.tile(seeds, len(vectors)), horizon=horizon
-        )
+        found = self.run(np.repeat(vectors, len(seeds), axis=0), np.tile(seeds, len(vectors)))
         returns: FloatArray = found[:, :2].sum(axis=1).reshape(len(vectors), len(seeds))
         return returns
+
+    def play(self, seed: int) -> Play:
+        """Play one episode of the policy, with its own parameters."""
+        assert isinstance(self.agent, Policy)
+        runner, plants = Runner(self.agent), self._plants
+        seen = np.zeros((self._shape[0], plants.state.shape[1]))
+        reset_plant(plants, 0, self.starts(np.array([seed], np.uint64))[0])
+        rows: list[tuple[FloatArray, FloatArray, float]] = []
+        terminated = False
+        while not terminated and len(rows) < self.task.horizon:
+            observe(plants, 0, seen)
+            outputs = np.array(runner.tick(seen[:, 0]))
+            reward, bonus, terminated = step_plant(plants, 0, outputs[:, None])
+            rows.append((outputs, runner.potentials, reward + bonus))
+        return Play(*(np.array(part) for part in zip(*rows, strict=True)))

@@ -1,4 +1,4 @@
-"""Interpretation of the trained circuits: episodes of benchmarks, Definition 1 and time constants.
+"""Interpretation of the trained circuits: Definition 1 and time constants.
 
 Definition 1 leaves three choices open: whether vertical steps count (the supplement calls them independence),
 whether the whole run counts or only the drive, and the threshold. A sign here is one that all choices give.
@@ -8,21 +8,16 @@ from collections import Counter
 from collections.abc import Iterable
 from functools import lru_cache
 from itertools import product
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deploy.view.interpretation import STILL_MV, Sign, sign_of, time_constant_ranges
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.runner import Runner
 from rover_ncp.course.course import load_course
-from sim.learn.engine.environment import Play
 from sim.learn.engine.rollout import Rollout, rollout
-from sim.learn.search.base import Seeds, Vector
 from sim.paper.agents import build_agent
-from sim.paper.evaluator import Evaluator, make_plants
-from sim.paper.plants.lanes import observe, reset_plant, step_plant
+from sim.paper.evaluator import Evaluator
 from sim.paper.results import Result, ResultStore
 from sim.paper.tasks import Benchmark, find_task
 
@@ -33,39 +28,6 @@ THRESHOLDS = (1.0, 1.5, 2.0)
 """One count must exceed the other by this factor; the paper's words allow several readings."""
 _MOVING = 1e-4
 """Distance in m, or turn in rad, in a tick of 0.1 s above which the rover drives."""
-
-
-class BenchmarkEpisodes:
-    """Episodes of a benchmark with one policy, whose inputs and outputs are the task's."""
-
-    def __init__(self, task: Benchmark, policy: Policy) -> None:
-        self.task, self.policy = task, policy
-        self.enough: float | None = task.success
-        self._evaluator = Evaluator(task, policy)
-
-    def of(self, policy: Policy) -> Self:
-        """Return the episodes of another policy with the same inputs and outputs."""
-        return type(self)(self.task, policy)
-
-    def returns(self, vectors: Vector, seeds: Seeds) -> Vector:
-        """Return the returns with bonus (n, k) of vectors (n, P), each in the episodes of seeds (k,)."""
-        return self._evaluator.returns(vectors, seeds)
-
-    def play(self, seed: int) -> Play:
-        """Play one episode of the policy."""
-        plants, pool = make_plants(self.task, 1)
-        runner = Runner(self.policy)
-        seen = np.zeros((len(self.policy.sensing.inputs), 1))
-        reset_plant(plants, 0, self._evaluator.starts(np.array([seed], np.uint64))[0])
-        rows: list[tuple[Vector, Vector, float]] = []
-        terminated = False
-        while not terminated and len(rows) < self.task.horizon:
-            observe(plants, 0, seen)
-            outputs = np.array(runner.tick(seen[:, 0]))
-            reward, bonus, terminated = step_plant(plants, 0, outputs[:, None])
-            rows.append((outputs, runner.potentials, reward + bonus))
-        del pool  # owned the memory of MuJoCo's plants until here
-        return Play(*(np.array(part) for part in zip(*rows, strict=True)))
 
 
 def best_circuit(store: ResultStore, task: str) -> Result | None:
@@ -123,7 +85,7 @@ def time_constants(store: ResultStore, task: str) -> dict[str, Range]:
         return {}
     policy, found = trained(result), find_task(task)
     if isinstance(found, Benchmark):
-        potentials = BenchmarkEpisodes(found, policy).play(0).potentials
+        potentials = Evaluator(found, policy).play(0).potentials
     else:
         potentials = rollout(policy, load_course("parking")).potentials
     ranges = time_constant_ranges(policy.circuit, potentials, policy.sensing.neurons)

@@ -6,20 +6,21 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, Field
 
 from rover_ncp.core.files import read_text
+from sim.learn.search.base import Vector
 from sim.paper import FAITHFUL, BudgetName
 from sim.paper.agents import AGENTS, GRADIENTS, LIQUID
-from sim.paper.claims import ClaimsFile, Judged, Verdict, summary
-from sim.paper.command_results import Group
+from sim.paper.claims import ClaimsFile, Judged, Verdict
 from sim.paper.interpretation import clear_signs, drives, readings, time_constants
 from sim.paper.results import Result, ResultStore
 from sim.paper.selection import grid
-from sim.paper.statistics import improvement, interquartile_mean, mean_text, wilson
+from sim.paper.statistics import improvement, interquartile_mean, mean_text, summary, wilson
 from sim.paper.tasks import TASKS
 
-Row = tuple[str, ...]
-LAYOUTS: dict[str, Row] = {
+Row = Sequence[object]
+LAYOUTS = {
     "Table II": ("circuit", "random"),
     "Table III": ("circuit", *GRADIENTS),
     "Table IV": ("lstm", "mlp", "circuit", "random"),
@@ -28,6 +29,26 @@ LAYOUTS: dict[str, Row] = {
 _COLUMNS = ("pendulum", "mountain-car", "half-cheetah")
 _ROBOTS = {"harsh": "robots of `harsh`", "unseen": "robots of `full` on other courses"}
 _TRIALS = 1000
+
+
+class GroupRow(BaseModel):
+    """The stored runs of a task and an agent."""
+
+    budget: BudgetName = Field(description="how long a run may take: quick, default or published")
+    task: str = Field(description="its name")
+    agent: str = Field(description="circuit, network or search of the paper")
+    made: int = Field(description="finished runs")
+    runs: int = Field(description="runs that the grid wants")
+    commits: dict[str, int] = Field(description="by commit: number of runs")
+    ended: dict[str, int] = Field(description="by reason: number of runs")
+    cpu_s: float = Field(description="CPU time")
+
+
+class ReportResult(BaseModel):
+    """Result of ``paper report``."""
+
+    claims: list[Judged] = Field(description="one row each")
+    groups: list[GroupRow] = Field(description="the runs of a task and an agent each")
 
 
 def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Judged]) -> str:
@@ -48,31 +69,19 @@ def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Judged])
 
 def long_report(store: ResultStore, judged: Sequence[Judged]) -> str:
     """Return the tables of all claims, of all interquartile means and of all runs. Raises FileError."""
-    claims = [(claim.name, claim.words, claim.where, claim.text, claim.figure) for claim in judged]
-    runs = [
-        (
-            str(row.budget),
-            row.task,
-            row.agent,
-            f"{row.made} of {row.runs}",
-            f"{row.cpu_s:.0f}",
-            _counts(row.ended),
-            _counts(row.commits),
-        )
-        for row in coverage(store)
-    ]
-    return "\n\n".join(
-        [
-            "## All claims",
-            markdown([("name", "claim", "where", "verdict", "ours against the paper's"), *claims]),
-            "## All interquartile means",
-            iqm_table(store, (*FAITHFUL, BudgetName.DEFAULT)),
-            "## Settings",
-            settings_table(),
-            "## All runs",
-            markdown([("budget", "task", "agent", "runs", "core s", "ended by", "commits"), *runs]),
-        ]
-    )
+    claims: list[Row] = [("name", "claim", "where", "verdict", "ours against the paper's")]
+    claims += [(claim.name, claim.words, claim.where, claim.text, claim.figure) for claim in judged]
+    runs: list[Row] = [("budget", "task", "agent", "runs", "core s", "ended by", "commits")]
+    for row in coverage(store):
+        made, core_s = f"{row.made} of {row.runs}", f"{row.cpu_s:.0f}"
+        runs.append((row.budget, row.task, row.agent, made, core_s, _counts(row.ended), _counts(row.commits)))
+    parts = {
+        "All claims": markdown(claims),
+        "All interquartile means": iqm_table(store, (*FAITHFUL, BudgetName.DEFAULT)),
+        "Settings": settings_table(),
+        "All runs": markdown(runs),
+    }
+    return "\n\n".join(f"## {title}\n\n{table}" for title, table in parts.items())
 
 
 def answers(file: ClaimsFile, judged: Sequence[Judged]) -> str:
@@ -99,8 +108,7 @@ def _reason(claim: Judged) -> str:
 
 def paper_table(store: ResultStore, file: ClaimsFile, name: str) -> str:
     """Return one of Tables II to IV in the paper's layout, theirs beside ours."""
-    claims = [claim for claim in file.claims if claim.test == "value"]
-    claims.sort(key=lambda claim: claim.where == name)
+    claims = sorted(file.of("value"), key=lambda claim: claim.where == name)
     paper = {(claim.arguments["task"], claim.arguments["agent"]): claim.arguments for claim in claims}
     columns = [task for task in _COLUMNS if all((task, agent) in paper for agent in LAYOUTS[name])]
     titles = [TASKS[task].title for task in columns]
@@ -110,11 +118,8 @@ def paper_table(store: ResultStore, file: ClaimsFile, name: str) -> str:
         for task in columns:
             given = paper[task, agent]
             share = f" ({given['rate']:.0%})" if "rate" in given else ""
-            budget = BudgetName(given.get("budget", "published"))
-            cells += [
-                mean_text(given["mean"], given["std"]) + share,
-                _score(store.results(task, agent, budget)),
-            ]
+            ours = store.results(task, agent, given.get("budget", "published"))
+            cells += [mean_text(given["mean"], given["std"]) + share, _score(ours)]
         rows.append((agent, *cells))
     return markdown(rows)
 
@@ -122,8 +127,8 @@ def paper_table(store: ResultStore, file: ClaimsFile, name: str) -> str:
 def _score(runs: Sequence[Result]) -> str:
     if not runs:
         return "not tested"
-    share = sum(run.success for run in runs) / len(runs)
-    mean, std, _ = summary(runs)
+    share = np.mean([run.success for run in runs])
+    mean, std, _ = summary(np.array([run.mean for run in runs]))
     return f"{mean_text(mean, std)} ({share:.0%})"
 
 
@@ -133,11 +138,11 @@ def iqm_table(store: ResultStore, budgets: Sequence[BudgetName]) -> str:
         ("search", "task", "agent", "runs", "successes", "interquartile mean (95 %)", "P(circuit better)")
     ]
     for budget in budgets:
-        pairs: dict[str, list[Any]] = {}
+        pairs: dict[str, list[tuple[Vector, Vector]]] = {}
         for task in TASKS:
-            own = _returns(store, task, "circuit", budget)
+            own = store.returns(task, "circuit", budget)
             for agent in AGENTS:
-                returns = _returns(store, task, agent, budget)
+                returns = store.returns(task, agent, budget)
                 if len(returns) < 2:
                     continue
                 above = ""
@@ -146,29 +151,21 @@ def iqm_table(store: ResultStore, budgets: Sequence[BudgetName]) -> str:
                     above = improvement([(own, returns)]).text()
                 successes = sum(run.success for run in store.results(task, agent, budget))
                 iqm = interquartile_mean(returns).text()
-                rows.append((budget, task, agent, str(len(returns)), str(successes), iqm, above))
+                rows.append((budget, task, agent, len(returns), successes, iqm, above))
         for agent, found in pairs.items():
-            tasks = f"mean of {len(found)} tasks"
-            rows.append((budget, tasks, agent, "", "", "", improvement(found).text()))
+            rows.append((budget, f"mean of {len(found)} tasks", agent, "", "", "", improvement(found).text()))
     return markdown(rows)
-
-
-def _returns(store: ResultStore, task: str, agent: str, budget: BudgetName) -> Any:
-    return np.array([run.mean for run in store.results(task, agent, budget)])
 
 
 def sign_table(store: ResultStore, file: ClaimsFile) -> str:
     """Return, for each pair, the circuits in which all readings of Definition 1 give one sign."""
     rows: list[Row] = [("pair", "paper", "circuits with one sign", "readings of the best circuit")]
-    for claim in file.claims:
-        if claim.test != "sign":
-            continue
+    for claim in file.of("sign"):
         pair = claim.arguments["source"], claim.arguments["destination"]
         found = [readings(policy, drive, *pair) for policy, drive in drives(store)]
-        clear = Counter(clear_signs(found))
+        clear = _counts(Counter(clear_signs(found))) or "none"
         best = _counts(found[0]) if found else ""
-        signs = f"{_counts(clear) or 'none'} of {len(found)}"
-        rows.append((" → ".join(pair), claim.arguments["expected"], signs, best))
+        rows.append((" → ".join(pair), claim.arguments["expected"], f"{clear} of {len(found)}", best))
     return markdown(rows)
 
 
@@ -197,25 +194,20 @@ def robots_table(store: ResultStore) -> str:
     return markdown(rows)
 
 
-def coverage(store: ResultStore) -> list[Group]:
+def coverage(store: ResultStore) -> list[GroupRow]:
     """Return each group of the grid: how many of its runs exist, and the commits that made them."""
     rows = []
-    for budget in (*FAITHFUL, BudgetName.DEFAULT):
-        for group in grid(budget):
-            runs = store.results(group.task, group.agent, budget)
-            commits = Counter(_short(run.made_with.get("commit", "unknown")) for run in runs)
-            rows.append(
-                Group(
-                    budget=budget,
-                    task=group.task,
-                    agent=group.agent,
-                    made=len(runs),
-                    runs=group.runs,
-                    commits=commits,
-                    ended=Counter(run.ended for run in runs),
-                    cpu_s=sum(run.cpu_s for run in runs),
-                )
+    for group in grid(*FAITHFUL, BudgetName.DEFAULT):
+        runs = store.results(group.task, group.agent, group.budget)
+        rows.append(
+            GroupRow(
+                **group._asdict(),
+                made=len(runs),
+                commits=Counter(_short(run.made_with.get("commit", "unknown")) for run in runs),
+                ended=Counter(run.ended for run in runs),
+                cpu_s=sum(run.cpu_s for run in runs),
             )
+        )
     return rows
 
 
@@ -225,7 +217,7 @@ def commits_table(store: ResultStore) -> str:
     for group in coverage(store):
         found.setdefault((group.budget, group.task), Counter()).update(group.commits)
     rows: list[Row] = [("search", "task", "runs", "of commit")]
-    rows += [(*key, str(commits.total()), _counts(commits)) for key, commits in found.items() if commits]
+    rows += [(*key, commits.total(), _counts(commits)) for key, commits in found.items() if commits]
     return markdown(rows)
 
 
@@ -235,8 +227,7 @@ def settings_table() -> str:
     rows: list[Row] = [(*columns, "margin of equality")]
     for task in TASKS.values():
         numbers = (task.horizon, *task.settings, task.policy(task.circuit()).layout().size)
-        threshold = f"{task.success:g} ({task.threshold_from})"
-        rows.append((task.name, *map(str, numbers), threshold, f"{task.margin:g}"))
+        rows.append((task.name, *numbers, f"{task.success:g} ({task.threshold_from})", f"{task.margin:g}"))
     return markdown(rows)
 
 
@@ -249,6 +240,6 @@ def _counts(found: Any) -> str:
 
 
 def markdown(rows: Sequence[Row]) -> str:
-    """Return rows of texts, the first one the head, as a Markdown table."""
-    lines = [f"| {' | '.join(row)} |" for row in rows]
+    """Return rows, the first one the head, as a Markdown table."""
+    lines = [f"| {' | '.join(map(str, row))} |" for row in rows]
     return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FileError
@@ -94,6 +94,34 @@ class Result(RunSummary):
         return reached[-1] if reached else None
 
 
+class MadeRun(RunName, RunSummary):
+    """A run that was made now."""
+
+    path: str = Field(description="its file")
+
+
+class MadeResult(BaseModel):
+    """Result of ``paper run``."""
+
+    made: list[MadeRun] = Field(description="runs that were made now")
+    found: int = Field(description="how many runs existed already")
+
+
+class DifferentRun(RunName):
+    """A run whose replay differs."""
+
+    stored: float = Field(description="the mean return in the file")
+    replayed: float = Field(description="the mean return now")
+
+
+class ReplayResult(BaseModel):
+    """Result of ``paper replay``."""
+
+    replayed: int = Field(description="how many runs")
+    exact: int = Field(description="of them to the last bit")
+    differ: list[DifferentRun] = Field(description="runs whose verdict or return differs")
+
+
 class ResultStore:
     """The results in a folder, ``BUDGET/TASK.jsonl``. Of two runs of one name the last one counts."""
 
@@ -101,7 +129,7 @@ class ResultStore:
         self.folder = folder
         self._read: dict[Path, dict[tuple[str, int], Result]] = {}
 
-    def path(self, task: str, budget: BudgetName) -> Path:
+    def path(self, task: str, budget: str) -> Path:
         """Return the file of a task and a budget."""
         return self.folder / budget / f"{task}.jsonl"
 
@@ -113,10 +141,14 @@ class ResultStore:
         """Return a run. Raises FileError."""
         return self._runs(self.path(name.task, name.budget)).get((name.agent, name.seed))
 
-    def results(self, task: str, agent: str, budget: BudgetName = BudgetName.DEFAULT) -> list[Result]:
+    def results(self, task: str, agent: str, budget: str = BudgetName.DEFAULT) -> list[Result]:
         """Return the finished runs of an agent, by seed. Raises FileError."""
         runs = self._runs(self.path(task, budget)).values()
         return sorted((run for run in runs if run.name.agent == agent), key=lambda run: run.name.seed)
+
+    def returns(self, task: str, agent: str, budget: str = BudgetName.DEFAULT) -> Vector:
+        """Return the mean returns (n,) of these runs. Raises FileError."""
+        return np.array([run.mean for run in self.results(task, agent, budget)])
 
     def every(self) -> Iterator[Result]:
         """Yield all runs, file by file. Raises FileError."""

@@ -3,8 +3,7 @@
 import importlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, as_completed
-from dataclasses import replace
+from concurrent.futures import as_completed
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
+from rover_ncp.circuit.policy_file import load_circuit, policy_from_yaml, policy_to_yaml
 from rover_ncp.core.errors import UsageError
 from sim.learn.cluster import DaskCluster
 from sim.learn.engine.networks import Net
@@ -20,21 +19,19 @@ from sim.learn.record import made_with
 from sim.learn.search.base import Vector, draw_seeds
 from sim.learn.workers import ProcessPool, available_processes
 from sim.paper import FAITHFUL, BudgetName
-from sim.paper.agents import GRADIENTS, NETWORKS, build_agent, load_agent
+from sim.paper.agents import GRADIENTS, NETWORKS, build_agent
 from sim.paper.evaluator import Evaluator
 from sim.paper.results import Packed, Result, ResultStore, RunName, Score
-from sim.paper.search.cma import CMA, HALVING, search_by_cma, search_by_halving
-from sim.paper.search.estimate import BenchmarkEstimator, Budget, Found
-from sim.paper.search.parking import ParkingEvaluator, search_parking
-from sim.paper.search.published import SEARCHES, Checkpoint, search_from_one
+from sim.paper.search.estimate import BenchmarkEstimator, Budget, Found, ParkingEvaluator
+from sim.paper.search.loop import Checkpoint, search_from_one, search_parking
+from sim.paper.search.published import SEARCHES
 from sim.paper.tasks import Benchmark, Task, find_task
 
 _FINAL = 99
 """Stream of the fresh episodes that a run is judged by."""
 _FINAL_EPISODES, _QUICK_EPISODES = 100, 20
-_NETWORK_SETTINGS = (10, 5, 20_000)
+_NETWORK_SETTINGS = (10, 5, "published-network", 20_000)
 """Rollouts, worst rollouts and iterations of the published search of MLP and LSTM."""
-_UNLIMITED = 10**12
 _QUICK_STEPS = 400_000
 """Steps of a quick run: a few seconds."""
 TOLERANCE = 1e-9
@@ -44,32 +41,18 @@ replay is compared by its verdict."""
 
 def budget_for(task: Task, name: BudgetName, agent: str = "circuit") -> Budget:
     """Return a budget: the paper's, one of some core-minutes at most, or one of seconds."""
-    settings = task.settings
-    default = Budget(
-        settings.rollouts,
-        settings.worst,
-        _UNLIMITED,
-        task.steps,
-        task.untuned,
-        patience=15_000,
-        strategy=task.search,
-        prunes=True,
-    )
+    (iterations, rollouts, worst), default = task.settings, task.default
     if name is BudgetName.PUBLISHED and agent in NETWORKS:
-        return Budget(*_NETWORK_SETTINGS, _UNLIMITED, 1, _UNLIMITED, "published-network")
+        return Budget(*_NETWORK_SETTINGS)
     if name in FAITHFUL:
         strategy = task.published_search if name is BudgetName.PUBLISHED else "algorithm1"
-        limits = (settings.iterations, _UNLIMITED, 1, _UNLIMITED)
-        return Budget(settings.rollouts, settings.worst, *limits, strategy, task.warm_up)
+        return Budget(rollouts, worst, strategy, iterations, warm_up=task.warm_up)
+    strategy = task.published_search if isinstance(task, Benchmark) else "gauss-newton"
     if name is BudgetName.QUICK:
-        return replace(
-            default,
-            rollouts=min(settings.rollouts, 3),
-            worst=min(settings.worst, 3),
-            steps=_QUICK_STEPS,
-            starts=min(task.untuned, 300 if task.horizon < 1000 else 100),
-        )
-    return default
+        starts = min(default.untuned, 300 if task.horizon < 1000 else 100)
+        limits = {"steps": _QUICK_STEPS, "starts": starts}
+        return Budget(min(rollouts, 3), min(worst, 3), strategy, **limits, prunes=True)
+    return Budget(rollouts, worst, strategy, steps=default.steps, starts=default.untuned, prunes=True)
 
 
 def train_run(
@@ -90,9 +73,10 @@ def train_run(
         libraries = ["stable-baselines3", "torch"]
     else:
         agent = (
-            load_agent(task, circuit) if circuit else build_agent(task, name.agent, name.seed, name.budget)
+            _own_agent(task, circuit) if circuit else build_agent(task, name.agent, name.seed, name.budget)
         )
-        found, steps, settings = _search(task, agent, name.seed, budget, checkpoint)
+        found, steps = _search(task, agent, name.seed, budget, checkpoint)
+        settings = vars(budget)
     if isinstance(task, Benchmark):
         libraries += ["gymnasium", "mujoco"] if task.model else ["gymnasium"]
     episodes = _QUICK_EPISODES if name.budget is BudgetName.QUICK else _FINAL_EPISODES
@@ -113,27 +97,25 @@ def train_run(
     )
 
 
+def _own_agent(task: Task, circuit: Path) -> Policy:
+    return task.policy(load_circuit(circuit))
+
+
+def _agent(task: Task, name: RunName) -> Policy | Net:
+    return build_agent(task, name.agent, name.seed, name.budget)
+
+
 def _search(
     task: Task, agent: Policy | Net, seed: int, budget: Budget, checkpoint: Checkpoint
-) -> tuple[Found, int, dict[str, Any]]:
-    """Return what the search found, the steps it took, and the settings to record."""
-    if not isinstance(task, Benchmark):
-        parking = ParkingEvaluator(task, agent)
-        if budget.strategy in SEARCHES:
-            found = search_from_one(parking, agent, seed, budget, checkpoint)
-        else:
-            found = search_parking(parking, agent, seed, budget)
-        return found, parking.steps, vars(budget)
-    evaluator = BenchmarkEstimator(task, agent, seed, budget)
+) -> tuple[Found, int]:
+    """Return what the search found, and the steps it took."""
+    if isinstance(task, Benchmark):
+        benchmark = BenchmarkEstimator(task, agent, seed, budget)
+        return search_from_one(benchmark, agent, seed, budget, checkpoint), benchmark.steps
+    parking = ParkingEvaluator(task, agent)
     if budget.strategy in SEARCHES:
-        found = search_from_one(evaluator, agent, seed, budget, checkpoint)
-        return found, evaluator.steps, vars(budget)
-    limits = {"steps": budget.steps, "starts": budget.starts}
-    if budget.strategy == "halving":
-        return search_by_halving(evaluator, agent, seed, budget), evaluator.steps, limits | HALVING
-    judge = Evaluator(task, agent)
-    found = search_by_cma(evaluator, judge, agent, seed, budget)
-    return found, evaluator.steps + judge.steps, limits | CMA
+        return search_from_one(parking, agent, seed, budget, checkpoint), parking.steps
+    return search_parking(parking, agent, seed, budget), parking.steps
 
 
 def _train_by_gradients(task: Task, name: RunName) -> tuple[Found, int, dict[str, Any]]:
@@ -192,7 +174,7 @@ def replay(result: Result) -> Score:
     if result.policy is not None:
         agent = policy_from_yaml(result.policy, str(name))
     elif name.agent not in GRADIENTS:
-        agent = build_agent(task, name.agent, name.seed, name.budget)
+        agent = _agent(task, name)
     vector = result.parameters.array()
     return score(task, agent, vector, name.seed, result.episodes, result.settings)
 
@@ -202,7 +184,7 @@ def is_stored(store: ResultStore, name: RunName, circuit: Path | None) -> bool:
     stored = store.find(name)
     if stored is None or circuit is None:
         return stored is not None
-    return stored.policy == policy_to_yaml(load_agent(find_task(name.task), circuit))
+    return stored.policy == policy_to_yaml(_own_agent(find_task(name.task), circuit))
 
 
 def agrees(result: Result, replayed: Score) -> bool:
@@ -231,23 +213,20 @@ def make_runs(
     requested again. Raises UsageError, FileError or ConfigError before the first run begins, and WorkerDied.
     """
     _require(names, circuit)
-
-    def keep(run: Future[Result]) -> None:
-        result = run.result()
-        store.save(result)
-        store.checkpoint(result.name).unlink(missing_ok=True)
-        on_result(result)
-
-    if cluster is not None:
-        with DaskCluster(cluster) as workers:
-            for run in as_completed([workers.submit(train_run, name) for name in names]):
-                keep(run)
-        return
-    death = "; repeat the command to continue"
-    with ProcessPool(min(processes or available_processes(), len(names)), death) as pool:
-        runs = [pool.submit(train_run, name, circuit, store.checkpoint(name), every_s) for name in names]
+    count = min(processes or available_processes(), len(names))
+    workers = (
+        ProcessPool(count, "; repeat the command to continue") if cluster is None else DaskCluster(cluster)
+    )
+    with workers:
+        runs = [
+            workers.submit(train_run, name, circuit, None if cluster else store.checkpoint(name), every_s)
+            for name in names
+        ]
         for run in as_completed(runs):
-            keep(run)
+            result = run.result()
+            store.save(result)
+            store.checkpoint(result.name).unlink(missing_ok=True)
+            on_result(result)
 
 
 def _require(names: Sequence[RunName], circuit: Path | None) -> None:
@@ -255,7 +234,7 @@ def _require(names: Sequence[RunName], circuit: Path | None) -> None:
     for task_name, agent in dict.fromkeys((name.task, name.agent) for name in names):
         task = find_task(task_name)
         if circuit is not None:
-            load_agent(task, circuit)
+            _own_agent(task, circuit)
         elif agent in GRADIENTS:
             importlib.import_module("stable_baselines3")
         else:

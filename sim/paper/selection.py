@@ -35,19 +35,20 @@ class Group(NamedTuple):
         ]
 
 
-def grid(budget: BudgetName) -> Iterator[Group]:
-    """Yield all groups of a budget."""
-    for name, task in TASKS.items():
-        if budget is BudgetName.ALGORITHM1:
-            agents: Sequence[str] = ("circuit",) if name in _ALGORITHM1_TASKS else ()
-        elif budget is BudgetName.PUBLISHED:
-            agents = PAPERS if isinstance(task, Benchmark) else ("circuit",)
-        else:
-            liquid = LIQUID if name in _LIQUID_TASKS else ()
-            agents = (*PAPERS, *liquid, *(GRADIENTS if name in _GRADIENT_TASKS else ()))
-        for agent in agents:
-            long = name == "parking" and budget is BudgetName.PUBLISHED
-            yield Group(name, agent, budget, _PARKING_SEEDS if long else _SEEDS)
+def grid(*budgets: BudgetName) -> Iterator[Group]:
+    """Yield all groups of some budgets."""
+    for budget in budgets:
+        for name, task in TASKS.items():
+            seeds = _SEEDS
+            if budget is BudgetName.ALGORITHM1:
+                agents: Sequence[str] = ("circuit",) if name in _ALGORITHM1_TASKS else ()
+            elif budget is BudgetName.PUBLISHED:
+                agents = PAPERS if isinstance(task, Benchmark) else ("circuit",)
+                seeds = _PARKING_SEEDS if name == "parking" else _SEEDS
+            else:
+                liquid = LIQUID if name in _LIQUID_TASKS else ()
+                agents = (*PAPERS, *liquid, *(GRADIENTS if name in _GRADIENT_TASKS else ()))
+            yield from (Group(name, agent, budget, seeds) for agent in agents)
 
 
 def select(
@@ -74,13 +75,8 @@ def select(
         if agent not in AGENTS:
             raise UsageError(f"no agent {agent!r}; expected one of {', '.join(AGENTS)}")
     wanted = agents or [agent for agent in AGENTS if agent not in GRADIENTS]
-    names = [
-        name
-        for agent in AGENTS
-        for group in grid(budget)
-        if group.agent == agent and agent in wanted and (not tasks or group.task in tasks)
-        for name in group.names(seeds)
-    ]
-    if not names:
+    groups = [group for group in grid(budget) if group.agent in wanted and (not tasks or group.task in tasks)]
+    groups.sort(key=lambda group: AGENTS.index(group.agent))
+    if not groups:
         raise UsageError("the grid has no such runs; rover-ncp paper report --long lists it")
-    return names
+    return [name for group in groups for name in group.names(seeds)]

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 FloatArray = NDArray[np.float64]
 
@@ -23,6 +24,10 @@ class Estimate(NamedTuple):
     high: float
     p: float = 1.0
 
+    def within(self, margin: float) -> bool:
+        """Whether the whole interval is nearer to 0 than a margin."""
+        return self.low > -margin and self.high < margin
+
     def text(self) -> str:
         """Return the value and its interval."""
         return f"{mean_text(self.value)} ({mean_text(self.low)} .. {mean_text(self.high)})"
@@ -36,18 +41,21 @@ class Summary(NamedTuple):
     runs: int
 
 
+def summary(values: FloatArray) -> Summary:
+    """Return mean and standard deviation of one or more values (n,)."""
+    return Summary(float(np.mean(values)), float(np.std(values, ddof=min(len(values) - 1, 1))), len(values))
+
+
 def permutation(ours: FloatArray, theirs: FloatArray) -> Estimate:
     """Return the difference of the means of values (n,) and (m,), by a permutation test."""
-    from scipy.stats import bootstrap, permutation_test
-
     if np.ptp(np.concatenate([ours, theirs])) == 0.0:
         return Estimate(0.0, 0.0, 0.0)
     rng = np.random.default_rng(_SEED)
-    test = permutation_test((ours, theirs), _difference, n_resamples=_RESAMPLES, rng=rng)
+    test = stats.permutation_test((ours, theirs), _difference, n_resamples=_RESAMPLES, rng=rng)
     difference, p = float(test.statistic), float(test.pvalue)
     if np.ptp(ours) == 0.0 and np.ptp(theirs) == 0.0:
         return Estimate(difference, difference, difference, p)
-    ends = bootstrap((ours, theirs), _difference, n_resamples=_RESAMPLES, rng=rng).confidence_interval
+    ends = stats.bootstrap((ours, theirs), _difference, n_resamples=_RESAMPLES, rng=rng).confidence_interval
     return Estimate(difference, float(ends.low), float(ends.high), p)
 
 
@@ -57,14 +65,12 @@ def _difference(a: FloatArray, b: FloatArray, axis: int = -1) -> Any:
 
 def interquartile_mean(values: FloatArray) -> Estimate:
     """Return the mean of the middle half of values (n,) and its bootstrap interval (Agarwal et al. 2021)."""
-    from scipy.stats import bootstrap, trim_mean
-
-    middle = partial(trim_mean, proportiontocut=0.25)
+    middle = partial(stats.trim_mean, proportiontocut=0.25)
     value = float(middle(values))
     if len(values) < 2 or np.ptp(values) == 0.0:
         return Estimate(value, value, value)
     rng = np.random.default_rng(_SEED)
-    found = bootstrap((values,), middle, n_resamples=_RESAMPLES, rng=rng, method="percentile")
+    found = stats.bootstrap((values,), middle, n_resamples=_RESAMPLES, rng=rng, method="percentile")
     return Estimate(value, float(found.confidence_interval.low), float(found.confidence_interval.high))
 
 
@@ -89,22 +95,20 @@ def improvement(pairs: Sequence[tuple[FloatArray, FloatArray]]) -> Estimate:
 
 def welch(ours: Summary, theirs: Summary) -> Estimate:
     """Return the difference of two means, by Welch's test."""
-    from scipy.stats import t
-
     squares = np.array([each.std**2 / each.runs for each in (ours, theirs)])
     difference, error = ours.mean - theirs.mean, float(np.sqrt(squares.sum()))
     if error == 0.0:
         return Estimate(difference, difference, difference, float(difference == 0.0))
     freedom = squares.sum() ** 2 / (squares**2 / [ours.runs - 1, theirs.runs - 1]).sum()
-    low, high = t.interval(1.0 - LEVEL, freedom, difference, error)
-    return Estimate(difference, float(low), float(high), 2.0 * float(t.sf(abs(difference) / error, freedom)))
+    low, high = stats.t.interval(1.0 - LEVEL, freedom, difference, error)
+    return Estimate(
+        difference, float(low), float(high), 2.0 * float(stats.t.sf(abs(difference) / error, freedom))
+    )
 
 
 def wilson(hits: int, of: int) -> tuple[float, float]:
     """Return the 95 % interval of a rate."""
-    from scipy.stats import binomtest
-
-    interval = binomtest(hits, of).proportion_ci(method="wilson")
+    interval = stats.binomtest(hits, of).proportion_ci(method="wilson")
     return float(interval.low), float(interval.high)
 
 
@@ -113,9 +117,7 @@ def fisher(hits: int, of: int, their_hits: int, their_of: int) -> Estimate:
 
     The interval is Newcombe's (1998, method 10), of Wilson's two.
     """
-    from scipy.stats import fisher_exact
-
-    p = float(fisher_exact([[hits, of - hits], [their_hits, their_of - their_hits]]).pvalue)
+    p = float(stats.fisher_exact([[hits, of - hits], [their_hits, their_of - their_hits]]).pvalue)
     ours, theirs = hits / of, their_hits / their_of
     (low, high), (their_low, their_high) = wilson(hits, of), wilson(their_hits, their_of)
     down, up = np.hypot(ours - low, their_high - theirs), np.hypot(high - ours, theirs - their_low)

@@ -74,16 +74,17 @@ def test_a_command_line_selects_runs(tmp_path):
 def test_command_makes_runs_once_and_replays_them(tmp_path, capsys):
     wiring = tmp_path / "mine.yaml"
     wiring.write_text(circuit_to_yaml(load_circuit("tap_withdrawal")))
-    common = ["--task", "mountain-car", "--circuit", str(wiring), "--seed", "0", "--json"]
-    arguments = [*common, "--results", str(tmp_path / "results")]
-    assert run(["paper", "run", *arguments, "--processes", "1", "--budget", "quick"]) == 0
+    common = ["--task", "mountain-car", "--seed", "0", "--budget", "quick", "--json"]
+    common += ["--results", str(tmp_path / "results")]
+    arguments = [*common, "--circuit", str(wiring)]
+    assert run(["paper", "run", *arguments, "--processes", "1"]) == 0
     first = json.loads(capsys.readouterr().out)
     assert_on_page(first, "paper run")
     [made] = first["made"]
     assert (made["agent"], made["budget"]) == ("mine", "quick")
-    assert run(["paper", "run", *arguments, "--budget", "quick"]) == 0
+    assert run(["paper", "run", *arguments]) == 0
     assert json.loads(capsys.readouterr().out) == {"made": [], "found": 1}
-    assert run(["paper", "replay", *arguments, "--budget", "quick"]) == 0
+    assert run(["paper", "replay", *common, "--agent", "mine"]) == 0
     assert json.loads(capsys.readouterr().out) == {"replayed": 1, "exact": 1, "differ": []}
 
 

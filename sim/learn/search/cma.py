@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from cmaes import CMA, SepCMA
+from cmaes import CMA
 from numpy.typing import NDArray
 
 from rover_ncp.core.streams import Domain, integer_seed
@@ -35,8 +35,7 @@ def default_population(dimension: int) -> int:
 class Cma:
     """Minimises a noisy function of a vector (n,), n > 1, without bounds.
 
-    ``sigma``, the step size, is kept within ``limits``, which may be changed between generations. With
-    ``separable`` the covariance is a diagonal (Ros and Hansen 2008), for which a generation costs O(n).
+    ``sigma``, the step size, is kept within ``limits``, which may be changed between generations.
     """
 
     def __init__(
@@ -47,13 +46,11 @@ class Cma:
         seed: int,
         population: int,
         limits: tuple[float, float] = (0.0, math.inf),
-        separable: bool = False,
     ) -> None:
         self.population = population
         self.limits = limits
         self._seed = seed
-        optimizer = SepCMA if separable else CMA
-        self._cma = optimizer(np.array(mean, np.float64), sigma, population_size=population)
+        self._cma = CMA(np.array(mean, np.float64), sigma, population_size=population)
         self._asked: FloatArray | None = None
 
     @property
@@ -97,7 +94,5 @@ class Cma:
             value = np.array(state[key], np.asarray(getattr(self._cma, name)).dtype)
             setattr(self._cma, name, value if value.ndim else value.item())
         # The eigenvalues are those of another covariance.
-        self._cma._D = None
-        if isinstance(self._cma, CMA):
-            self._cma._B = None
+        self._cma._D = self._cma._B = None
         self._asked = None

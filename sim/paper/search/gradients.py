@@ -5,8 +5,6 @@ numpy score it without torch. On mountain car exploration depends on the state (
 lasts for some steps: without that, training never gets a reward.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -15,10 +13,12 @@ from numpy.typing import NDArray
 
 from sim.learn.search.base import Vector
 from sim.paper.evaluator import make_plants
-from sim.paper.plants.lanes import MOUNTAIN_CAR, reset_plant, step_plant
+from sim.paper.plants.lanes import reset_plant, step_plant
 from sim.paper.tasks import Benchmark
 
 FloatArray = NDArray[np.float64]
+Training = tuple[int, int, dict[str, Any]]
+"""Steps in all, environments side by side, and options that differ from the library's defaults."""
 
 CELLS = 11
 _QUICK_STEPS = 4096
@@ -26,31 +26,13 @@ _QUICK_STEPS = 4096
 _VARIANCE_EPSILON, _CLIP = 1e-8, 10.0
 
 
-@dataclass(frozen=True)
-class Training:
-    """Steps in all, environments side by side, and options that differ from the library's defaults."""
-
-    steps: int
-    environments: int
-    options: Mapping[str, Any]
-    network: Mapping[str, Any] = field(default_factory=dict)
-
-
 _BY_STATE = {"use_sde": True, "sde_sample_freq": 16}
-_WIDE = {"log_std_init": 0.0, "ortho_init": False}
-_PENDULUM = {
-    "ppo": Training(60_000, 8, {"n_steps": 128, "batch_size": 128, "learning_rate": 1e-3}),
-    "a2c": Training(100_000, 8, {"n_steps": 16, "gae_lambda": 0.95, "learning_rate": 3e-3}),
+_PENDULUM: dict[str, Training] = {
+    "ppo": (60_000, 8, {"n_steps": 128, "batch_size": 128, "learning_rate": 1e-3}),
+    "a2c": (100_000, 8, {"n_steps": 16, "gae_lambda": 0.95, "learning_rate": 3e-3}),
 }
-_CAR = {
-    "ppo": Training(
-        60_000,
-        8,
-        {"n_steps": 128, "batch_size": 256, "gamma": 0.999, "learning_rate": 1e-3, **_BY_STATE},
-        _WIDE,
-    ),
-    "a2c": Training(60_000, 4, _BY_STATE, _WIDE),
-}
+_CAR_PPO = {"n_steps": 128, "batch_size": 256, "gamma": 0.999, "learning_rate": 1e-3}
+_CAR: dict[str, Training] = {"ppo": (60_000, 8, _CAR_PPO | _BY_STATE), "a2c": (60_000, 4, _BY_STATE)}
 
 
 class PaperEnvironment(gymnasium.Env[Any, Any]):
@@ -117,21 +99,22 @@ def train_actor(task: Benchmark, agent: str, seed: int, *, quick: bool) -> tuple
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
     torch.set_num_threads(1)
-    training = (_CAR if task.plant == MOUNTAIN_CAR else _PENDULUM)[agent]
-    options = training.options
-    worlds = DummyVecEnv([lambda: PaperEnvironment(task)] * training.environments)
+    steps, environments, options = (_CAR if task.plant == "mountain-car" else _PENDULUM)[agent]
+    worlds = DummyVecEnv([lambda: PaperEnvironment(task)] * environments)
     world = VecNormalize(worlds, gamma=options.get("gamma", 0.99))
     algorithm = {"ppo": PPO, "a2c": A2C}[agent]
-    network = {"net_arch": [CELLS], "activation_fn": torch.nn.Tanh, **training.network}
+    network = {"net_arch": [CELLS], "activation_fn": torch.nn.Tanh}
+    if "use_sde" in options:
+        network |= {"log_std_init": 0.0, "ortho_init": False}
     model = algorithm("MlpPolicy", world, seed=seed, device="cpu", policy_kwargs=network, **options)
-    model.learn(_QUICK_STEPS if quick else training.steps)
+    model.learn(_QUICK_STEPS if quick else steps)
     seen: Any = world.obs_rms
     layers = (model.policy.mlp_extractor.policy_net[0], model.policy.action_net)
     hidden, output = (
         np.column_stack([layer.weight.detach().numpy(), layer.bias.detach().numpy()]).astype(np.float64)
         for layer in layers
     )
-    settings = {"cells": CELLS, "environments": training.environments, **options}
+    settings = {"cells": CELLS, "environments": environments, **options}
     return Actor(np.array(seen.mean), np.array(seen.var), hidden, output), int(model.num_timesteps), settings
 
 

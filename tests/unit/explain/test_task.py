@@ -15,7 +15,7 @@ from sim.explain.files import markdown, page
 from sim.explain.task import explain_task, stored_policy
 from sim.explain.what_if import without_neuron
 from sim.learn.engine.environment import EnvironmentEvaluator
-from sim.paper.interpretation import BenchmarkEpisodes
+from sim.paper.evaluator import Evaluator
 from sim.paper.tasks import TASKS
 
 [PAGE] = [page for page in PAGES if page.stem == "own_task"]
@@ -62,7 +62,7 @@ def test_a_knock_out_is_the_mean_return_of_the_same_episodes(folder, monkeypatch
 def test_a_stored_circuit_of_the_paper_plays_as_it_is_scored():
     name, policy = stored_policy(TASKS["mountain-car"], ROOT / "results")
     assert name.startswith("paper run default mountain-car circuit")
-    episodes = BenchmarkEpisodes(TASKS["mountain-car"], policy)
+    episodes = Evaluator(TASKS["mountain-car"], policy)
     seeds = np.array([5, 6], np.uint64)
     [returns] = episodes.returns(policy.parameters()[None], seeds)
     assert [episodes.play(int(seed)).rewards.sum() for seed in seeds] == pytest.approx(returns, abs=1e-9)

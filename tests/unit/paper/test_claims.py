@@ -48,7 +48,7 @@ def test_questions_and_tables_are_answered_by_claims():
 
 
 def test_every_claim_with_runs_has_them_in_the_grid():
-    groups = {(group.task, group.agent, group.budget) for budget in BudgetName for group in grid(budget)}
+    groups = {(group.task, group.agent, group.budget) for group in grid(*BudgetName)}
     for claim in load_claims().claims:
         given = claim.arguments
         if claim.test in {"rate", "value", "compare"}:

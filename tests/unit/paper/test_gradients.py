@@ -36,9 +36,7 @@ def test_environment_starts_and_pays_as_the_searches_do():
     task = TASKS["roboschool"]
     seeds = draw_seeds(3, (1,), 2)
     world = PaperEnvironment(task)
-    for seed, start in zip(
-        seeds, Evaluator(task, task.policy(task.circuit()), lanes=1).starts(seeds), strict=True
-    ):
+    for seed, start in zip(seeds, Evaluator(task, task.policy(task.circuit())).starts(seeds), strict=True):
         seen, _ = world.reset(seed=int(seed))
         assert seen.tolist() == start.tolist()
     rewards, places, over = [], [], False

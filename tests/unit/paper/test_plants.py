@@ -166,11 +166,11 @@ def test_half_cheetah_is_gymnasiums_to_the_last_bit():
 
 @pytest.mark.parametrize("name", ["cart-pole", "pendulum", "half-cheetah"])
 def test_an_episode_depends_neither_on_its_lane_nor_on_the_others(name):
-    task = TASKS[name]
+    task = TASKS[name].model_copy(update={"horizon": 100})
     agent = build_agent(task, "mlp", 0)
     vectors = np.random.default_rng(3).normal(0.0, 0.7, (40, agent.layout().size))
     seeds = draw_seeds(0, (1,), len(vectors))
-    together = Evaluator(task, agent).run(vectors, seeds, horizon=100)
-    alone = Evaluator(task, agent, lanes=1).run(vectors[7:9], seeds[7:9], horizon=100)
+    together = Evaluator(task, agent).run(vectors, seeds)
+    alone = Evaluator(task, agent).run(vectors[7:9], seeds[7:9])
     assert alone.tolist() == together[7:9].tolist()
     assert len(set(together[:, 2 if name != "half-cheetah" else 0].tolist())) > 1

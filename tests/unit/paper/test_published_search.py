@@ -16,9 +16,9 @@ from sim.paper import BudgetName
 from sim.paper.agents import build_agent
 from sim.paper.evaluator import Evaluator
 from sim.paper.runs import budget_for
-from sim.paper.search.estimate import BenchmarkEstimator
-from sim.paper.search.parking import ParkingEvaluator
-from sim.paper.search.published import SEARCHES, Checkpoint, search_from_one
+from sim.paper.search.estimate import BenchmarkEstimator, ParkingEvaluator
+from sim.paper.search.loop import Checkpoint, search_from_one
+from sim.paper.search.published import SEARCHES
 from sim.paper.tasks import TASKS, Benchmark
 
 ALONE = Checkpoint(None, {})
@@ -30,7 +30,7 @@ def budget(name, iterations, which=BudgetName.PUBLISHED, **changes):
 
 
 def search(name, limits, *, checkpoint=ALONE, most=None):
-    task = TASKS[name] if most is None else replace(TASKS[name], most=most)
+    task = TASKS[name] if most is None else TASKS[name].model_copy(update={"most": most})
     agent = build_agent(task, "circuit", 1)
     return search_from_one(BenchmarkEstimator(task, agent, 1, limits), agent, 1, limits, checkpoint)
 
@@ -180,12 +180,11 @@ def test_published_network_takes_raw_inputs_and_ends_at_one():
 
 
 def test_warm_up_tick_changes_an_episode_but_not_its_length():
-    task = TASKS["pendulum"]
+    task = TASKS["pendulum"].model_copy(update={"horizon": 5})
     agent = build_agent(task, "circuit", 0)
     vectors, seeds = np.tile(agent.parameters(), (40, 1)), np.arange(40, dtype=np.uint64)
     cold, warm = (
-        Evaluator(task, agent, for_search=True, warm_up=ticks).run(vectors, seeds, horizon=5)
-        for ticks in (0, 1)
+        Evaluator(task, agent, for_search=True, warm_up=ticks).run(vectors, seeds) for ticks in (0, 1)
     )
     assert cold[:, 2].tolist() == warm[:, 2].tolist() == [5.0] * 40
     assert cold[:, 1].tolist() != warm[:, 1].tolist()

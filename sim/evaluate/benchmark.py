@@ -5,26 +5,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from pydantic import Field
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_start
 from rover_ncp.core.errors import ConfigError, UsageError
-from sim.learn.results import EpisodesResult
+from sim.evaluate.results import BenchmarkResult
 from sim.learn.search.base import draw_seeds
 from sim.paper.evaluator import Evaluator
 from sim.paper.tasks import Benchmark, find_task
 
 EPISODES = 100
-
-
-class BenchmarkResult(EpisodesResult):
-    """Score of a circuit in one of the paper's benchmarks; returns have the task's bonus, if it has one."""
-
-    task: str = Field(description="its name")
-    plain_return: float = Field(description="Gymnasium's")
-    success: bool = Field(description="whether the mean is past the threshold")
-    ranges: dict[str, float] = Field(description="of the sensors, by name")
 
 
 def score_circuit(

@@ -12,6 +12,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
+from scipy.spatial.transform import Rotation
 
 from rover_ncp.core.config import StrictModel, load_yaml, read_yaml, validated
 from rover_ncp.core.errors import ConfigError
@@ -39,12 +40,8 @@ class Mount(StrictModel):
     @property
     def rotation(self) -> Floats:
         """3 × 3 matrix that turns vectors of the mounted body into those of its parent."""
-        (cy, sy), (cp, sp), (cr, sr) = ((math.cos(a), math.sin(a)) for a in (self.yaw, self.pitch, self.roll))
-        yaw = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
-        pitch = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
-        roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-        rotation: Floats = yaw @ pitch @ roll
-        return rotation
+        turns: Floats = Rotation.from_euler("ZYX", [self.yaw, self.pitch, self.roll]).as_matrix()
+        return turns
 
     @property
     def position(self) -> Floats:

@@ -74,6 +74,29 @@ def test_docking_ends_with_the_charge_that_flows():
     assert drive.run().dock.success
 
 
+def test_charge_that_flows_before_the_place_is_no_docking():
+    blocked = DOCK.model_copy(update={"x": 2.15})
+    drive = charging(VirtualDocking(place(proof="charging", retries=0), START, obstacles=[blocked]), True)
+    result = drive.run()
+    assert (result.exit_code, result.dock.error_code) == (1, DockError.FAILED_TO_CONTROL)
+    assert result.dock.error_msg.startswith("contact ")
+    assert (result.dock.at, drive.stands()) == ("staging pose", True)
+
+
+def test_dry_run_plans_the_way_and_moves_nothing(tmp_path):
+    drive = VirtualDocking(place(), START, path=tmp_path / "dry.mcap", dry_run=True)
+    result = drive.run()
+    assert (result.exit_code, result.dock.success, result.verdict) == (0, False, "not parked")
+    assert "the dry run ends after the first way (staging, " in result.dock.error_msg
+    assert (drive.link.requests, drive.link.sent, drove_m(drive)) == (0, [], 0.0)
+    assert replay(drive.path).same
+
+
+def test_dry_run_without_a_way_says_why():
+    result = VirtualDocking(place(), Pose(-3.0, 1.0, 0.0), dry_run=True).run()
+    assert (result.exit_code, result.stopped_by) == (4, "start-pose")
+
+
 def test_charge_that_does_not_flow_is_no_docking():
     drive = charging(VirtualDocking(place(proof="charging", retries=0), START), False)
     result = drive.run()

@@ -19,9 +19,11 @@ tag = typer.Typer(
 
 Camera = Annotated[
     str,
-    typer.Option(help="A device's number, an MJPEG stream (http://...), a video or a folder."),
+    typer.Option(
+        help="A device's number, an MJPEG stream (http://...), a video, a folder, or a ROS 2 topic "
+        "(ros2/tcp/HOST#image=TOPIC)."
+    ),
 ]
-CameraYaml = Annotated[Path, typer.Option(help="The camera's file (YAML), as 'tag calibrate' writes it.")]
 Map = Annotated[Path, typer.Option(help="The tags: sizes and places (YAML).")]
 Decimate = Annotated[
     float, typer.Option(min=1.0, max=4.0, help="Search for tags in a picture so many times smaller.")
@@ -107,8 +109,14 @@ def calibrate(
 def run(
     *,
     camera: Camera,
-    camera_file: CameraYaml,
     map: Map,
+    camera_file: Annotated[
+        Path | None,
+        typer.Option(
+            help="The camera's file (YAML), as 'tag calibrate' writes it.",
+            show_default="of a ROS 2 camera: by camera_info and tf_static",
+        ),
+    ] = None,
     robot: Annotated[
         str | None,
         typer.Option(help="Where the bridge listens; without it, poses are only shown.", show_default=False),

@@ -12,6 +12,7 @@ from deploy.tag.camera import LiveCamera, Picture, pictures_of
 from deploy.tag.detector import Detection, Detector
 from deploy.tag.localiser import Localiser, TagCalibration, TagRunResult, drawn, tag_pose
 from deploy.tag.locate import Located
+from deploy.tag.ros_camera import PREFIX, RosCamera, ros_camera_file
 from deploy.tag.sheet import Board
 from deploy.tag.tag_map import CameraFile, Mount, load_camera, load_camera_info, load_tag_map
 from deploy.zenoh_client import BridgeAddress, ZenohClient
@@ -51,7 +52,7 @@ class PoseLink(ZenohClient):
 
 def run_localiser(
     source: str,
-    camera_file: Path,
+    camera_file: Path | None,
     map_file: Path,
     *,
     address: BridgeAddress | None,
@@ -61,7 +62,14 @@ def run_localiser(
     output: Output,
 ) -> int:
     """See ``commands.run``; return the exit code."""
-    camera, tag_map = load_camera(camera_file), load_tag_map(map_file)
+    tag_map = load_tag_map(map_file)
+    if camera_file is not None:
+        camera = load_camera(camera_file)
+    elif source.startswith(PREFIX):
+        camera = ros_camera_file(source)
+        output.say(f"by camera_info and tf_static: {camera.intrinsics}; mount {camera.mount}")
+    else:
+        raise UsageError("--camera-file: expected the camera's file; only a camera of ROS may do without it")
     if picture is not None:
         require_writable(picture)
     localiser, shown = Localiser(camera, tag_map, decimate), 0.0
@@ -169,7 +177,7 @@ def calibrate_mount(
 @contextlib.contextmanager
 def opened(source: str, delay_s: float = 0.0) -> Iterator[tuple[Iterator[Picture], bool]]:
     """Open a source of pictures, and say whether it is a camera that runs."""
-    pictures = pictures_of(source, delay_s)
+    pictures = RosCamera(source, delay_s) if source.startswith(PREFIX) else pictures_of(source, delay_s)
     if isinstance(pictures, LiveCamera):
         with pictures:
             yield iter(pictures), True

@@ -154,7 +154,7 @@ def test_stream_gives_the_newest_picture_with_its_moment(stream):
     ("parts", "words"),
     [
         ((part(50),), "sends no more pictures"),
-        ((part(50), b"--b\r\nContent-Length: 4\r\n\r\nabcd"), "not a JPEG"),
+        ((part(50), b"--b\r\nContent-Length: 4\r\n\r\nabcd"), "neither a JPEG nor a PNG"),
         ((part(50), b"--b\r\nContent-Length: 99999999999\r\n\r\n"), "a picture of 99999999999 bytes"),
         ((part(50), 3.5), "no picture for 3 s|timed out"),
     ],

@@ -1,13 +1,9 @@
-"""A camera of a ROS 2 robot: images, camera_info and tf_static from the robot's Zenoh router.
-
-The forms of both Zenoh integrations are read: plain keys (zenoh-bridge-ros2dds), and rmw_zenoh's, which have
-domain, topic, type and hash.
-"""
+"""A camera of a ROS 2 robot: images, camera_info and tf_static from the robot's Zenoh router."""
 
 import time
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple, Self
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,18 +14,16 @@ from scipy.spatial.transform import Rotation
 
 from deploy.tag.camera import LiveCamera, Picture, compressed
 from deploy.tag.locate import OPTICAL
+from deploy.tag.ros_source import RosSource
 from deploy.tag.tag_map import CameraFile, Floats, Mount, camera_info
 from rover_ncp.core.clock_offset import StampClock
-from rover_ncp.core.errors import FormatError, NoRobot, UsageError
+from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.recording.recorded import header_stamp_ns
-from rover_ncp.wire.address import parse_address
 from rover_ncp.wire.cdr import decode
-from rover_ncp.wire.messages import BASE_FRAME
-from rover_ncp.wire.zenoh import PORT, client_config, reason
+from rover_ncp.wire.messages import BASE_FRAME, TF
 
-PREFIX = "ros2/"
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-CAMERA_INFO, TF = "sensor_msgs/msg/CameraInfo", "tf2_msgs/msg/TFMessage"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 ENCODINGS = {"mono8": None, "rgb8": cv2.COLOR_RGB2GRAY, "bgr8": cv2.COLOR_BGR2GRAY}
 """Encodings of images, and OpenCV's conversion to grey levels."""
 MAX_BYTES = 1 << 26
@@ -38,59 +32,7 @@ WAIT_S, POLL_S = 5.0, 0.05
 """Longest wait for camera_info and tf_static."""
 
 
-class RosSource(NamedTuple):
-    """An image topic: its router, its name with the namespace, and the domain if it is rmw_zenoh's."""
-
-    endpoint: str
-    image: str
-    namespace: str
-    domain: str | None
-
-    @classmethod
-    def parse(cls, source: str) -> Self:
-        """Read an address as that of ``bridge --base``, with ``image=TOPIC``. Raises UsageError."""
-        where = parse_address(source.removeprefix(PREFIX), PORT)
-        settings = "" if where is None else where.settings.removeprefix("#")
-        found = dict(item.partition("=")[::2] for item in settings.split("&") if item)
-        image, namespace = (found.pop(name, default).strip("/") for name, default in _NAMES.items())
-        rmw, domain = found.pop("rmw", "ros2dds"), found.pop("domain", "0")
-        known = where is not None and where.connectable and rmw in {"zenoh", "ros2dds"} and domain.isdigit()
-        if where is None or not known or not image or found:
-            raise UsageError(
-                f"camera {source}: expected ros2/tcp/HOST[:PORT][#image=TOPIC&namespace=NAME], with "
-                "&rmw=zenoh&domain=N for rmw_zenoh"
-            )
-        topic = f"{namespace}/{image}" if namespace else image
-        return cls(str(where._replace(settings="")), topic, namespace, domain if rmw == "zenoh" else None)
-
-    @property
-    def info(self) -> str:
-        """The topic of camera_info, which is beside that of the image."""
-        folder, _, _ = self.image.removesuffix("/compressed").rpartition("/")
-        return f"{folder}/camera_info" if folder else "camera_info"
-
-    @property
-    def image_type(self) -> str:
-        """The type of the image, as image_transport names topics."""
-        return COMPRESSED if self.image.endswith("/compressed") else IMAGE
-
-    def key(self, topic: str, ros_type: str) -> str:
-        """Return the key of a topic."""
-        if self.domain is None:
-            return topic
-        package, _, name = ros_type.split("/")
-        return f"{self.domain}/{topic}/{package}::msg::dds_::{name}_/*"
-
-    def open(self) -> Any:
-        """Open a session with the router. Raises NoRobot."""
-        config, _ = client_config(self.endpoint, None)
-        try:
-            return zenoh.open(config)
-        except zenoh.ZError as error:
-            raise NoRobot(f"{self.endpoint}: no Zenoh router answers there: {reason(error)}") from error
-
-
-_NAMES = {"image": "camera/image_raw", "namespace": ""}
+IMAGE_TOPIC = "camera/image_raw"
 
 
 class RosCamera(LiveCamera):
@@ -98,10 +40,10 @@ class RosCamera(LiveCamera):
 
     def __init__(self, source: str, delay_s: float) -> None:
         super().__init__(source)
-        where = RosSource.parse(source)
-        self._type, self._delay_ns, self._clock = where.image_type, round(delay_s * 1e9), StampClock()
+        where = RosSource.parse(source, "image", IMAGE_TOPIC)
+        self._type, self._delay_ns, self._clock = image_type(where.topic), round(delay_s * 1e9), StampClock()
         self._session = where.open()
-        self._held = self._session.declare_subscriber(where.key(where.image, self._type), self._take)
+        self._held = self._session.declare_subscriber(where.key(where.topic), self._take)
 
     def close(self) -> None:
         """End the session."""
@@ -113,6 +55,11 @@ class RosCamera(LiveCamera):
         measured_ns = self._clock.measured_ns(stamp_ns, now_ns) if stamp_ns else now_ns - self._delay_ns
         if measured_ns is not None:
             self.put(partial(read_image, self._type, data, wall_ns - now_ns + measured_ns))
+
+
+def image_type(topic: str) -> str:
+    """Return the type of an image topic, which image_transport names by it."""
+    return COMPRESSED if topic.endswith("/compressed") else IMAGE
 
 
 def read_image(ros_type: str, data: bytes, wall_ns: int) -> Picture:
@@ -142,18 +89,18 @@ def read_image(ros_type: str, data: bytes, wall_ns: int) -> Picture:
 
 def ros_camera_file(source: str) -> CameraFile:
     """Return intrinsics from camera_info and the mount from tf_static. Raises UsageError without them."""
-    where = RosSource.parse(source)
+    where = RosSource.parse(source, "image", IMAGE_TOPIC)
+    folder, _, _ = where.topic.removesuffix("/compressed").rpartition("/")
+    about = f"{folder}/camera_info" if folder else "camera_info"
     infos, statics = list[zenoh.Sample](), list[zenoh.Sample]()
-    session, missing = where.open(), f"no camera_info on '{where.info}' within {WAIT_S:g} s"
+    session, missing = where.open(), f"no camera_info on '{about}' within {WAIT_S:g} s"
     try:
         history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
         held: list[Any] = [
-            zenoh.ext.declare_advanced_subscriber(
-                session, where.key(topic, TF), statics.append, history=history
-            )
+            zenoh.ext.declare_advanced_subscriber(session, where.key(topic), statics.append, history=history)
             for topic in {"tf_static", f"{where.namespace}/tf_static".lstrip("/")}
         ]
-        held.append(session.declare_subscriber(where.key(where.info, CAMERA_INFO), infos.append))
+        held.append(session.declare_subscriber(where.key(about), infos.append))
         until, mount = time.monotonic() + WAIT_S, None
         while mount is None and time.monotonic() < until:
             time.sleep(POLL_S)
@@ -167,7 +114,7 @@ def ros_camera_file(source: str) -> CameraFile:
     if mount is None:
         raise UsageError(f"camera {source}: {missing}; give --camera-file, with what is missing")
     size, model = (int(info.width), int(info.height)), str(info.distortion_model)
-    intrinsics = camera_info(size, info.k.tolist(), model, info.d.tolist(), f"camera_info of {where.info}")
+    intrinsics = camera_info(size, info.k.tolist(), model, info.d.tolist(), f"camera_info of {about}")
     return CameraFile(intrinsics=intrinsics, mount=mount)
 
 

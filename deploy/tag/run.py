@@ -11,43 +11,23 @@ from deploy.tag.calibrate import MOUNT_FIELDS, find_intrinsics, find_mount
 from deploy.tag.camera import LiveCamera, Picture, pictures_of
 from deploy.tag.detector import Detection, Detector
 from deploy.tag.localiser import Localiser, TagCalibration, TagRunResult, drawn, tag_pose
-from deploy.tag.locate import Located
-from deploy.tag.ros_camera import PREFIX, RosCamera, ros_camera_file
+from deploy.tag.relay import PoseLink
+from deploy.tag.ros_camera import RosCamera, ros_camera_file
+from deploy.tag.ros_source import PREFIX
 from deploy.tag.sheet import Board
 from deploy.tag.tag_map import CameraFile, Mount, load_camera, load_camera_info, load_tag_map
-from deploy.zenoh_client import BridgeAddress, ZenohClient
+from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.console import Output
-from rover_ncp.core.errors import FormatError, UsageError
+from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import require_writable, write_atomic
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
-from rover_ncp.wire.key_table import KeySpec
-from rover_ncp.wire.messages import OdometrySample, pose_with_covariance, read_odometry
+from rover_ncp.wire.messages import pose_with_covariance
 
 PICTURE_S = 1.0
 """Time between two files of ``--picture``."""
-
-
-class PoseLink(ZenohClient):
-    """A session with a bridge that sends poses, and keeps the newest odometry."""
-
-    def __init__(self, address: BridgeAddress) -> None:
-        self.odometry: OdometrySample | None = None
-        super().__init__(address, self._take, own=("pose",))
-
-    def _declare(self) -> None:
-        self._publisher = self._session.declare_publisher(self.key("pose"))
-
-    def _take(self, row: KeySpec, data: bytes) -> None:
-        if row.name == "odom":
-            with contextlib.suppress(FormatError):  # an unreadable sample counts as none
-                self.odometry = read_odometry(data)
-
-    def send(self, found: Located, wall_ns: int, frame: str) -> None:
-        """Send a pose with the moment of its picture, ns since the epoch."""
-        self._publisher.put(pose_with_covariance(found.pose, found.covariance, wall_ns, frame))
 
 
 def run_localiser(
@@ -81,7 +61,7 @@ def run_localiser(
             for each in until(pictures, seconds, lambda: interrupts.raised):
                 found = localiser.take(each, time.time_ns() if live else None)
                 if found is not None and link is not None:
-                    link.send(found, each.wall_ns, tag_map.frame)
+                    link.send(pose_with_covariance(found.pose, found.covariance, each.wall_ns, tag_map.frame))
                 if picture is not None and time.monotonic() - shown >= PICTURE_S:
                     write_atomic(picture, drawn(each.grey, localiser.detections, localiser.state))
                     shown = time.monotonic()

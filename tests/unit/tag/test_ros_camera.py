@@ -15,12 +15,24 @@ from scipy.spatial.transform import Rotation
 from bridge.ros2.discovery import Convention
 from bridge.ros2.ros_node import RosNode
 from deploy.tag.locate import OPTICAL
-from deploy.tag.ros_camera import CAMERA_INFO, COMPRESSED, IMAGE, TF, RosSource, mount_of, read_image
+from deploy.tag.relay import TransformPoses
+from deploy.tag.ros_camera import CAMERA_INFO, COMPRESSED, IMAGE, mount_of, read_image
+from deploy.tag.ros_source import RosSource
 from rover_ncp import cli
 from rover_ncp.core.config import dump_yaml
-from rover_ncp.core.errors import UsageError
+from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.core.geometry import Pose
 from rover_ncp.wire.cdr import encode
+from rover_ncp.wire.messages import (
+    POSE_STAMPED,
+    POSE_WITH_COVARIANCE,
+    TF,
+    Transform,
+    pose_stamped,
+    pose_with_covariance,
+    read_pose,
+    transforms,
+)
 
 POSE = Pose(0.9, 0.05, 0.1)
 HEADER = {"stamp": {"sec": 5, "nanosec": 0}, "frame_id": "camera_optical"}
@@ -127,21 +139,16 @@ def test_frames_that_do_not_reach_the_base_are_named(statics, words):
 
 
 @pytest.mark.parametrize(
-    ("source", "image_key", "info"),
+    ("source", "key"),
     [
-        ("ros2/tcp/robot", "camera/image_raw", "camera/camera_info"),
-        (
-            "ros2/tcp/robot:7447#rmw=zenoh&domain=7&namespace=bot&image=/oakd/image_raw/compressed",
-            "7/bot/oakd/image_raw/compressed/sensor_msgs::msg::dds_::CompressedImage_/*",
-            "bot/oakd/camera_info",
-        ),
-        ("ros2/tcp/robot#image=image_raw", "image_raw", "camera_info"),
+        ("ros2/tcp/robot", "image_raw"),
+        ("ros2/tcp/robot:7447#image=/camera/image&namespace=bot/", "bot/camera/image"),
+        ("ros2/tcp/robot#rmw=zenoh&domain=7&namespace=bot", "7/bot/image_raw/*/*"),
     ],
 )
-def test_source_names_image_and_camera_info(source, image_key, info):
-    where = RosSource.parse(source)
-    assert (where.endpoint, where.info) == ("tcp/robot:7447", info)
-    assert where.key(where.image, where.image_type) == image_key
+def test_source_names_router_and_key(source, key):
+    where = RosSource.parse(source, "image", "image_raw")
+    assert (where.endpoint, where.key(where.topic)) == ("tcp/robot:7447", key)
 
 
 @pytest.mark.parametrize(
@@ -149,7 +156,21 @@ def test_source_names_image_and_camera_info(source, image_key, info):
 )
 def test_source_of_another_form_is_refused(source):
     with pytest.raises(UsageError, match=r"expected ros2/tcp/HOST"):
-        RosSource.parse(source)
+        RosSource.parse(source, "image", "image_raw")
+
+
+def test_transforms_give_a_pose_each_time_the_localiser_corrects():
+    """As AMCL and a robot publish them: AMCL's is dated ahead."""
+    poses = TransformPoses("map")
+    odom = Transform("odom", "base_footprint", 1.0, 0.0, 0.0, 0.5)
+    with pytest.raises(FormatError, match=r"from 'map' to 'base_link', only odom → base_footprint"):
+        poses.take(transforms([odom], 5))
+    found = read_pose(poses.take(transforms([Transform("map", "/odom", 2.0, 3.0, 0.0, math.pi / 2)], 1005)))
+    assert found.pose == pytest.approx((2.0, 4.0, math.pi / 2 + 0.5))
+    assert (found.frame, found.stamp_ns, found.covariance.any()) == ("map", 5, False)
+    assert poses.take(transforms([odom], 6)) is None
+    with pytest.raises(FormatError, match="is not a rotation"):
+        poses.take(encode(TF, transforms=[{"header": {"frame_id": "map"}, "child_frame_id": "odom"}]))
 
 
 @pytest.fixture
@@ -219,3 +240,54 @@ def test_ros_camera_without_camera_info_says_what_to_give(publish, tmp_path, cap
     assert (
         "no camera_info on 'camera/camera_info' within 0.3 s; give --camera-file" in capsys.readouterr().err
     )
+
+
+AMCL = pose_with_covariance(POSE, np.eye(3) * 1e-4, 7, "map")
+TRANSFORMS = transforms(
+    [
+        Transform("map", "odom", 0.0, 0.0, 0.0, 0.0),
+        Transform("odom", "base_link", *POSE[:2], 0.0, POSE.theta),
+    ],
+    7,
+)
+
+
+@pytest.mark.parametrize(
+    ("topic", "ros_type", "data", "convention", "settings"),
+    [
+        ("amcl_pose", POSE_WITH_COVARIANCE, AMCL, Convention.RMW_ZENOH, "#rmw=zenoh&domain=3"),
+        ("here", POSE_STAMPED, pose_stamped(POSE, 7, "map"), Convention.ROS2DDS, "#topic=here"),
+        ("tf", TF, TRANSFORMS, Convention.ROS2DDS, "#topic=tf"),
+    ],
+)
+def test_poses_of_ros_reach_the_bridge(publish, topic, ros_type, data, convention, settings, capsys):
+    source = publish(convention, [(topic, ros_type, [data])])
+    bridge, address = open_router()
+    with bridge:
+        arrived = []
+        held = bridge.declare_subscriber("pose", lambda sample: arrived.append(sample.payload.to_bytes()))
+        command = [
+            "tag",
+            "relay",
+            "--from",
+            f"ros2/{source}{settings}",
+            "--robot",
+            address,
+            "--seconds",
+            "0.6",
+        ]
+        assert cli.run([*command, "--json"]) == 0
+        del held
+    assert json.loads(capsys.readouterr().out)["poses"] == len(arrived) > 0
+    found = read_pose(arrived[0])
+    assert found.pose == pytest.approx(POSE)
+    assert (found.frame, found.covariance[0, 0]) == ("map", 1e-4 if topic == "amcl_pose" else 0.0)
+
+
+def test_pose_of_another_frame_is_not_relayed_and_names_both(publish, capsys):
+    source = publish(Convention.ROS2DDS, [("amcl_pose", POSE_WITH_COVARIANCE, [AMCL])])
+    bridge, address = open_router()
+    with bridge:
+        command = ["tag", "relay", "--from", f"ros2/{source}", "--robot", address, "--seconds", "0.5"]
+        assert cli.run([*command, "--frame", "odom"]) == 1
+    assert capsys.readouterr().out.count("pose in frame 'map', expected 'odom'") == 1

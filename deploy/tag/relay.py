@@ -17,14 +17,15 @@ from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import ORIGIN, Pose, compose
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
+from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.key_table import KeySpec
 from rover_ncp.wire.messages import (
     BASE_FRAME,
+    TF,
     OdometrySample,
-    Transform,
     pose_with_covariance,
     read_odometry,
-    read_transforms,
+    read_yaw,
 )
 
 BASE_FRAMES = BASE_FRAME, "base_footprint"
@@ -71,8 +72,8 @@ class TransformPoses:
 
     def __init__(self, frame: str) -> None:
         self._frame = frame
-        self._links: dict[str, tuple[int, Transform]] = {}
-        """The stamp and the newest transform of each child frame."""
+        self._links: dict[str, tuple[str, Pose, int]] = {}
+        """Parent, newest pose in it and its stamp (ns) of each frame."""
 
     def take(self, data: bytes) -> bytes | None:
         """Return the pose after a TFMessage as a PoseWithCovarianceStamped of unknown variance.
@@ -80,24 +81,27 @@ class TransformPoses:
         None if the message has no transform of the frame. Raises FormatError for a message that cannot be
         read, and if no transforms lead from the frame to the base.
         """
-        found = read_transforms(data)
-        self._links |= {link.child: (stamp_ns, link) for stamp_ns, link in found}
-        if not any(link.parent == self._frame for _, link in found):
-            if any(link.parent == self._frame for _, link in self._links.values()):
-                return None
-            raise FormatError(self._missing())
+        corrected = False
+        for each in decode(TF, data).transforms:
+            parent, shift, stamp = (
+                each.header.frame_id.lstrip("/"),
+                each.transform.translation,
+                each.header.stamp,
+            )
+            pose = Pose(shift.x, shift.y, read_yaw(each.transform.rotation))
+            self._links[each.child_frame_id.lstrip("/")] = parent, pose, stamp.sec * 10**9 + stamp.nanosec
+            corrected |= parent == self._frame
+        if not corrected and any(parent == self._frame for parent, _, _ in self._links.values()):
+            return None
         for base in BASE_FRAMES:
-            pose, at, links = ORIGIN, base, dict(self._links)
-            while at in links:
-                _, link = links.pop(at)
-                pose, at = compose(Pose(link.x, link.y, link.yaw), pose), link.parent
-                if at == self._frame:
-                    return pose_with_covariance(pose, np.zeros((3, 3)), self._links[base][0], at)
-        raise FormatError(self._missing())
-
-    def _missing(self) -> str:
-        known = ", ".join(f"{link.parent} → {link.child}" for _, link in self._links.values())
-        return f"no transforms from {self._frame!r} to {BASE_FRAMES[0]!r}, only {known or 'none'}"
+            pose, frame, links = ORIGIN, base, dict(self._links)
+            while frame in links:
+                frame, step, _ = links.pop(frame)
+                pose = compose(step, pose)
+                if frame == self._frame:
+                    return pose_with_covariance(pose, np.zeros((3, 3)), self._links[base][2], frame)
+        known = ", ".join(f"{parent} → {child}" for child, (parent, _, _) in self._links.items())
+        raise FormatError(f"no transforms from {self._frame!r} to {BASE_FRAME!r}, only {known or 'none'}")
 
 
 def relay(source: str, *, address: BridgeAddress, frame: str, seconds: float | None, output: Output) -> int:

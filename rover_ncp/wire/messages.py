@@ -237,16 +237,6 @@ def transforms(items: Sequence[Transform], stamp_ns: int) -> bytes:
     return encode(TF, transforms=stamped)
 
 
-def read_transforms(data: bytes) -> list[tuple[int, Transform]]:
-    """Read the stamps and the transforms of a TFMessage. Raises FormatError."""
-    found = []
-    for each in decode(TF, data).transforms:
-        shift, yaw = each.transform.translation, _yaw(each.transform.rotation)
-        frames = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
-        found.append((_stamp_ns(each.header), Transform(*frames, shift.x, shift.y, shift.z, yaw)))
-    return found
-
-
 def imu(rate: float, variance: float, stamp_ns: int) -> bytes:
     """Return an Imu in base_link whose only measurement is the rate of turn; variance in (rad/s)²."""
     return encode(
@@ -389,11 +379,11 @@ def _pose(pose: Pose) -> dict[str, Any]:
 
 
 def _read_pose(pose: Any) -> Pose:
-    """Return the pose in the plane, which may be not finite. Raises FormatError for what is no rotation."""
-    return Pose(pose.position.x, pose.position.y, _yaw(pose.orientation))
+    return Pose(pose.position.x, pose.position.y, read_yaw(pose.orientation))
 
 
-def _yaw(q: Any) -> float:
+def read_yaw(q: Any) -> float:
+    """Return the heading of a message's quaternion. Raises FormatError for what is no rotation."""
     if abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1.0) > _UNIT_TOLERANCE:
         raise FormatError(f"the orientation {q.x:g}, {q.y:g}, {q.z:g}, {q.w:g} is not a rotation")
     return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))

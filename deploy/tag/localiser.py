@@ -21,6 +21,9 @@ MAX_AGE_S = 1.0
 """An older picture gives no pose: the drive's estimate does not reach back so far."""
 DARK, BRIGHT = 20.0, 235.0
 """Mean grey levels beyond which a picture without tags is dark or over-exposed."""
+QUALITY, SMALL_QUALITY = 95, 60
+SMALL_WIDTH = 480
+"""Pixels; with that quality 10 to 30 kB."""
 FROZEN = "the camera repeats one picture"
 OLD = "the picture is too old"
 TOO_DARK, TOO_BRIGHT = "the picture is dark: is the lens covered?", "the picture is over-exposed"
@@ -169,8 +172,10 @@ def tag_pose(found: Located) -> TagPose:
     )
 
 
-def drawn(grey: NDArray[np.uint8], detections: Sequence[Detection], words: str) -> bytes:
-    """Return a JPEG of a picture with its tags outlined and a line of words."""
+def drawn(
+    grey: NDArray[np.uint8], detections: Sequence[Detection], words: str, *, small: bool = False
+) -> bytes:
+    """Return a JPEG of a picture with its tags outlined and a line of words; ``small`` for a network."""
     canvas = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
     for each in detections:
         corners = np.rint(each.corners).astype(np.int32)
@@ -179,4 +184,8 @@ def drawn(grey: NDArray[np.uint8], detections: Sequence[Detection], words: str) 
         cv2.putText(canvas, str(each.id), where, cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 0, 255), 2)
     text = words.replace("θ", "theta").encode("ascii", "replace").decode()
     cv2.putText(canvas, text, (8, grey.shape[0] - 10), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 255, 255), 1)
-    return bytes(cv2.imencode(".jpg", canvas)[1].tobytes())
+    if small:
+        scale = min(1.0, SMALL_WIDTH / canvas.shape[1])
+        canvas = cv2.resize(canvas, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    quality = SMALL_QUALITY if small else QUALITY
+    return bytes(cv2.imencode(".jpg", canvas, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes())

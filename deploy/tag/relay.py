@@ -10,15 +10,15 @@ import zenoh
 from deploy.drive.link import Arrival, Inbox
 from deploy.drive.measurements import pose_reader
 from deploy.tag.ros_source import RosSource
-from deploy.zenoh_client import BridgeAddress, ZenohClient, with_covariance
+from deploy.zenoh_client import BridgeAddress, ZenohClient, matches, with_covariance
 from rover_ncp.core.config import ResultModel
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import ORIGIN, Pose, compose
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
-from rover_ncp.wire.cdr import decode
-from rover_ncp.wire.key_table import KeySpec
+from rover_ncp.wire.cdr import decode, encode
+from rover_ncp.wire.key_table import TAG_VIEW, KeySpec, spec
 from rover_ncp.wire.messages import (
     BASE_FRAME,
     TF,
@@ -42,6 +42,12 @@ class PoseLink(ZenohClient):
 
     def _declare(self) -> None:
         self._publisher = self._session.declare_publisher(self.key("pose"))
+        # A picture never delays a pose, nor anything else on the way.
+        self._viewed = self._session.declare_publisher(
+            self.key(TAG_VIEW),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.BACKGROUND,
+        )
 
     def _take(self, row: KeySpec, data: bytes) -> None:
         if row.name == "odom":
@@ -51,6 +57,18 @@ class PoseLink(ZenohClient):
     def send(self, pose: bytes) -> None:
         """Send a pose with the moment of its measurement."""
         self._publisher.put(pose)
+
+    @property
+    def watched(self) -> bool:
+        """Whether somebody receives pictures."""
+        return matches(self._viewed)
+
+    def show(self, jpeg: bytes) -> None:
+        """Send a picture for people; one that is too large for `watch` is left out."""
+        row = spec(TAG_VIEW)
+        data = encode(row.type, format="jpeg", data=np.frombuffer(jpeg, np.uint8))
+        if len(data) <= row.max_bytes:
+            self._viewed.put(data)
 
 
 class RelayResult(ResultModel):

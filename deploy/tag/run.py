@@ -27,7 +27,7 @@ from rover_ncp.core.process import Interrupts
 from rover_ncp.wire.messages import pose_with_covariance
 
 PICTURE_S = 1.0
-"""Time between two files of ``--picture``."""
+"""Time between two pictures for people."""
 
 
 def run_localiser(
@@ -62,9 +62,12 @@ def run_localiser(
                 found = localiser.take(each, time.time_ns() if live else None)
                 if found is not None and link is not None:
                     link.send(pose_with_covariance(found.pose, found.covariance, each.wall_ns, tag_map.frame))
-                if picture is not None and time.monotonic() - shown >= PICTURE_S:
-                    write_atomic(picture, drawn(each.grey, localiser.detections, localiser.state))
-                    shown = time.monotonic()
+                if time.monotonic() - shown >= PICTURE_S:
+                    shown, seen = time.monotonic(), (each.grey, localiser.detections, localiser.state)
+                    if picture is not None:
+                        write_atomic(picture, drawn(*seen))
+                    if link is not None and link.watched:
+                        link.show(drawn(*seen, small=True))
         result = TagRunResult(
             pictures=localiser.pictures,
             poses=localiser.poses,

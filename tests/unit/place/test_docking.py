@@ -1,11 +1,17 @@
 """Drives to a place through firmware, gate and driver: how they end, and that they are replayed exactly."""
 
+from collections import Counter
+
+import numpy as np
 import pytest
 from kit.virtual_docking import VirtualDocking, place
 
 from deploy.place.outcome import DockError
 from deploy.replay import replay
+from deploy.view.findings import analyse
+from deploy.view.page_data import columns
 from deploy.view.recorded_drive import read_drive, summarise
+from deploy.view.trace import synapse_currents
 from rover_ncp.core.geometry import Pose, distance
 from rover_ncp.course.course import Obstacle
 from rover_ncp.wire.messages import battery_state
@@ -41,6 +47,22 @@ def test_docking_is_replayed_to_the_last_bit(docked):
 
 def test_report_names_the_place_and_how_it_ended(docked):
     assert "docked" in summarise(read_drive(docked.path)).headline.lower()
+
+
+def test_report_explains_each_part_of_the_way_by_the_policy_that_drove_it(docked):
+    timeline = read_drive(docked.path).timeline
+    own, staged = timeline.trace(), timeline.staged_trace()
+    assert (own.policy.circuit.name, staged.policy.circuit.name) == ("dock", "course")
+    assert len(own.times) + len(staged.times) == len(timeline.ticks)
+    assert staged.times[-1] < own.times[0] < staged.times[-1] + 0.2
+    assert np.hypot(*(staged.poses[-1, :2] - (1.3, 1.0))) < 0.1  # the staging pose
+    pulls = columns(timeline, Counter())["ticks"]["pulls"]
+    for trace, tick in ((staged, 50), (own, len(timeline.ticks) - 50)):
+        wanted = synapse_currents(trace.policy.circuit, timeline.ticks[tick].potentials[None]).pull[0]
+        assert [column[tick] for column in pulls] == pytest.approx(wanted, abs=0.006)
+    found = analyse(own, staged).phases
+    assert [phase.start_s for phase in found] == sorted(phase.start_s for phase in found)
+    assert found[0].start_s < 1.0
 
 
 def test_contact_at_the_place_proves_a_docking_and_is_replayed(tmp_path):

@@ -15,8 +15,6 @@ from deploy.tag.tag_map import CameraFile, TagMap
 from rover_ncp.core.config import ResultModel
 from rover_ncp.core.errors import UsageError
 
-FROZEN_S = 1.0
-"""A camera whose picture has not changed by one grey level for so long is frozen: noise alone changes it."""
 MAX_AGE_S = 1.0
 """An older picture gives no pose: the drive's estimate does not reach back so far."""
 DARK, BRIGHT = 20.0, 235.0
@@ -111,7 +109,7 @@ class Localiser:
         self.state = "no picture yet"
         """The newest pose or reason, for people."""
         self.detections: list[Detection] = []
-        self._checksum, self._same_since_ns = 0, 0
+        self._checksum = 0
 
     def take(self, picture: Picture, now_ns: int | None = None) -> Located | None:
         """Return the pose of a picture, or None; ``now_ns`` (since the epoch) also rejects old pictures.
@@ -125,34 +123,25 @@ class Localiser:
                 f"{self._size[1]} × {self._size[0]}"
             )
         self.pictures += 1
-        checksum = zlib.crc32(grey.tobytes())
-        if checksum != self._checksum:
-            self._checksum, self._same_since_ns = checksum, picture.wall_ns
-        reason = self._doubt(picture, now_ns)
-        if reason:
-            self._reject(reason)
-            return None
+        before, self._checksum = self._checksum, zlib.crc32(grey.tobytes())
+        if self._checksum == before:  # noise alone changes a picture, so the camera is frozen
+            return self._reject(FROZEN)
+        if now_ns is not None and now_ns - picture.wall_ns > MAX_AGE_S * 1e9:
+            return self._reject(OLD)
         self.detections = self._detector.detect(grey)
         self.unknown |= {each.id for each in self.detections} - self._ids
         found = self._locator.locate(self.detections)
         if isinstance(found, Rejection):
             level = float(grey.mean())
             if found is Rejection.NO_TAG and not DARK <= level <= BRIGHT:
-                self._reject(TOO_DARK if level < DARK else TOO_BRIGHT)
-            else:
-                self._reject(found)
-            return None
+                return self._reject(TOO_DARK if level < DARK else TOO_BRIGHT)
+            return self._reject(found)
         self.poses, self.last = self.poses + 1, found
         self.state = (
             f"x {found.pose.x:.3f} m  y {found.pose.y:.3f} m  θ {found.pose.theta:.3f} rad  "
             f"tags {', '.join(map(str, found.ids))}"
         )
         return found
-
-    def _doubt(self, picture: Picture, now_ns: int | None) -> str:
-        if picture.wall_ns - self._same_since_ns > FROZEN_S * 1e9:
-            return FROZEN
-        return OLD if now_ns is not None and now_ns - picture.wall_ns > MAX_AGE_S * 1e9 else ""
 
     def _reject(self, reason: str) -> None:
         self.rejected[str(reason)] += 1

@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from kit.virtual_docking import VirtualDocking, place
+from kit.virtual_docking import VirtualDocking, charging, place
 
 from deploy.place.outcome import DockError
 from deploy.replay import replay
@@ -14,7 +14,6 @@ from deploy.view.recorded_drive import read_drive, summarise
 from deploy.view.trace import synapse_currents
 from rover_ncp.core.geometry import Pose, distance
 from rover_ncp.course.course import Obstacle
-from rover_ncp.wire.messages import battery_state
 
 START = Pose(1.05, 1.12, -0.5)
 DOCK = Obstacle(x=2.365, y=1.0, length=0.1, width=0.6)
@@ -83,12 +82,6 @@ def test_contact_elsewhere_is_a_miss_and_the_rover_backs_out(tmp_path):
     assert (result.exit_code, result.dock.error_code) == (1, DockError.FAILED_TO_CONTROL)
     assert (result.dock.num_retries, result.dock.at) == (1, "staging pose")
     assert replay(drive.path).same
-
-
-def charging(drive, value):
-    """Have the base report that its battery charges or does not."""
-    drive.link.change["battery_state"] = lambda data: battery_state(12.5, 1, charging=value)
-    return drive
 
 
 def test_docking_ends_with_the_charge_that_flows():

@@ -18,13 +18,11 @@ from rover_ncp.core.geometry import ORIGIN, Pose, compose
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
 from rover_ncp.wire.cdr import decode, encode
-from rover_ncp.wire.key_table import TAG_VIEW, KeySpec, spec
+from rover_ncp.wire.key_table import KEYS, TAG_VIEW, spec
 from rover_ncp.wire.messages import (
     BASE_FRAME,
     TF,
-    OdometrySample,
     pose_with_covariance,
-    read_odometry,
     read_yaw,
 )
 
@@ -34,11 +32,10 @@ TAKE_S = 0.1
 
 
 class PoseLink(ZenohClient):
-    """A session with a bridge that sends poses, and keeps the newest odometry."""
+    """A session with a bridge that sends poses and pictures, and receives nothing."""
 
     def __init__(self, address: BridgeAddress) -> None:
-        self.odometry: OdometrySample | None = None
-        super().__init__(address, self._take, own=("pose",))
+        super().__init__(address, lambda row, data: None, own=[row.name for row in KEYS])
 
     def _declare(self) -> None:
         self._publisher = self._session.declare_publisher(self.key("pose"))
@@ -48,11 +45,6 @@ class PoseLink(ZenohClient):
             congestion_control=zenoh.CongestionControl.DROP,
             priority=zenoh.Priority.BACKGROUND,
         )
-
-    def _take(self, row: KeySpec, data: bytes) -> None:
-        if row.name == "odom":
-            with contextlib.suppress(FormatError):  # an unreadable sample counts as none
-                self.odometry = read_odometry(data)
 
     def send(self, pose: bytes) -> None:
         """Send a pose with the moment of its measurement."""

@@ -2,6 +2,7 @@
 
 import contextlib
 import time
+from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -16,15 +17,17 @@ from deploy.tag.ros_camera import RosCamera, ros_camera_file
 from deploy.tag.ros_source import PREFIX
 from deploy.tag.sheet import Board
 from deploy.tag.tag_map import CameraFile, Mount, load_camera, load_camera_info, load_tag_map
-from deploy.zenoh_client import BridgeAddress
+from deploy.zenoh_client import BridgeAddress, ZenohClient
+from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.console import Output
-from rover_ncp.core.errors import UsageError
+from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.core.files import require_writable, write_atomic
-from rover_ncp.core.geometry import Pose
+from rover_ncp.core.geometry import Pose, wrap_angle
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
-from rover_ncp.wire.messages import pose_with_covariance
+from rover_ncp.wire.key_table import KeySpec
+from rover_ncp.wire.messages import pose_with_covariance, read_odometry
 
 PICTURE_S = 1.0
 """Time between two pictures for people."""
@@ -121,23 +124,23 @@ def calibrate_mount(
     if tag_map.tags_on == "rover":
         raise UsageError(f"{map_file}: tags_on: rover: the mount of a ceiling's camera is measured by hand")
     require_writable(camera_file)
-    samples: list[tuple[Pose, list[Detection]]] = []
-    detector = Detector()
+    odometry, detector = _Odometry(), Detector()
+    seen: list[tuple[int, list[Detection]]] = []
     with (
         Interrupts() as interrupts,
         one_thread(),
-        PoseLink(address) as link,
+        ZenohClient(address, odometry.take),
         opened(source, camera.delay_s) as (pictures, _),
     ):
         output.announce("collecting: drive and turn slowly, tags in view; Ctrl-C when done")
         for each in until(pictures, seconds, lambda: interrupts.raised):
-            if link.odometry is not None:
-                samples.append((link.odometry.pose, detector.detect(each.grey)))
-    if link.odometry is None:
+            seen.append((each.wall_ns, detector.detect(each.grey)))
+    if not odometry.poses:
         raise UsageError(
             f"no odometry arrived from the bridge at {address.robot}; with certificates, use a driver's: a "
             "localiser's may not read it"
         )
+    samples = [(pose, found) for at, found in seen if (pose := odometry.at(at)) is not None]
     found = find_mount(camera, tag_map, samples)
     _write(camera_file, camera.model_copy(update={"mount": found.mount}))
     result = TagCalibration(
@@ -155,6 +158,38 @@ def calibrate_mount(
         result.model_dump(),
         f"wrote {camera_file}: {', '.join(values)} (m, rad); corners fit to {found.rms:.2f} px",
     )
+
+
+class _Odometry:
+    """Poses of the base with the moments of their measurement by this machine's wall clock, in ns."""
+
+    def __init__(self) -> None:
+        self._clock = StampClock()
+        self.times: list[int] = []
+        self.poses: list[Pose] = []
+
+    def take(self, row: KeySpec, data: bytes) -> None:
+        """Take a message of the bridge; an unreadable one counts as none."""
+        if row.name != "odom":
+            return
+        with contextlib.suppress(FormatError):
+            sample, now_ns = read_odometry(data), time.monotonic_ns()
+            measured_ns = self._clock.measured_ns(sample.stamp_ns, now_ns)
+            if measured_ns is not None:
+                self.times.append(time.time_ns() - now_ns + measured_ns)
+                self.poses.append(sample.pose)
+
+    def at(self, wall_ns: int) -> Pose | None:
+        """Return the pose at a moment, between two measured ones; None outside them."""
+        after = bisect_left(self.times, wall_ns)
+        if not 0 < after < len(self.times):
+            return None
+        share = (wall_ns - self.times[after - 1]) / (self.times[after] - self.times[after - 1])
+        a, b = self.poses[after - 1], self.poses[after]
+        turned = wrap_angle(b.theta - a.theta)
+        return Pose(
+            a.x + share * (b.x - a.x), a.y + share * (b.y - a.y), wrap_angle(a.theta + share * turned)
+        )
 
 
 @contextlib.contextmanager

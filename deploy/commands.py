@@ -85,7 +85,8 @@ def deploy(
     the drive (4, pose-age).
 
     With --to it waits for an external pose, drives to the staging pose of a place and from there into it,
-    tries again after a miss, and ends docked (0) or back at the staging pose (1; docs/place.md).
+    tries again after a miss, and ends docked (0) or back at the staging pose (1; docs/place.md). With
+    --dry-run it plans the first way, and ends with 4 if there is none.
 
     The estimate is judged: parked; not parked, also after a bumper or a stall; or "parked, uncertain" if the
     rover may be outside the tolerances with a probability of more than 5 %. Ends with 0 parked, 1 not parked,
@@ -121,7 +122,7 @@ def deploy(
         if to is not None and undock is not None:
             raise UsageError("--to and --undock do not go together")
         odd = None if pose == "auto" else pose
-        given = {"course": course, "duration": duration, "pose": odd, "dry_run": dry_run}
+        given = {"course": course, "duration": duration, "pose": odd}
         reject("does not go with --to and --undock", **given, require_certainty=require_certainty)
         place, dock = load_place(to or undock or ""), load_policy(dock_policy or "dock")
         config = place_config(
@@ -132,6 +133,7 @@ def deploy(
             robot=robot,
             namespace=namespace,
             policy=dock.circuit.name,
+            dry_run=dry_run,
         )
         way = place_course(place)
         return run(

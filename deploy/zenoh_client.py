@@ -70,10 +70,8 @@ class ZenohClient(ClosedAtExit):
         try:
             self._declare()
             for row in KEYS:
-                if row.kind is Kind.MESSAGE and row.name not in own:
-                    self._subscribe(
-                        self._session.declare_subscriber, self.key(row.name), self._receiving(row)
-                    )
+                if row.kind is Kind.MESSAGE and not row.shown and row.name not in own:
+                    self._receive_row(row)
             poses, receive_pose = f"*/{self.key('pose')}/*/*", self._receiving(spec("pose"))
             self._subscribe(self._session.declare_subscriber, poses, receive_pose)  # of rmw_zenoh's nodes
             declare = partial(self._session.liveliness().declare_subscriber, history=True)
@@ -123,6 +121,9 @@ class ZenohClient(ClosedAtExit):
 
     def _declare(self) -> None:
         """Declare what a subclass sends, before the first message arrives."""
+
+    def _receive_row(self, row: KeySpec) -> None:
+        self._subscribe(self._session.declare_subscriber, self.key(row.name), self._receiving(row))
 
     def _subscribe(
         self, declare: Callable[..., Any], key_expr: str, callback: Callable[[zenoh.Sample], None]

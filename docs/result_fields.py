@@ -33,6 +33,7 @@ RESULTS = {
     "tag print": "deploy.tag.localiser:TagPrintResult",
     "tag calibrate": "deploy.tag.localiser:TagCalibration",
     "tag run": "deploy.tag.localiser:TagRunResult",
+    "tag relay": "deploy.tag.relay:RelayResult",
     "urdf": "bridge.ros2.urdf:UrdfResult",
     "deploy": "deploy.drive.result:DriveResult",
     "teleop": "deploy.teleop:TeleopResult",

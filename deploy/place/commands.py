@@ -2,7 +2,6 @@
 
 import math
 import time
-from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -14,18 +13,12 @@ if TYPE_CHECKING:
     from deploy.place.survey import Survey
     from deploy.zenoh_client import BridgeAddress
 
-TAKE_S = 0.1
-
-
-class What(StrEnum):
-    """Actions on a place."""
-
-    SET = "set"
-    CHECK = "check"
-
 
 def place(
-    what: Annotated[What, typer.Argument(help="set: store it. check: compare the present view with it.")],
+    what: Annotated[
+        Literal["set", "check"],
+        typer.Argument(help="set: store it. check: compare the present view with it."),
+    ],
     name: Annotated[str, typer.Argument(help="The place: NAME or NAME.yaml.")],
     *,
     robot: Robot,
@@ -64,14 +57,14 @@ def place(
     from rover_ncp.core.files import require_creatable, write_atomic
 
     output, path = Output(json), place_path(name)
-    if what is What.CHECK:
+    if what == "check":
         reject("is for set", direction=direction, overwrite=overwrite)
-    if what is What.SET:
+    else:
         require_creatable(path, overwrite=overwrite)
-    known = load_place(name) if what is What.CHECK or path.exists() else None
+    known = load_place(name) if what == "check" or path.exists() else None
     seen = _look(BridgeAddress(robot, namespace, zenoh_config), seconds)
     pose, words, wrong = seen.pose, [], ""
-    if what is What.CHECK:
+    if what == "check":
         assert known is not None
         wrong = complaint(known, seen)
         words.append(f"{known.name}: {wrong or f'as stored, {known.errors(pose)}'}")
@@ -92,7 +85,7 @@ def place(
         y=pose.y,
         theta=pose.theta,
         scatter=seen.scatter,
-        off=known.errors(pose) if what is What.CHECK and known else None,
+        off=known.errors(pose) if what == "check" and known else None,
         fits=not wrong,
     )
     output.result(result.model_dump(), "\n".join(words))
@@ -101,28 +94,24 @@ def place(
 
 def _look(address: "BridgeAddress", seconds: float) -> "Survey":
     """Collect the external poses of some seconds. Raises UnreachableError or KeyboardInterrupt."""
-    from deploy.drive.link import Arrival, Inbox
     from deploy.place.survey import survey
     from deploy.zenoh_client import ZenohClient
     from rover_ncp.core.errors import FormatError
     from rover_ncp.wire.key_table import KeySpec
     from rover_ncp.wire.messages import read_pose
 
-    inbox, samples, unreadable = Inbox(), [], ""
+    arrived: list[bytes] = []
 
     def receive(row: KeySpec, data: bytes) -> None:
         if row.name == "pose":
-            inbox.put(Arrival(data, time.monotonic_ns()))
+            arrived.append(data)
 
-    client = ZenohClient(address, receive)
-    try:
-        until = time.monotonic() + seconds
-        while time.monotonic() < until:
-            for arrival in inbox.take(TAKE_S):
-                try:
-                    samples.append(read_pose(arrival.data))
-                except FormatError as error:
-                    unreadable = f"others cannot be read: {error}"
-    finally:
-        client.close()
+    with ZenohClient(address, receive):
+        time.sleep(seconds)
+    samples, unreadable = [], ""
+    for data in arrived:
+        try:
+            samples.append(read_pose(data))
+        except FormatError as error:
+            unreadable = f"others cannot be read: {error}"
     return survey(samples, seconds, unreadable)

@@ -39,6 +39,8 @@ STAGED_M, STAGED_RAD = 0.10, math.radians(10.0)
 """How far from the staging pose an approach may begin: the policy's training."""
 CONTACT_M = 0.05
 """How far from the place, along its heading, contact counts as that with the dock."""
+CHARGER_M, CHARGER_RAD = 0.10, math.radians(10.0)
+"""How far from the place a charge counts: farther away it is that of another charger."""
 CONTACT_S = 0.5
 """External poses of so long before contact count for its place; the rover has moved 2 cm meanwhile."""
 CHARGE_S = 10.0
@@ -176,6 +178,11 @@ class Docking:
         """Go on to the next stage if the present one is over."""
         contact, charging = self._evidence
         ended = index - self._began >= self._now.way.course.ticks
+        if self._config.dry_run and ended and self._began >= 0:
+            way = self._now.way.course
+            words = f"the dry run ends after the first way ({way.name}, {way.horizon_s:.0f} s), not driven"
+            self._end(False, DockError.UNKNOWN, words)
+            return
         match self.stage:
             case Stage.NAV_TO_STAGING_POSE if ended:
                 self._staged(index, estimate.pose)
@@ -203,10 +210,13 @@ class Docking:
         where = f"{off} of the place by the estimate"
         error, why = DockError.FAILED_TO_CONTROL, ""
         at_place = proof is Proof.CONTACT and in_line and abs(off.longitudinal_m) <= CONTACT_M
+        far = distance(pose, self.place.goal) > CHARGER_M or abs(off.yaw_rad) > CHARGER_RAD
         if proof is Proof.CONTACT and not contact:
             why = f"no contact at the place, {where}"
-        elif contact and not (at_place or proof is Proof.CHARGING):
+        elif contact and not (at_place or (proof is Proof.CHARGING and not far)):
             why = f"contact {where}"
+        elif proof is Proof.CHARGING and far:
+            why = f"too far for the place's charger, {where}"
         elif proof is Proof.POSE and verdict.words is not Parked.YES:
             why = verdict.reason or f"within the tolerances with a probability of {verdict.probability:.0%}"
         elif proof is Proof.CHARGING and not charging:

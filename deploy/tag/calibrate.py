@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -13,12 +14,14 @@ from deploy.tag.locate import MAX_PIXELS, PIXEL, Located, Locator
 from deploy.tag.sheet import Board
 from deploy.tag.tag_map import CameraFile, Floats, Intrinsics, Mount, TagMap
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.geometry import Pose, compose, inverse
+from rover_ncp.core.geometry import Pose, compose, relative
 
 MIN_PICTURES, MIN_TAGS = 6, 6
 """Fewer pictures, or fewer tags in one, leave the focal length and the distortion undetermined."""
 PRIOR = np.array([0.05, 0.05, 0.03, 0.2, 0.2, 0.05])
 """Standard deviations of a mount measured by hand: x, y, z in m, yaw, pitch, roll in rad."""
+GAIN_PRIOR = np.array([0.05, 0.2])
+"""Standard deviations of odometry's distances and turns, as shares: a robot with skid steering slips."""
 MIN_SAMPLES = 20
 MIN_TURN = 0.5
 """Least range of headings in the drive, rad: without a turn the camera's place on the rover is not seen."""
@@ -82,11 +85,14 @@ def find_mount(
 ) -> MountFound:
     """Return the camera's mount from the odometry's poses and the tags seen there.
 
-    ``camera.mount`` is the start, measured by hand. Raises UsageError when the drive does not determine it.
+    ``camera.mount`` is the start, measured by hand.
+
+    Odometry's gains are found, too. Raises UsageError when the drive does not determine it.
     """
     known = {tag.id: tag for tag in tag_map.tags}
-    seen = [(odom, [each for each in found if each.id in known]) for odom, found in samples]
-    seen = [(odom, found) for odom, found in seen if found]
+    visible = [[each for each in found if each.id in known] for _, found in samples]
+    shown = [index for index, found in enumerate(visible) if found]
+    seen = [(samples[index][0], visible[index]) for index in shown]
     if len(seen) < MIN_SAMPLES:
         raise UsageError(f"tags are seen in {len(seen)} pictures, expected {MIN_SAMPLES} or more")
     headings = np.unwrap([odom.theta for odom, _ in seen])
@@ -100,7 +106,8 @@ def find_mount(
     if starts is None:
         raise UsageError("the tags fit no pose: is the mount far off, or a tag's size or place wrong?")
     odom, where = min(starts, key=lambda each: each[1].rms)
-    frame = compose(where.pose, inverse(odom))  # pose of odometry's frame in the map
+    first_odom, steps = samples[0][0], [relative(a, b) for (a, _), (b, _) in pairwise(samples)]
+    start = compose(where.pose, relative(odom, first_odom))  # where the drive begins in the map
     matrix, distortion = camera.intrinsics.matrix, np.array(camera.intrinsics.distortion)
     focal = 0.5 * (camera.intrinsics.fx + camera.intrinsics.fy)
     corners = [np.concatenate([known[each.id].corners for each in found]) for _, found in seen]
@@ -115,15 +122,15 @@ def find_mount(
     def errors(values: Floats) -> Floats:
         mount = Mount.model_construct(**dict(zip(MOUNT_FIELDS, values[:6], strict=True)))
         locator = Locator(camera.model_copy(update={"mount": mount}), tag_map)
-        moved = Pose(*values[6:])
+        path = _path(values[6:9], np.array(steps), *values[9:])[shown]
         parts = [
-            (focal / PIXEL * (locator.project(np.array(compose(moved, odom)), points) - flat)).ravel()
-            for (odom, _), points, flat in zip(seen, corners, flats, strict=True)
+            (focal / PIXEL * (locator.project(pose, points) - flat)).ravel()
+            for pose, points, flat in zip(path, corners, flats, strict=True)
         ]
-        return np.concatenate([*parts, (values[:6] - by_hand) / PRIOR])
+        return np.concatenate([*parts, (values[:6] - by_hand) / PRIOR, (values[9:] - 1.0) / GAIN_PRIOR])
 
-    fit = least_squares(errors, np.array([*by_hand, *frame]), loss="soft_l1", x_scale="jac")
-    rms = PIXEL * float(np.sqrt(2.0 * np.mean(np.square(errors(fit.x)[:-6]))))
+    fit = least_squares(errors, np.array([*by_hand, *start, 1.0, 1.0]), loss="soft_l1", x_scale="jac")
+    rms = PIXEL * float(np.sqrt(2.0 * np.mean(np.square(errors(fit.x)[:-8]))))
     if rms > MAX_PIXELS:
         raise UsageError(f"the drive does not fit the tags ({rms:.1f} px): is the map right, do wheels slip?")
     covariance = max(1.0, (rms / PIXEL) ** 2) * np.linalg.pinv(fit.jac.T @ fit.jac)
@@ -133,3 +140,12 @@ def find_mount(
         {name: float(value) for name, value in zip(MOUNT_FIELDS, deviations, strict=True)},
         rms,
     )
+
+
+def _path(start: Floats, steps: Floats, distance: float, turn: float) -> Floats:
+    """Return poses (n + 1, 3) by steps (n, 3), each in the frame of the pose before it, times the gains."""
+    theta = start[2] + np.append(0.0, turn * np.cumsum(steps[:, 2]))
+    c, s = np.cos(theta[:-1]), np.sin(theta[:-1])
+    ahead, left = distance * steps[:, 0], distance * steps[:, 1]
+    moved = np.cumsum(np.column_stack([c * ahead - s * left, s * ahead + c * left]), axis=0)
+    return np.column_stack([start[:2] + np.vstack([np.zeros(2), moved]), theta])

@@ -3,8 +3,9 @@
 import threading
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import IO
 
@@ -38,7 +39,7 @@ def pictures_of(source: str, delay_s: float = 0.0) -> "LiveCamera | Iterator[Pic
     FileError.
     """
     if source.isdigit() or source.startswith("http://"):
-        return LiveCamera(source, delay_s)
+        return ReadCamera(source, delay_s)
     path = Path(source)
     if path.is_dir():
         return _folder(path)
@@ -73,29 +74,51 @@ def _video(path: Path) -> Iterator[Picture]:
 
 
 class LiveCamera(ClosedAtExit):
-    """The newest picture of a camera that runs; a thread reads, so that no picture waits in a queue.
+    """The newest picture of a camera that runs: no picture waits in a queue.
 
-    Iterating ends with UsageError when the camera sends nothing for `TIMEOUT_S`, or ends its stream.
+    Iterating ends with UsageError when the camera sends nothing for `TIMEOUT_S`, and after `lose`.
     """
 
-    def __init__(self, source: str, delay_s: float) -> None:
-        self._source, self._delay_ns = source, round(delay_s * 1e9)
+    def __init__(self, source: str) -> None:
+        self._source = source
         self._changed = threading.Condition()
-        self._newest: Picture | None = None
+        self._newest: Callable[[], Picture] | None = None
         self._lost = ""
-        self._closing = False
-        threading.Thread(target=self._run, name="camera", daemon=True).start()
 
     def __iter__(self) -> Iterator[Picture]:
         while True:
             with self._changed:
                 arrived = self._changed.wait_for(lambda: self._newest or self._lost, TIMEOUT_S)
-                picture, self._newest = self._newest, None
-            if picture is not None:
-                yield picture
-            else:
+                newest, self._newest = self._newest, None
                 why = self._lost if arrived else f"no picture for {TIMEOUT_S:g} s"
-                raise UsageError(f"camera {self._source}: {why}")
+            try:
+                if newest is None:
+                    raise ValueError(why)
+                yield newest()
+            except ValueError as error:
+                raise UsageError(f"camera {self._source}: {error}") from error
+
+    def put(self, picture: Callable[[], Picture]) -> None:
+        """Take a picture, which is decoded, or raises ValueError, if no newer one takes its place."""
+        with self._changed:
+            self._newest = picture
+            self._changed.notify_all()
+
+    def lose(self, why: str) -> None:
+        """End the pictures."""
+        with self._changed:
+            self._lost = why
+            self._changed.notify_all()
+
+
+class ReadCamera(LiveCamera):
+    """A camera that a thread reads."""
+
+    def __init__(self, source: str, delay_s: float) -> None:
+        super().__init__(source)
+        self._delay_ns = round(delay_s * 1e9)
+        self._closing = False
+        threading.Thread(target=self._run, name="camera", daemon=True).start()
 
     def close(self) -> None:
         """End the thread at its next picture."""
@@ -106,31 +129,25 @@ class LiveCamera(ClosedAtExit):
             for picture in self._stream() if self._source.startswith("http://") else self._device():
                 if self._closing:
                     return
-                with self._changed:
-                    self._newest = picture
-                    self._changed.notify_all()
-            self._lose("it sends no more pictures")
+                self.put(picture)
+            self.lose("it sends no more pictures")
         except (OSError, ValueError) as error:
-            self._lose(str(error))
+            self.lose(str(error))
 
-    def _lose(self, why: str) -> None:
-        with self._changed:
-            self._lost = why
-            self._changed.notify_all()
-
-    def _device(self) -> Iterator[Picture]:
+    def _device(self) -> Iterator[Callable[[], Picture]]:
         capture = cv2.VideoCapture(int(self._source))
         if not capture.isOpened():
             raise ValueError("no such camera, or another program uses it")
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         while True:
             more, frame = capture.read()
-            wall_ns = time.time_ns()
+            wall_ns = time.time_ns() - self._delay_ns
             if not more:
                 return
-            yield Picture(_grey(np.asarray(frame, np.uint8)), wall_ns - self._delay_ns)
+            picture = Picture(_grey(np.asarray(frame, np.uint8)), wall_ns)
+            yield lambda picture=picture: picture
 
-    def _stream(self) -> Iterator[Picture]:
+    def _stream(self) -> Iterator[Callable[[], Picture]]:
         with urllib.request.urlopen(self._source, timeout=TIMEOUT_S) as stream:
             boundary = stream.headers.get_param("boundary")
             if not boundary:
@@ -140,10 +157,15 @@ class LiveCamera(ClosedAtExit):
                 wall_ns = time.time_ns() - self._delay_ns
                 if STAMP.lower() in headers:
                     wall_ns = round(float(headers[STAMP.lower()]) * 1e9)
-                frame = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
-                if frame is None:
-                    raise ValueError("a picture of the stream is not a JPEG")
-                yield Picture(np.asarray(frame, np.uint8), wall_ns)
+                yield partial(compressed, np.frombuffer(data, np.uint8), wall_ns)
+
+
+def compressed(data: NDArray[np.uint8], wall_ns: int) -> Picture:
+    """Decode a JPEG or PNG. Raises ValueError."""
+    frame = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+    if frame is None:
+        raise ValueError("a picture is neither a JPEG nor a PNG")
+    return Picture(np.asarray(frame, np.uint8), wall_ns)
 
 
 def _part(stream: IO[bytes]) -> tuple[dict[str, str], bytes] | None:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from deploy.options import Namespace, ZenohConfig
+from deploy.options import Namespace, Robot, ZenohConfig
 from rover_ncp.core.console import Json, Output
 from rover_ncp.core.errors import UsageError
 
@@ -21,10 +21,15 @@ tag = typer.Typer(
 
 Camera = Annotated[
     str,
-    typer.Option(help="A device's number, an MJPEG stream (http://...), a video or a folder."),
+    typer.Option(
+        help="A device's number, an MJPEG stream (http://...), a video, a folder, or a ROS 2 topic "
+        "(ros2/tcp/HOST#image=TOPIC)."
+    ),
 ]
-CameraYaml = Annotated[Path, typer.Option(help="The camera's file (YAML), as 'tag calibrate' writes it.")]
 Map = Annotated[Path, typer.Option(help="The tags: sizes and places (YAML).")]
+Seconds = Annotated[
+    float | None, typer.Option(min=0.1, help="End after so many seconds.", show_default=False)
+]
 Decimate = Annotated[
     float, typer.Option(min=1.0, max=4.0, help="Search for tags in a picture so many times smaller.")
 ]
@@ -109,16 +114,20 @@ def calibrate(
 def run(
     *,
     camera: Camera,
-    camera_file: CameraYaml,
     map: Map,
+    camera_file: Annotated[
+        Path | None,
+        typer.Option(
+            help="The camera's file (YAML), as 'tag calibrate' writes it.",
+            show_default="of a ROS 2 camera: by camera_info and tf_static",
+        ),
+    ] = None,
     robot: Annotated[
         str | None,
         typer.Option(help="Where the bridge listens; without it, poses are only shown.", show_default=False),
     ] = None,
     decimate: Decimate = 2.0,
-    seconds: Annotated[
-        float | None, typer.Option(min=0.1, help="End after so many seconds.", show_default=False)
-    ] = None,
+    seconds: Seconds = None,
     picture: Annotated[
         Path | None,
         typer.Option(help="Write the newest picture, its tags outlined, to this JPEG once a second."),
@@ -150,6 +159,37 @@ def run(
         picture=picture,
         output=Output(json, controls=True),
     )
+
+
+@tag.command()
+def relay(
+    *,
+    source: Annotated[
+        str,
+        typer.Option(
+            "--from", help="The robot's Zenoh router and the topic: ros2/tcp/HOST[:PORT]#topic=amcl_pose"
+        ),
+    ],
+    robot: Robot,
+    frame: Annotated[str, typer.Option(help="Frame of the poses; others are not sent.")] = "map",
+    seconds: Seconds = None,
+    namespace: Namespace = "",
+    zenoh_config: ZenohConfig = None,
+    json: Json = False,
+) -> int:
+    """Send the poses that a ROS 2 robot's own localiser finds, on the key 'pose' of the bridge.
+
+    The topic has PoseWithCovarianceStamped (AMCL's amcl_pose) or PoseStamped. A topic named tf has
+    transforms: each one of --frame gives a pose of base_link or base_footprint. A PoseStamped and a transform
+    count with 2 cm and 2 degrees. Ends at Ctrl-C.
+
+        rover-ncp tag relay --from 'ros2/tcp/ROBOT#topic=amcl_pose' --robot tcp/127.0.0.1:7449
+    """
+    from deploy.tag.relay import relay as run_relay
+    from deploy.zenoh_client import BridgeAddress
+
+    output, address = Output(json, controls=True), BridgeAddress(robot, namespace, zenoh_config)
+    return run_relay(source, address=address, frame=frame, seconds=seconds, output=output)
 
 
 def parse_ids(text: str) -> list[int]:

@@ -15,12 +15,13 @@ from deploy.tag.tag_map import CameraFile, TagMap
 from rover_ncp.core.config import ResultModel
 from rover_ncp.core.errors import UsageError
 
-FROZEN_S = 1.0
-"""A camera whose picture has not changed by one grey level for so long is frozen: noise alone changes it."""
 MAX_AGE_S = 1.0
 """An older picture gives no pose: the drive's estimate does not reach back so far."""
 DARK, BRIGHT = 20.0, 235.0
 """Mean grey levels beyond which a picture without tags is dark or over-exposed."""
+QUALITY, SMALL_QUALITY = 95, 60
+SMALL_WIDTH = 480
+"""Pixels; with that quality 10 to 30 kB."""
 FROZEN = "the camera repeats one picture"
 OLD = "the picture is too old"
 TOO_DARK, TOO_BRIGHT = "the picture is dark: is the lens covered?", "the picture is over-exposed"
@@ -108,7 +109,7 @@ class Localiser:
         self.state = "no picture yet"
         """The newest pose or reason, for people."""
         self.detections: list[Detection] = []
-        self._checksum, self._same_since_ns = 0, 0
+        self._checksum = 0
 
     def take(self, picture: Picture, now_ns: int | None = None) -> Located | None:
         """Return the pose of a picture, or None; ``now_ns`` (since the epoch) also rejects old pictures.
@@ -122,34 +123,25 @@ class Localiser:
                 f"{self._size[1]} × {self._size[0]}"
             )
         self.pictures += 1
-        checksum = zlib.crc32(grey.tobytes())
-        if checksum != self._checksum:
-            self._checksum, self._same_since_ns = checksum, picture.wall_ns
-        reason = self._doubt(picture, now_ns)
-        if reason:
-            self._reject(reason)
-            return None
+        before, self._checksum = self._checksum, zlib.crc32(grey.tobytes())
+        if self._checksum == before:  # noise alone changes a picture, so the camera is frozen
+            return self._reject(FROZEN)
+        if now_ns is not None and now_ns - picture.wall_ns > MAX_AGE_S * 1e9:
+            return self._reject(OLD)
         self.detections = self._detector.detect(grey)
         self.unknown |= {each.id for each in self.detections} - self._ids
         found = self._locator.locate(self.detections)
         if isinstance(found, Rejection):
             level = float(grey.mean())
             if found is Rejection.NO_TAG and not DARK <= level <= BRIGHT:
-                self._reject(TOO_DARK if level < DARK else TOO_BRIGHT)
-            else:
-                self._reject(found)
-            return None
+                return self._reject(TOO_DARK if level < DARK else TOO_BRIGHT)
+            return self._reject(found)
         self.poses, self.last = self.poses + 1, found
         self.state = (
             f"x {found.pose.x:.3f} m  y {found.pose.y:.3f} m  θ {found.pose.theta:.3f} rad  "
             f"tags {', '.join(map(str, found.ids))}"
         )
         return found
-
-    def _doubt(self, picture: Picture, now_ns: int | None) -> str:
-        if picture.wall_ns - self._same_since_ns > FROZEN_S * 1e9:
-            return FROZEN
-        return OLD if now_ns is not None and now_ns - picture.wall_ns > MAX_AGE_S * 1e9 else ""
 
     def _reject(self, reason: str) -> None:
         self.rejected[str(reason)] += 1
@@ -169,8 +161,10 @@ def tag_pose(found: Located) -> TagPose:
     )
 
 
-def drawn(grey: NDArray[np.uint8], detections: Sequence[Detection], words: str) -> bytes:
-    """Return a JPEG of a picture with its tags outlined and a line of words."""
+def drawn(
+    grey: NDArray[np.uint8], detections: Sequence[Detection], words: str, *, small: bool = False
+) -> bytes:
+    """Return a JPEG of a picture with its tags outlined and a line of words; ``small`` for a network."""
     canvas = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
     for each in detections:
         corners = np.rint(each.corners).astype(np.int32)
@@ -179,4 +173,8 @@ def drawn(grey: NDArray[np.uint8], detections: Sequence[Detection], words: str) 
         cv2.putText(canvas, str(each.id), where, cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 0, 255), 2)
     text = words.replace("θ", "theta").encode("ascii", "replace").decode()
     cv2.putText(canvas, text, (8, grey.shape[0] - 10), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 255, 255), 1)
-    return bytes(cv2.imencode(".jpg", canvas)[1].tobytes())
+    if small:
+        scale = min(1.0, SMALL_WIDTH / canvas.shape[1])
+        canvas = cv2.resize(canvas, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    quality = SMALL_QUALITY if small else QUALITY
+    return bytes(cv2.imencode(".jpg", canvas, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes())

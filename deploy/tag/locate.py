@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from deploy.tag.detector import Detection
-from deploy.tag.tag_map import CameraFile, Floats, Tag, TagMap
+from deploy.tag.tag_map import CameraFile, Floats, TagMap
 from rover_ncp.core.geometry import Pose, wrap_angle
 
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -116,12 +116,9 @@ class Locator:
         return Located(Pose(x, y, wrap_angle(theta)), covariance, tuple(e.id for e in detections), rms)
 
     def _starts(self, detections: Sequence[Detection]) -> list[Floats]:
-        """Return the poses from which fits start: the two of the largest tag that differ."""
-        largest = max(detections, key=lambda each: float(np.ptp(each.corners, axis=0).prod()))
-        return self._poses_of(self._tags[largest.id], largest)
-
-    def _poses_of(self, tag: Tag, detection: Detection) -> list[Floats]:
-        """Return the poses (x, y, theta) from one square: seen from afar, two tilts of it look alike."""
+        """Return the poses that fit the largest tag: from afar two tilts of a square look alike."""
+        detection = max(detections, key=lambda each: float(np.ptp(each.corners, axis=0).prod()))
+        tag = self._tags[detection.id]
         h = 0.5 * tag.size
         # OpenCV's own order: top left, top right, bottom right, bottom left; x right, y up.
         square = np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])

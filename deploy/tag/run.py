@@ -2,6 +2,7 @@
 
 import contextlib
 import time
+from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -11,47 +12,30 @@ from deploy.tag.calibrate import MOUNT_FIELDS, find_intrinsics, find_mount
 from deploy.tag.camera import LiveCamera, Picture, pictures_of
 from deploy.tag.detector import Detection, Detector
 from deploy.tag.localiser import Localiser, TagCalibration, TagRunResult, drawn, tag_pose
-from deploy.tag.locate import Located
+from deploy.tag.relay import PoseLink
+from deploy.tag.ros_camera import RosCamera, ros_camera_file
+from deploy.tag.ros_source import PREFIX
 from deploy.tag.sheet import Board
 from deploy.tag.tag_map import CameraFile, Mount, load_camera, load_camera_info, load_tag_map
 from deploy.zenoh_client import BridgeAddress, ZenohClient
+from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.core.files import require_writable, write_atomic
-from rover_ncp.core.geometry import Pose
+from rover_ncp.core.geometry import Pose, wrap_angle
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
 from rover_ncp.wire.key_table import KeySpec
-from rover_ncp.wire.messages import OdometrySample, pose_with_covariance, read_odometry
+from rover_ncp.wire.messages import pose_with_covariance, read_odometry
 
 PICTURE_S = 1.0
-"""Time between two files of ``--picture``."""
-
-
-class PoseLink(ZenohClient):
-    """A session with a bridge that sends poses, and keeps the newest odometry."""
-
-    def __init__(self, address: BridgeAddress) -> None:
-        self.odometry: OdometrySample | None = None
-        super().__init__(address, self._take, own=("pose",))
-
-    def _declare(self) -> None:
-        self._publisher = self._session.declare_publisher(self.key("pose"))
-
-    def _take(self, row: KeySpec, data: bytes) -> None:
-        if row.name == "odom":
-            with contextlib.suppress(FormatError):  # an unreadable sample counts as none
-                self.odometry = read_odometry(data)
-
-    def send(self, found: Located, wall_ns: int, frame: str) -> None:
-        """Send a pose with the moment of its picture, ns since the epoch."""
-        self._publisher.put(pose_with_covariance(found.pose, found.covariance, wall_ns, frame))
+"""Time between two pictures for people."""
 
 
 def run_localiser(
     source: str,
-    camera_file: Path,
+    camera_file: Path | None,
     map_file: Path,
     *,
     address: BridgeAddress | None,
@@ -61,7 +45,14 @@ def run_localiser(
     output: Output,
 ) -> int:
     """See ``commands.run``; return the exit code."""
-    camera, tag_map = load_camera(camera_file), load_tag_map(map_file)
+    tag_map = load_tag_map(map_file)
+    if camera_file is not None:
+        camera = load_camera(camera_file)
+    elif source.startswith(PREFIX):
+        camera = ros_camera_file(source)
+        output.say(f"by camera_info and tf_static: {camera.intrinsics}; mount {camera.mount}")
+    else:
+        raise UsageError("--camera-file: expected the camera's file; only a camera of ROS may do without it")
     if picture is not None:
         require_writable(picture)
     localiser, shown = Localiser(camera, tag_map, decimate), 0.0
@@ -73,10 +64,13 @@ def run_localiser(
             for each in until(pictures, seconds, lambda: interrupts.raised):
                 found = localiser.take(each, time.time_ns() if live else None)
                 if found is not None and link is not None:
-                    link.send(found, each.wall_ns, tag_map.frame)
-                if picture is not None and time.monotonic() - shown >= PICTURE_S:
-                    write_atomic(picture, drawn(each.grey, localiser.detections, localiser.state))
-                    shown = time.monotonic()
+                    link.send(pose_with_covariance(found.pose, found.covariance, each.wall_ns, tag_map.frame))
+                if time.monotonic() - shown >= PICTURE_S:
+                    shown, seen = time.monotonic(), (each.grey, localiser.detections, localiser.state)
+                    if picture is not None:
+                        write_atomic(picture, drawn(*seen))
+                    if link is not None and link.watched:
+                        link.show(drawn(*seen, small=True))
         result = TagRunResult(
             pictures=localiser.pictures,
             poses=localiser.poses,
@@ -130,23 +124,23 @@ def calibrate_mount(
     if tag_map.tags_on == "rover":
         raise UsageError(f"{map_file}: tags_on: rover: the mount of a ceiling's camera is measured by hand")
     require_writable(camera_file)
-    samples: list[tuple[Pose, list[Detection]]] = []
-    detector = Detector()
+    odometry, detector = _Odometry(), Detector()
+    seen: list[tuple[int, list[Detection]]] = []
     with (
         Interrupts() as interrupts,
         one_thread(),
-        PoseLink(address) as link,
+        ZenohClient(address, odometry.take),
         opened(source, camera.delay_s) as (pictures, _),
     ):
         output.announce("collecting: drive and turn slowly, tags in view; Ctrl-C when done")
         for each in until(pictures, seconds, lambda: interrupts.raised):
-            if link.odometry is not None:
-                samples.append((link.odometry.pose, detector.detect(each.grey)))
-    if link.odometry is None:
+            seen.append((each.wall_ns, detector.detect(each.grey)))
+    if not odometry.poses:
         raise UsageError(
             f"no odometry arrived from the bridge at {address.robot}; with certificates, use a driver's: a "
             "localiser's may not read it"
         )
+    samples = [(pose, found) for at, found in seen if (pose := odometry.at(at)) is not None]
     found = find_mount(camera, tag_map, samples)
     _write(camera_file, camera.model_copy(update={"mount": found.mount}))
     result = TagCalibration(
@@ -166,10 +160,42 @@ def calibrate_mount(
     )
 
 
+class _Odometry:
+    """Poses of the base with the moments of their measurement by this machine's wall clock, in ns."""
+
+    def __init__(self) -> None:
+        self._clock = StampClock()
+        self.times: list[int] = []
+        self.poses: list[Pose] = []
+
+    def take(self, row: KeySpec, data: bytes) -> None:
+        """Take a message of the bridge; an unreadable one counts as none."""
+        if row.name != "odom":
+            return
+        with contextlib.suppress(FormatError):
+            sample, now_ns = read_odometry(data), time.monotonic_ns()
+            measured_ns = self._clock.measured_ns(sample.stamp_ns, now_ns)
+            if measured_ns is not None:
+                self.times.append(time.time_ns() - now_ns + measured_ns)
+                self.poses.append(sample.pose)
+
+    def at(self, wall_ns: int) -> Pose | None:
+        """Return the pose at a moment, between two measured ones; None outside them."""
+        after = bisect_left(self.times, wall_ns)
+        if not 0 < after < len(self.times):
+            return None
+        share = (wall_ns - self.times[after - 1]) / (self.times[after] - self.times[after - 1])
+        a, b = self.poses[after - 1], self.poses[after]
+        turned = wrap_angle(b.theta - a.theta)
+        return Pose(
+            a.x + share * (b.x - a.x), a.y + share * (b.y - a.y), wrap_angle(a.theta + share * turned)
+        )
+
+
 @contextlib.contextmanager
 def opened(source: str, delay_s: float = 0.0) -> Iterator[tuple[Iterator[Picture], bool]]:
     """Open a source of pictures, and say whether it is a camera that runs."""
-    pictures = pictures_of(source, delay_s)
+    pictures = RosCamera(source, delay_s) if source.startswith(PREFIX) else pictures_of(source, delay_s)
     if isinstance(pictures, LiveCamera):
         with pictures:
             yield iter(pictures), True

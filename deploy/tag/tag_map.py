@@ -6,12 +6,14 @@ that a positive pitch points down. A camera looks along its x axis, a tag's prin
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
+from scipy.spatial.transform import Rotation
 
 from rover_ncp.core.config import StrictModel, load_yaml, read_yaml, validated
 from rover_ncp.core.errors import ConfigError
@@ -39,12 +41,8 @@ class Mount(StrictModel):
     @property
     def rotation(self) -> Floats:
         """3 × 3 matrix that turns vectors of the mounted body into those of its parent."""
-        (cy, sy), (cp, sp), (cr, sr) = ((math.cos(a), math.sin(a)) for a in (self.yaw, self.pitch, self.roll))
-        yaw = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
-        pitch = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
-        roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-        rotation: Floats = yaw @ pitch @ roll
-        return rotation
+        turns: Floats = Rotation.from_euler("ZYX", [self.yaw, self.pitch, self.roll]).as_matrix()
+        return turns
 
     @property
     def position(self) -> Floats:
@@ -129,14 +127,23 @@ def load_camera_info(path: Path) -> Intrinsics:
         k = [float(value) for value in data["camera_matrix"]["data"]]
         model = data.get("distortion_model", "plumb_bob")
         distortion = [float(value) for value in data["distortion_coefficients"]["data"]]
-        size = {"width": data["image_width"], "height": data["image_height"]}
-        fx, _, cx, _, fy, cy = k[:6]
+        size = data["image_width"], data["image_height"]
     except (KeyError, TypeError, ValueError) as error:
         raise ConfigError(
             source,
             [f"no camera_info ({error}): expected image_width, camera_matrix, distortion_coefficients"],
         ) from error
-    if model not in {"plumb_bob", "rational_polynomial"}:
+    return camera_info(size, k, model, distortion, source)
+
+
+def camera_info(
+    size: tuple[int, int], k: Sequence[float], model: str, distortion: Sequence[float], source: str
+) -> Intrinsics:
+    """Return intrinsics from fields of ROS's CameraInfo. Raises ConfigError."""
+    if any(distortion) and model not in {"plumb_bob", "rational_polynomial"}:
         raise ConfigError(source, [f"distortion_model {model}: expected plumb_bob or rational_polynomial"])
-    fields = {**size, "fx": fx, "fy": fy, "cx": cx, "cy": cy, "distortion": distortion}
-    return validated(fields, Intrinsics, source)
+    if len(k) != 9:
+        raise ConfigError(source, [f"a camera matrix of {len(k)} numbers, expected 9"])
+    named = {"width": size[0], "height": size[1], "fx": k[0], "cx": k[2], "fy": k[4], "cy": k[5]}
+    given = {"distortion": tuple(distortion)} if len(distortion) else {}
+    return validated(named | given, Intrinsics, source)

@@ -7,6 +7,7 @@ and the drive is explained, outside it.
 """
 
 import threading
+from base64 import b64encode
 from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,6 +22,8 @@ from deploy.view.timeline import Timeline
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.course.course import Course, Parked, Verdict
 from rover_ncp.recording.recording import Recorded
+from rover_ncp.wire.cdr import decode
+from rover_ncp.wire.key_table import TAG_VIEW
 from rover_ncp.wire.protocol import in_words
 
 FINAL = frozenset({*map(str, Parked), "ended", "fault"})
@@ -37,6 +40,8 @@ class Cursor:
     rows: Counter[str] = field(default_factory=Counter)
     html: dict[str, Markup] = field(default_factory=dict)
     findings: dict[str, Any] | None = None
+    view: str = ""
+    """The picture of tags, as base64."""
 
 
 class Feed:
@@ -46,6 +51,8 @@ class Feed:
         self._policy, self._course = policy, course
         self._lock = threading.Lock()
         self._generation = 0
+        self._view = ""
+        """The newest picture of tags, a JPEG as base64; it belongs to no drive."""
         self._ended = False
         self._verdicts: dict[str, Verdict] | None
         """Those of the ended drive, judged once, and again if the gate reports a contact then."""
@@ -54,7 +61,10 @@ class Feed:
         self._begin()
 
     def take(self, message: Recorded) -> None:
-        """Process a message of the robot or of its driver."""
+        """Process a message of the robot, of its driver or of a localiser."""
+        if message.topic == TAG_VIEW:
+            self._view = b64encode(bytes(decode(message.type, message.data).data)).decode()
+            return
         with self._lock:
             if self._ended and message.topic not in {"rover/status", "rover/gate"}:
                 return  # the data of a finished drive stay unchanged until the next one begins
@@ -91,6 +101,8 @@ class Feed:
             first = cursor.rows
             if timeline.ticks:
                 cursor.rows = Counter({name: len(rows) for name, rows in timeline.streams.items()})
+            if (view := self._view) != cursor.view:
+                updates["view"] = cursor.view = view
             if self._findings is not cursor.findings:
                 updates["findings"] = cursor.findings = self._findings
             html = {**self._state_html(bridge), **self._findings_html}

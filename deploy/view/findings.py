@@ -41,26 +41,31 @@ class Findings:
         return tuple(name for name, is_in in zip(self.trace.neurons, own, strict=True) if is_in == layer)
 
 
-def analyse(trace: Trace) -> Findings:
-    """Explain a run."""
+def analyse(trace: Trace, earlier: Trace | None = None) -> Findings:
+    """Explain a run, with the phases of an ``earlier`` one by another policy in the same drive."""
     phases = explain(trace)
     moving = [phase for phase in phases if any(phase.signs)]
     potentials, sensing = trace.potentials, trace.policy.sensing.neurons
     driving = slice(moving[0].first, moving[-1].last) if moving else slice(1)
+    told = [*_told(trace, phases), *(_told(earlier, explain(earlier)) if earlier else [])]
+    return Findings(
+        trace=trace,
+        phases=tuple(sorted(told, key=lambda phase: phase.start_s)),
+        contributions=contributions(trace.neurons, potentials, driving),
+        time_constants=time_constant_ranges(trace.policy.circuit, potentials, sensing),
+    )
+
+
+def _told(trace: Trace, phases: Sequence[ExplainedPhase]) -> list[ExplainedPhase]:
+    """Return phases with their sentences."""
+    sensing = trace.policy.sensing.neurons
     # Without an output layer, the phase's label says what its motor neuron does.
     named = {
         neuron: label
         for neuron, label in labels(trace.policy).items()
         if neuron in sensing or trace.policy.output_layer is not None
     }
-    return Findings(
-        trace=trace,
-        phases=tuple(
-            phase.model_copy(update={"sentence": sentence(phase, named, sensing)}) for phase in phases
-        ),
-        contributions=contributions(trace.neurons, potentials, driving),
-        time_constants=time_constant_ranges(trace.policy.circuit, potentials, sensing),
-    )
+    return [phase.model_copy(update={"sentence": sentence(phase, named, sensing)}) for phase in phases]
 
 
 def sentence(explained: ExplainedPhase, labels: Mapping[str, str], sensory: Collection[str]) -> str:

@@ -168,17 +168,36 @@ def _ticks(timeline: Timeline, ticks: Sequence[Tick]) -> dict[str, Any]:
         "y": _rounded(y),
         "theta": _rounded(theta),
         "ellipse": [_rounded(_ellipse(tick.estimate.covariance[:2, :2]), 6) for tick in ticks],
-        **_activity(timeline.policy, potentials),
+        **_activity(timeline.policy, potentials, timeline.staging, [tick.staged for tick in ticks]),
     }
 
 
-def _activity(policy: Policy, potentials: FloatArray) -> dict[str, Any]:
-    currents = synapse_currents(policy.circuit, potentials)
+def _activity(
+    policy: Policy, potentials: FloatArray, staging: Policy | None = None, staged: Sequence[bool] = ()
+) -> dict[str, Any]:
+    """Return potentials, currents and pulls; those of ``staged`` ticks are of the ``staging`` policy.
+
+    If that has other synapses than the page, its currents are left out.
+    """
+    found = synapse_currents(policy.circuit, potentials)
+    current, pull = found.current, found.pull
+    if staging is not None and any(staged):
+        rows, same = np.array(staged), _same_synapses(policy, staging)
+        other = synapse_currents(staging.circuit, potentials[rows]) if same else None
+        current[rows] = math.nan if other is None else other.current
+        pull[rows] = math.nan if other is None else other.pull
     return {
         "potentials": [_rounded(column, 2) for column in potentials.T],
-        "currents": [_rounded(column, 3) for column in currents.current.T],
-        "pulls": [_rounded(column, 2) for column in currents.pull.T],
+        "currents": [_rounded(column, 3) for column in current.T],
+        "pulls": [_rounded(column, 2) for column in pull.T],
     }
+
+
+def _same_synapses(a: Policy, b: Policy) -> bool:
+    return all(
+        np.array_equal(getattr(a.circuit, name), getattr(b.circuit, name))
+        for name in ("kind", "source", "destination")
+    )
 
 
 def _moved(

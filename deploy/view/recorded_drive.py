@@ -68,7 +68,10 @@ def read_drive(path: Path) -> Drive:
     settings: Any = {}
     if "deploy.yaml" in recording.attachments:
         settings = read_yaml(_attached(recording, "deploy.yaml"), f"{path}, deploy.yaml")
-    timeline = Timeline(policy, course)
+    staging = None
+    if "staging.yaml" in recording.attachments:
+        staging = policy_from_yaml(_attached(recording, "staging.yaml"), f"{path}, staging.yaml")
+    timeline = Timeline(policy, course, staging)
     for message in steady(recording.messages):
         timeline.take(message)
     if not timeline.ticks:

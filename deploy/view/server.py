@@ -43,7 +43,7 @@ from rover_ncp.core.process import Interrupts
 from rover_ncp.course.course import load_course
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import load_description
-from rover_ncp.wire.key_table import KeySpec
+from rover_ncp.wire.key_table import TAG_VIEW, KeySpec, spec
 from rover_ncp.wire.protocol import StopReply, StopRequest, dump_json, parse_json
 
 HOST = "127.0.0.1"
@@ -66,6 +66,7 @@ class Viewer(ZenohClient):
         super().__init__(address, receive)
 
     def _declare(self) -> None:
+        self._receive_row(spec(TAG_VIEW))
         self._stopper = self._session.declare_querier(
             self.key("rover/stop"),
             target=zenoh.QueryTarget.ALL,

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from deploy.place.outcome import DOCK_TOPIC, DockResult
+from deploy.place.outcome import DOCK_TOPIC, DockResult, Stage
 from deploy.view.trace import FloatArray, Trace, motor_outputs
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import FormatError
@@ -50,6 +50,8 @@ class Tick(NamedTuple):
     wall_ns: int
     estimate: Estimated
     potentials: FloatArray
+    staged: bool = False
+    """Whether the policy drove that drives to the staging pose of a place."""
 
 
 class Moved(NamedTuple):
@@ -76,10 +78,13 @@ class Event(NamedTuple):
 
 
 class Timeline:
-    """All data of a drive, in order. Poses of ``odometry`` are in the odometry frame."""
+    """All data of a drive, in order. Poses of ``odometry`` are in the odometry frame.
 
-    def __init__(self, policy: Policy, course: Course) -> None:
-        self.policy, self.course = policy, course
+    ``staging`` is the policy that drives to the staging pose of a place, if it is known.
+    """
+
+    def __init__(self, policy: Policy, course: Course, staging: Policy | None = None) -> None:
+        self.policy, self.course, self.staging = policy, course, staging
         self.ticks: list[Tick] = []
         self.final: Estimated | None = None
         """The newest estimate; after the last tick there is one more."""
@@ -145,17 +150,35 @@ class Timeline:
         return None if self._course_odom is None else compose(self._course_odom, odometry)
 
     def trace(self) -> Trace:
-        """Return the drive, which has a tick, as a run of its circuit."""
-        potentials = np.array([tick.potentials for tick in self.ticks])
-        poses = [tick.estimate.pose for tick in self.ticks]
-        poses.append(poses[-1] if self.final is None else self.final.pose)
+        """Return the drive, which has a tick, as a run of its circuit: the ticks of the drive's last policy.
+
+        Those of the policy that drove to the staging pose are `staged_trace`.
+        """
+        return self._trace(self.ticks[-1].staged)
+
+    def staged_trace(self) -> Trace | None:
+        """Return the way to the staging pose; None without one, or if the drive ended on it."""
+        if self.ticks[-1].staged or not any(tick.staged for tick in self.ticks):
+            return None
+        return self._trace(True)
+
+    def _trace(self, staged: bool) -> Trace:
+        policy = self.staging if staged and self.staging else self.policy
+        of_policy = [(tick, later) for tick, later in self._pairs() if tick.staged == staged]
+        potentials = np.array([tick.potentials for tick, _ in of_policy])
         return Trace(
-            policy=self.policy,
-            times=np.array([(tick.wall_ns - self.ticks[0].wall_ns) * 1e-9 for tick in self.ticks]),
-            poses=np.array(poses),
-            commands=motor_outputs(self.policy, potentials),
+            policy=policy,
+            times=np.array([(tick.wall_ns - self.ticks[0].wall_ns) * 1e-9 for tick, _ in of_policy]),
+            poses=np.array([*(tick.estimate.pose for tick, _ in of_policy), of_policy[-1][1]]),
+            commands=motor_outputs(policy, potentials),
             potentials=potentials,
         )
+
+    def _pairs(self) -> list[tuple[Tick, Pose]]:
+        """Return all ticks, each with the pose at its end."""
+        last = self.ticks[-1].estimate if self.final is None else self.final
+        later = [*(tick.estimate.pose for tick in self.ticks[1:]), last.pose]
+        return list(zip(self.ticks, later, strict=True))
 
     def judge(self) -> dict[str, Verdict]:
         """Return the verdicts, after a tick, by the ``true`` pose, if it is known, and the ``estimated`` one.
@@ -212,6 +235,8 @@ class Timeline:
 
     def _read_status(self, message: Recorded) -> None:
         before, self.status = self.status, parse_json(DriverStatus, read_text(message.data))
+        if self.staging and self.ticks and self.status.state.startswith(Stage.NAV_TO_STAGING_POSE):
+            self.ticks[-1] = self.ticks[-1]._replace(staged=True)
         self._events += [Event(message.log_ns, *event) for event in _driver_events(before, self.status)]
 
     def _read_gate(self, message: Recorded) -> None:

@@ -40,7 +40,8 @@ BRIDGE, DRIVER = frozenset({Role.BRIDGE}), frozenset({Role.DRIVER})
 class KeySpec:
     """A row: ``type`` is a ROS type or names JSON models; payloads over ``max_bytes`` are refused.
 
-    Late subscribers to a ``latched`` key receive its last message.
+    Late subscribers to a ``latched`` key receive its last message. A ``shown`` one is for people: no drive
+    receives or records it.
     """
 
     name: str
@@ -51,6 +52,7 @@ class KeySpec:
     receivers: frozenset[Role] = ALL
     kind: Kind = Kind.MESSAGE
     latched: bool = False
+    shown: bool = False
 
 
 def _query(name: str, model: str, about: str) -> KeySpec:
@@ -58,6 +60,7 @@ def _query(name: str, model: str, about: str) -> KeySpec:
 
 
 _POSE, _STRING = "geometry_msgs/msg/PoseWithCovarianceStamped", "std_msgs/msg/String"
+TAG_VIEW = "tag_view/compressed"
 _TF, _TWIST = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/TwistStamped"
 
 KEYS: tuple[KeySpec, ...] = (
@@ -79,6 +82,15 @@ KEYS: tuple[KeySpec, ...] = (
         4096,
         "optional external localisation, in the frame of the course or of the place; also a PoseStamped",
         frozenset({Role.DRIVER, Role.LOCALISER}),
+    ),
+    KeySpec(
+        TAG_VIEW,
+        "sensor_msgs/msg/CompressedImage",
+        1 << 16,
+        "what a localiser's camera sees, once a second, for `watch`",
+        frozenset({Role.DRIVER, Role.LOCALISER}),
+        frozenset({Role.DRIVER, Role.VIEWER}),
+        shown=True,
     ),
     KeySpec("rover/estimate", _POSE, 4096, "the driver's own estimate", DRIVER),
     KeySpec("rover/neurons", "std_msgs/msg/Float64MultiArray", 1 << 16, "potentials in mV, labelled", DRIVER),

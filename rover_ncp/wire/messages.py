@@ -34,6 +34,7 @@ BOOL = "std_msgs/msg/Bool"
 HAZARDS = "irobot_create_msgs/msg/HazardDetectionVector"
 BUMP, CLIFF, STALL, WHEEL_DROP = 1, 2, 3, 4  # of its hazards, those that stop a robot
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
+TF = "tf2_msgs/msg/TFMessage"
 
 TWIST_BYTES = 52
 """A Twist is six float64 behind the CDR header; a TwistStamped is always longer."""
@@ -233,7 +234,7 @@ def transforms(items: Sequence[Transform], stamp_ns: int) -> bytes:
         }
         for item in items
     ]
-    return encode("tf2_msgs/msg/TFMessage", transforms=stamped)
+    return encode(TF, transforms=stamped)
 
 
 def imu(rate: float, variance: float, stamp_ns: int) -> bytes:
@@ -378,12 +379,14 @@ def _pose(pose: Pose) -> dict[str, Any]:
 
 
 def _read_pose(pose: Any) -> Pose:
-    """Return the pose in the plane, which may be not finite. Raises FormatError for what is no rotation."""
-    q = pose.orientation
+    return Pose(pose.position.x, pose.position.y, read_yaw(pose.orientation))
+
+
+def read_yaw(q: Any) -> float:
+    """Return the heading of a message's quaternion. Raises FormatError for what is no rotation."""
     if abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1.0) > _UNIT_TOLERANCE:
         raise FormatError(f"the orientation {q.x:g}, {q.y:g}, {q.z:g}, {q.w:g} is not a rotation")
-    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
-    return Pose(pose.position.x, pose.position.y, yaw)
+    return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
 
 
 def _twist(velocity: Velocity) -> dict[str, Any]:

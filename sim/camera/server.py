@@ -1,4 +1,8 @@
-"""The camera of a mock: a process that renders pictures from the true pose and serves them over HTTP."""
+"""The camera of a mock: a process that renders pictures from the true pose and serves them over HTTP.
+
+Mock and camera share the pose without a lock, because a killed process would keep it. So a picture may mix
+the numbers of two turns of the mock's loop, which are 10 ms apart.
+"""
 
 import ctypes
 import multiprocessing
@@ -21,31 +25,6 @@ QUALITY = 92
 """Of the JPEGs; with less, the tags' edges move."""
 
 
-class SharedPose:
-    """The true pose, written by the mock's loop and read by the camera's process, without a lock.
-
-    A lock would stop the mock if the other process were killed while holding it. A sequence number, odd
-    while the pose is being written, tells the reader to try again.
-    """
-
-    def __init__(self) -> None:
-        self.values: Any = RawArray(ctypes.c_double, 4)
-
-    def put(self, pose: Pose) -> None:
-        """Write a pose."""
-        self.values[0] += 1
-        self.values[1:] = list(pose)
-        self.values[0] += 1
-
-    def get(self) -> Pose:
-        """Read the newest pose."""
-        while True:
-            before, x, y, theta = self.values[:]
-            if before % 2 == 0 and self.values[0] == before:
-                return Pose(x, y, theta)
-            time.sleep(0)
-
-
 class MockCamera(ClosedAtExit):
     """Starts the camera's process; ``address`` is the stream's. Raises UsageError and FileError."""
 
@@ -53,10 +32,10 @@ class MockCamera(ClosedAtExit):
         from deploy.tag.tag_map import load_camera, load_tag_map
 
         settings = load_camera(camera), load_tag_map(tags)
-        self.pose = SharedPose()
+        self._pose: Any = RawArray(ctypes.c_double, 3)
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
-        arguments = (self.pose, theirs, settings, listen, (hz, seed))
+        arguments = (self._pose, theirs, settings, listen, (hz, seed))
         self._process = context.Process(target=_serve, args=arguments, name="camera", daemon=True)
         self._process.start()
         theirs.close()
@@ -65,6 +44,10 @@ class MockCamera(ClosedAtExit):
             self.close()
             raise PortInUse(f"camera {listen[0]}:{listen[1]}: {answer}")
         self.address = f"http://{listen[0]}:{answer}/"
+
+    def show(self, pose: Pose) -> None:
+        """Let the next pictures be of this pose."""
+        self._pose[:] = list(pose)
 
     def close(self) -> None:
         """End the process."""
@@ -75,7 +58,7 @@ class MockCamera(ClosedAtExit):
 
 
 def _serve(
-    pose: SharedPose, ready: Connection, settings: Any, listen: tuple[str, int], rate: tuple[float, int]
+    pose: Any, ready: Connection, settings: Any, listen: tuple[str, int], rate: tuple[float, int]
 ) -> None:
     """Run the camera's process."""
     import signal
@@ -100,7 +83,7 @@ def _serve(
                 now = time.monotonic()
                 if now >= due:
                     due = max(due + 1.0 / hz, now)
-                    wall, where = time.time(), pose.get()
+                    wall, where = time.time(), Pose(*pose)
                     jpeg = cv2.imencode(".jpg", renderer.picture(where), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
                     waiting.append((now + camera.delay_s, wall, jpeg[1].tobytes()))
                 while waiting and waiting[0][0] <= time.monotonic():

@@ -298,7 +298,7 @@ def _dock(options: EvalOptions, name: str) -> int:
     from rover_ncp.robot.description import load_description
     from sim.evaluate.docking_runs import docking_words, evaluate_docking
     from sim.stack.docking import DockTrials
-    from sim.stack.tag_camera import DockCamera, TagCamera
+    from sim.stack.tag_camera import DockLocaliser, TagLocaliser
     from sim.world.described import ranges_for
 
     given = {"course": options.course, "identify": options.identify, "profile": options.profile}
@@ -307,11 +307,11 @@ def _dock(options: EvalOptions, name: str) -> int:
     ranges = ranges_for(options.randomization, None, options.body, robot)
     gyro, _ = _sensors(options.sensors or (None if robot else Sensors.GYRO), robot)
     place, output = load_place(name), Output(options.json)
-    camera: DockCamera = TagCamera()
+    localiser: type[DockLocaliser] = TagLocaliser
     if options.images:
-        from sim.stack.rendered_camera import RenderedCamera
+        from sim.stack.rendered_camera import RenderedLocaliser
 
-        camera = RenderedCamera()
+        localiser = RenderedLocaliser
     trials = DockTrials(
         load_policy("course"),
         load_policy(options.policy),
@@ -320,7 +320,7 @@ def _dock(options: EvalOptions, name: str) -> int:
         options.seed,
         gyro=gyro,
         robot=robot,
-        camera=camera,
+        localiser=localiser,
     )
     about = {"randomize": options.randomization or ranges.name, "model": options.model}
     about["body"] = options.body.value

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable
 from io import FileIO
 from pathlib import Path
-from typing import Protocol
 
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import create
@@ -92,21 +91,14 @@ class Lateness:
         return longest_s
 
 
-class PoseReceiver(Protocol):
-    """The camera of a mock."""
-
-    def put(self, pose: Pose) -> None:
-        """Take the true pose; never waits."""
-
-
 class RealTimeLoop:
     """Advances ``base``, whose clock is the machine's monotonic clock; subclasses connect it to a line."""
 
     def __init__(self, base: SimulatedBase) -> None:
         self.truth: TruthFile | None = None
         """Where the true pose is written from now on."""
-        self.camera: PoseReceiver | None = None
-        """Receives the true pose at each step."""
+        self.show: Callable[[Pose], None] = lambda pose: None
+        """Receives the true pose at each turn; never waits."""
         self.touched = False
         """Whether the rover ever touched anything."""
         # Not epoll, which takes no files: fault lines may come from one, or from /dev/null.
@@ -170,8 +162,7 @@ class RealTimeLoop:
     def _observe(self, now: float) -> None:
         contact = self._base.drive.rover.in_contact
         self.touched |= contact
-        if self.camera:
-            self.camera.put(Pose(*self._base.drive.rover.pose))
+        self.show(Pose(*self._base.drive.rover.pose))
         if self.truth:
             behind_ns = round((time.monotonic() - now) * 1e9)
             self.truth.add(self._base, time.time_ns() - behind_ns, now - self._start_s)

@@ -105,7 +105,7 @@ def run_mock(options: MockOptions) -> None:
         with Interrupts() as interrupts, contextlib.ExitStack() as stack:
             if options.camera is not None and options.tags is not None:
                 eye = stack.enter_context(_camera(options.camera, options.tags, options))
-                server.camera = eye.pose
+                server.show = eye.show
                 output.announce(f"camera at {eye.address}")
             output.announce(f"listening on {server.host}:{server.port}")
             server.serve(lambda: interrupts.raised, fault_lines)

@@ -6,7 +6,7 @@ there. The world's frame is that of the place.
 
 import copy
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -24,7 +24,7 @@ from rover_ncp.robot.description import RobotDescription, load_description
 from rover_ncp.robot.profile import RoverProfile
 from sim.pioneer.trial import BaseTrial, draw_rover
 from sim.stack.lines import simulated_base
-from sim.stack.tag_camera import DockCamera, TagCamera
+from sim.stack.tag_camera import DockLocaliser, TagLocaliser
 from sim.stack.trials import drive_whole
 from sim.stack.virtual import SilentPublisher, VirtualBridge, VirtualLink
 from sim.world.randomization import Randomization
@@ -60,7 +60,7 @@ class DockTrials:
     seed: int
     gyro: bool = True
     robot: RobotDescription | None = None
-    camera: DockCamera = field(default_factory=TagCamera)
+    localiser: type[DockLocaliser] = TagLocaliser
 
     @cached_property
     def description(self) -> RobotDescription:
@@ -87,7 +87,7 @@ class DockTrials:
         bearing, heading = stream.uniform(-1.0, 1.0, 2) * (BEARING_RAD, HEADING_RAD)
         side = math.pi if self.place.backward else 0.0
         x, y = -away * math.cos(bearing), -away * math.sin(bearing)
-        from_place = Pose(x, y, math.atan2(-y, self.camera.tags_ahead_m - x) + heading)
+        from_place = Pose(x, y, math.atan2(-y, self.localiser.tags_ahead_m - x) + heading)
         # Turned about the place for a rover that backs in, its tail towards the place.
         toward = compose(Pose(0.0, 0.0, side), from_place)
         return compose(self.place.goal, compose(toward, Pose(0.0, 0.0, side)))
@@ -102,14 +102,8 @@ class DockTrials:
         base = simulated_base(self.description, rover, BaseTrial(trials), gyro=self.gyro, seed=base_seed)
         bridge = VirtualBridge(base)
         link = VirtualLink(bridge, None)
-        base.observe = self.camera.localiser(
-            rover,
-            self.place.goal,
-            random_stream(self.seed, Domain.CAMERA, number),
-            link.localise,
-            frame=self.place.frame,
-            backward=self.place.backward,
-        ).observe
+        stream = random_stream(self.seed, Domain.CAMERA, number)
+        base.observe = self.localiser(rover, self.place, stream, link.localise).observe
         publisher = SilentPublisher(link, lambda message: None, self.dock.circuit.neurons, bridge)
         docking = copy.deepcopy(self._docking)
         drive = Drive(link, docking, publisher, self._config, lambda: False, clock=bridge)

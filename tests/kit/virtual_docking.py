@@ -14,7 +14,7 @@ from deploy.place.plan import place_course
 from kit.virtual_drive import ChangedLink, VirtualDrive
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.geometry import Pose
-from rover_ncp.wire.messages import pose_with_covariance
+from rover_ncp.wire.messages import battery_state, pose_with_covariance
 from sim.pioneer.firmware import Firmware
 from sim.stack.lines import NS, WALL_NS
 from sim.stack.virtual import VirtualBridge
@@ -75,3 +75,9 @@ class VirtualDocking(VirtualDrive):
         """The true pose minus the place: ahead and left in m, turned in rad."""
         found = self.place.errors(self.rover.pose)
         return found.longitudinal_m, found.lateral_m, found.yaw_rad
+
+
+def charging(drive, value):
+    """Have the base report that its battery charges or does not."""
+    drive.link.change["battery_state"] = lambda data: battery_state(12.5, 1, charging=value)
+    return drive

@@ -8,8 +8,11 @@ import pytest
 from kit.tags import picture_of
 
 from deploy.tag.tag_map import CameraFile, Intrinsics, Mount, Tag, TagMap
+from deploy.view.server import Viewer
+from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.geometry import Pose
+from rover_ncp.wire.key_table import TAG_VIEW
 from sim.live.live_run import LiveRun
 from sim.live.processes import Process, wait_for
 
@@ -42,10 +45,14 @@ def test_drive_starts_from_the_pose_of_tags_and_camera_that_dies_ends_the_locali
         run = live.start_process(
             lambda: Process("tag", [*arguments, "--picture", str(picture), "--json"], tmp_path)
         )
+        views = []
+        watching = Viewer(BridgeAddress(live.robot), lambda message: views.append(message.topic))
         drive = live.deploy("--pose", "required", "--dry-run", "--duration", "0.5", "--json")
         ended = drive.wait(60.0)
         assert ended.result["pose"]["placed"]
-        assert wait_for(picture.exists)
+        with watching:
+            assert wait_for(picture.exists)
+            assert wait_for(lambda: TAG_VIEW in views)
         live.mock.send_signal(signal.SIGTERM)
         lost = run.wait(20.0)
     assert lost.code == 2

@@ -49,7 +49,14 @@ function receive(updates) {
     next = performance.now() + Math.max(REDRAW_MS, 2 * (performance.now() - now)); // a slow machine keeps time for updates
   }
   if (fresh && $("follow").checked && !player.playing) player.set(model.drive.ticks.t.at(-1));
+  if (updates.view) showTags(updates.view);
   stopControls(updates);
+}
+
+function showTags(jpeg) {
+  $("tags").hidden = false;
+  $("tag-view").src = `data:image/jpeg;base64,${jpeg}`;
+  $("tag-now").textContent = `Received at ${new Date().toLocaleTimeString()}.`;
 }
 
 function stopControls({ bridge, mayStop, gate }) {

@@ -1,14 +1,19 @@
 """Drives to a place through firmware, gate and driver: how they end, and that they are replayed exactly."""
 
+from collections import Counter
+
+import numpy as np
 import pytest
-from kit.virtual_docking import VirtualDocking, place
+from kit.virtual_docking import VirtualDocking, charging, place
 
 from deploy.place.outcome import DockError
 from deploy.replay import replay
+from deploy.view.findings import analyse
+from deploy.view.page_data import columns
 from deploy.view.recorded_drive import read_drive, summarise
+from deploy.view.trace import synapse_currents
 from rover_ncp.core.geometry import Pose, distance
 from rover_ncp.course.course import Obstacle
-from rover_ncp.wire.messages import battery_state
 
 START = Pose(1.05, 1.12, -0.5)
 DOCK = Obstacle(x=2.365, y=1.0, length=0.1, width=0.6)
@@ -43,6 +48,22 @@ def test_report_names_the_place_and_how_it_ended(docked):
     assert "docked" in summarise(read_drive(docked.path)).headline.lower()
 
 
+def test_report_explains_each_part_of_the_way_by_the_policy_that_drove_it(docked):
+    timeline = read_drive(docked.path).timeline
+    own, staged = timeline.trace(), timeline.staged_trace()
+    assert (own.policy.circuit.name, staged.policy.circuit.name) == ("dock", "course")
+    assert len(own.times) + len(staged.times) == len(timeline.ticks)
+    assert staged.times[-1] < own.times[0] < staged.times[-1] + 0.2
+    assert np.hypot(*(staged.poses[-1, :2] - (1.3, 1.0))) < 0.1  # the staging pose
+    pulls = columns(timeline, Counter())["ticks"]["pulls"]
+    for trace, tick in ((staged, 50), (own, len(timeline.ticks) - 50)):
+        wanted = synapse_currents(trace.policy.circuit, timeline.ticks[tick].potentials[None]).pull[0]
+        assert [column[tick] for column in pulls] == pytest.approx(wanted, abs=0.006)
+    found = analyse(own, staged).phases
+    assert [phase.start_s for phase in found] == sorted(phase.start_s for phase in found)
+    assert found[0].start_s < 1.0
+
+
 def test_contact_at_the_place_proves_a_docking_and_is_replayed(tmp_path):
     drive = VirtualDocking(place(proof="contact"), START, path=tmp_path / "c.mcap", obstacles=[DOCK])
     result = drive.run()
@@ -63,15 +84,32 @@ def test_contact_elsewhere_is_a_miss_and_the_rover_backs_out(tmp_path):
     assert replay(drive.path).same
 
 
-def charging(drive, value):
-    """Have the base report that its battery charges or does not."""
-    drive.link.change["battery_state"] = lambda data: battery_state(12.5, 1, charging=value)
-    return drive
-
-
 def test_docking_ends_with_the_charge_that_flows():
     drive = charging(VirtualDocking(place(proof="charging"), START), True)
     assert drive.run().dock.success
+
+
+def test_charge_that_flows_before_the_place_is_no_docking():
+    blocked = DOCK.model_copy(update={"x": 2.15})
+    drive = charging(VirtualDocking(place(proof="charging", retries=0), START, obstacles=[blocked]), True)
+    result = drive.run()
+    assert (result.exit_code, result.dock.error_code) == (1, DockError.FAILED_TO_CONTROL)
+    assert result.dock.error_msg.startswith("contact ")
+    assert (result.dock.at, drive.stands()) == ("staging pose", True)
+
+
+def test_dry_run_plans_the_way_and_moves_nothing(tmp_path):
+    drive = VirtualDocking(place(), START, path=tmp_path / "dry.mcap", dry_run=True)
+    result = drive.run()
+    assert (result.exit_code, result.dock.success, result.verdict) == (0, False, "not parked")
+    assert "the dry run ends after the first way (staging, " in result.dock.error_msg
+    assert (drive.link.requests, drive.link.sent, drove_m(drive)) == (0, [], 0.0)
+    assert replay(drive.path).same
+
+
+def test_dry_run_without_a_way_says_why():
+    result = VirtualDocking(place(), Pose(-3.0, 1.0, 0.0), dry_run=True).run()
+    assert (result.exit_code, result.stopped_by) == (4, "start-pose")
 
 
 def test_charge_that_does_not_flow_is_no_docking():

@@ -1,5 +1,6 @@
 """Trials of docking in the stack simulation: their starts, the camera's noise model, and how they count."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -9,13 +10,17 @@ from kit.virtual_docking import place
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
-from rover_ncp.wire.messages import read_pose
+from rover_ncp.wire.messages import pose_with_covariance, read_pose
 from sim.evaluate.docking_runs import evaluate_docking
 from sim.stack.docking import BEARING_RAD, DISTANCES_M, DockTrials
-from sim.stack.tag_camera import TagCamera, TagLocaliser
+from sim.stack.tag_camera import TagLocaliser
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import load_randomization
+
+
+class LosesNone(TagLocaliser):
+    lost = 0.0
 
 
 def trials(**changed):
@@ -23,19 +28,12 @@ def trials(**changed):
     return DockTrials(policy, load_policy("dock"), place(**changed), load_randomization("none"), 3)
 
 
-def measured(pose, direction="forward", camera=None, seconds=400.0):
+def measured(pose, direction="forward", kind=TagLocaliser, seconds=400.0):
     """Return the poses that a rover's camera sends from where it stands."""
     where, found = place(direction=direction), []
     rover = PymunkRover(default_rover(), Ground(()), pose)
-    localiser = TagLocaliser(
-        camera or TagCamera(),
-        rover,
-        where.goal,
-        np.random.default_rng(4),
-        lambda data, now_ns: found.append(read_pose(data)),
-        frame=where.frame,
-        backward=where.backward,
-    )
+    stream = np.random.default_rng(4)
+    localiser = kind(rover, where, stream, lambda data, now_ns: found.append(read_pose(data)))
     for now in np.arange(0.0, seconds, 0.125).tolist():
         localiser.observe(now)
     return found
@@ -50,7 +48,7 @@ def test_starts_lie_before_the_place_and_see_the_tags(direction):
         off = drawn.place.errors(start)
         out_m = off.longitudinal_m if direction == "backward" else -off.longitudinal_m
         assert math.atan2(abs(off.lateral_m), out_m) <= BEARING_RAD + 1e-9
-        assert measured(start, direction, TagCamera(lost=0.0), seconds=1.0)
+        assert measured(start, direction, LosesNone, seconds=1.0)
 
 
 @pytest.mark.parametrize("pose", [Pose(1.9, 1.0, 0.0), Pose(0.2, 0.3, 0.4)])
@@ -69,15 +67,19 @@ def test_camera_sees_nothing_beside_its_image_and_nothing_of_the_tags_back():
 
 
 @pytest.mark.parametrize(("moved_m", "reasons"), [(0.0, {}), (0.03, {"falsely docked": 1})])
-def test_docked_counts_by_the_true_pose(moved_m, reasons, monkeypatch):
+def test_docked_counts_by_the_true_pose(moved_m, reasons):
     """The tags may hang beside where the place has them: then its poses are wrong."""
-    drawn, base = trials(retries=0), TagLocaliser._base
 
-    def moved(self, seen):
-        pose = base(self, seen)
-        return pose._replace(y=pose.y + moved_m)
+    class Moved(TagLocaliser):
+        def measure(self, wall_ns):
+            data = super().measure(wall_ns)
+            if data is None:
+                return None
+            seen = read_pose(data)
+            there = seen.pose._replace(y=seen.pose.y + moved_m)
+            return pose_with_covariance(there, seen.covariance, wall_ns, seen.frame)
 
-    monkeypatch.setattr(TagLocaliser, "_base", moved)
+    drawn = dataclasses.replace(trials(retries=0), localiser=Moved)
     found = evaluate_docking(drawn, 1, 1, Output(False), randomize="none", model=None, body="pymunk")
     assert (found.said_docked, found.failures) == (1, reasons)
     assert found.success_rate == (not reasons)

@@ -13,7 +13,7 @@ from deploy.tag.locate import Locator
 from deploy.tag.sheet import Board, board_page, pattern, tag_pages
 from deploy.tag.tag_map import CameraFile, Intrinsics, Mount, Tag, TagMap, load_camera_info
 from rover_ncp.core.errors import ConfigError, UsageError
-from rover_ncp.core.geometry import Pose, compose
+from rover_ncp.core.geometry import Pose, compose, relative
 from sim.camera.render import Renderer
 
 TRUE = Intrinsics(width=640, height=480, fx=520.0, fy=520.0, cx=325.0, cy=236.0)
@@ -69,23 +69,31 @@ WALL = TagMap(
 MOUNT = Mount(x=0.15, y=-0.03, z=0.3, yaw=0.04, pitch=0.05, roll=0.01)
 
 
-def drive(turn):
-    """Odometry, which begins at another place and heading than the map, and what is seen."""
-    start, stream = Pose(0.4, 0.1, 0.1), np.random.default_rng(5)
-    locator = Locator(CameraFile(intrinsics=TRUE, mount=MOUNT), WALL)
-    for index in range(24):
-        odom = Pose(0.03 * index, 0.02 * math.sin(index), turn * math.sin(0.5 * index))
-        pose = np.array(compose(start, odom))
+def drive(turn, gain=1.0):
+    """Odometry, which begins at another place and heading than the map, and what is seen.
+
+    ``gain`` is odometry's turn over the true one.
+    """
+    stream, locator = np.random.default_rng(5), Locator(CameraFile(intrinsics=TRUE, mount=MOUNT), WALL)
+    place = [
+        compose(Pose(0.4, 0.1, 0.1), Pose(0.03 * k, 0.02 * math.sin(k), turn * math.sin(0.5 * k)))
+        for k in range(24)
+    ]
+    odometry = [Pose(3.0, -1.0, 2.0)]
+    for step in map(relative, place, place[1:]):
+        odometry.append(compose(odometry[-1], step._replace(theta=gain * step.theta)))
+    for pose, odom in zip(place, odometry, strict=True):
         seen = []
         for tag in WALL.tags:
-            exact = TRUE.fx * locator.project(pose, tag.corners) + (TRUE.cx, TRUE.cy)
+            exact = TRUE.fx * locator.project(np.array(pose), tag.corners) + (TRUE.cx, TRUE.cy)
             seen.append(Detection(tag.id, exact + stream.normal(0.0, 0.1, (4, 2))))
         yield odom, seen
 
 
-def test_mount_comes_back_from_a_drive_with_turns():
+@pytest.mark.parametrize("gain", [1.0, 1.2])
+def test_mount_comes_back_from_a_drive_with_turns(gain):
     by_hand = MOUNT.model_copy(update={"x": 0.18, "y": 0.0, "yaw": 0.0, "pitch": 0.0, "roll": 0.0})
-    found = find_mount(CameraFile(intrinsics=TRUE, mount=by_hand), WALL, list(drive(0.35)))
+    found = find_mount(CameraFile(intrinsics=TRUE, mount=by_hand), WALL, list(drive(0.35, gain)))
     for name in ("x", "y", "yaw", "pitch", "roll"):
         error = abs(getattr(found.mount, name) - getattr(MOUNT, name))
         assert error < max(3.0 * found.deviations[name], 0.002), name

@@ -1,8 +1,10 @@
 """Updates of a drive for its live page, and the page that ``watch`` serves."""
 
 import json
+from base64 import b64decode
 from html import unescape
 
+import numpy as np
 import pytest
 from kit.recorded_drives import drive_messages, state
 
@@ -15,6 +17,8 @@ from rover_ncp.core.errors import NoBridge
 from rover_ncp.course.course import load_course
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire import messages
+from rover_ncp.wire.cdr import encode
+from rover_ncp.wire.key_table import TAG_VIEW, spec
 from rover_ncp.wire.protocol import DriverStatus
 
 SHORT = "tests/data/short_course.yaml"
@@ -59,6 +63,20 @@ def test_updates_in_pieces_are_the_whole(short):
     assert pieces[-1]["status"]["state"] == "ended"
     assert "By the estimated pose" in pieces[-1]["html"]["summary"]
     assert len(pieces[-1]["findings"]["contributions"]) == 132
+
+
+def test_view_of_tags_is_sent_once_to_each_viewer_and_survives_a_drive(short):
+    policy, course, received, _ = short
+    feed, first, second = Feed(policy, course), Cursor(), Cursor()
+    for jpeg in (b"one", b"two"):
+        row = spec(TAG_VIEW)
+        data = encode(row.type, format="jpeg", data=np.frombuffer(jpeg, np.uint8))
+        feed.take(Recorded(row.name, row.type, data, 1, 1))
+        assert b64decode(feed.updates(first)["view"]) == jpeg
+    assert "view" not in feed.updates(first)
+    for message in received:
+        feed.take(message)
+    assert b64decode(feed.updates(second)["view"]) == b"two"
 
 
 def test_all_findings_are_sent_at_the_end_without_a_new_tick(short):

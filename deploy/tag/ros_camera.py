@@ -1,0 +1,142 @@
+"""A camera of a ROS 2 robot: images, camera_info and tf_static from the robot's Zenoh router."""
+
+import time
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import cv2
+import numpy as np
+import zenoh
+import zenoh.ext
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from deploy.tag.camera import LiveCamera, Picture, compressed
+from deploy.tag.locate import OPTICAL
+from deploy.tag.ros_source import RosSource
+from deploy.tag.tag_map import CameraFile, Floats, Mount, camera_info
+from rover_ncp.core.clock_offset import StampClock
+from rover_ncp.core.errors import FormatError, UsageError
+from rover_ncp.recording.recorded import header_stamp_ns
+from rover_ncp.wire.cdr import decode
+from rover_ncp.wire.messages import BASE_FRAME, TF
+
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+ENCODINGS = {"mono8": None, "rgb8": cv2.COLOR_RGB2GRAY, "bgr8": cv2.COLOR_BGR2GRAY}
+"""Encodings of images, and OpenCV's conversion to grey levels."""
+MAX_BYTES = 1 << 26
+"""Largest message: a picture of 20 megapixels."""
+WAIT_S, POLL_S = 5.0, 0.05
+"""Longest wait for camera_info and tf_static."""
+
+
+IMAGE_TOPIC = "camera/image_raw"
+
+
+class RosCamera(LiveCamera):
+    """Images of a topic. Their stamps may be of another clock than ours."""
+
+    def __init__(self, source: str, delay_s: float) -> None:
+        super().__init__(source)
+        where = RosSource.parse(source, "image", IMAGE_TOPIC)
+        self._type, self._delay_ns, self._clock = image_type(where.topic), round(delay_s * 1e9), StampClock()
+        self._session = where.open()
+        self._held = self._session.declare_subscriber(where.key(where.topic), self._take)
+
+    def close(self) -> None:
+        """End the session."""
+        self._session.close()
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        now_ns, wall_ns, data = time.monotonic_ns(), time.time_ns(), sample.payload.to_bytes()
+        stamp_ns = header_stamp_ns(self._type, data)
+        measured_ns = self._clock.measured_ns(stamp_ns, now_ns) if stamp_ns else now_ns - self._delay_ns
+        if measured_ns is not None:
+            self.put(partial(read_image, self._type, data, wall_ns - now_ns + measured_ns))
+
+
+def image_type(topic: str) -> str:
+    """Return the type of an image topic, which image_transport names by it."""
+    return COMPRESSED if topic.endswith("/compressed") else IMAGE
+
+
+def read_image(ros_type: str, data: bytes, wall_ns: int) -> Picture:
+    """Decode an Image or a CompressedImage. Raises ValueError."""
+    try:
+        message = decode(ros_type, data, MAX_BYTES)
+    except FormatError as error:
+        raise ValueError(str(error)) from error
+    if ros_type == COMPRESSED:
+        return compressed(message.data, wall_ns)
+    if message.encoding not in ENCODINGS:
+        expected = ", ".join(ENCODINGS)
+        raise ValueError(
+            f"an image with the encoding {message.encoding!r}, expected {expected} or a compressed topic"
+        )
+    conversion = ENCODINGS[message.encoding]
+    height, width, step = message.height, message.width, message.step
+    channels = 1 if conversion is None else 3
+    if not height * width or step < width * channels or len(message.data) < step * height:
+        raise ValueError(f"an image of {width} × {height} pixels has {len(message.data)} bytes")
+    rows: NDArray[np.uint8] = message.data[: step * height].reshape(height, step)[:, : width * channels]
+    if conversion is None:
+        return Picture(np.ascontiguousarray(rows), wall_ns)
+    grey = cv2.cvtColor(np.ascontiguousarray(rows).reshape(height, width, channels), conversion)
+    return Picture(np.asarray(grey, np.uint8), wall_ns)
+
+
+def ros_camera_file(source: str) -> CameraFile:
+    """Return intrinsics from camera_info and the mount from tf_static. Raises UsageError without them."""
+    where = RosSource.parse(source, "image", IMAGE_TOPIC)
+    folder, _, _ = where.topic.removesuffix("/compressed").rpartition("/")
+    about = f"{folder}/camera_info" if folder else "camera_info"
+    infos, statics = list[zenoh.Sample](), list[zenoh.Sample]()
+    session, missing = where.open(), f"no camera_info on '{about}' within {WAIT_S:g} s"
+    try:
+        history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
+        held: list[Any] = [
+            zenoh.ext.declare_advanced_subscriber(session, where.key(topic), statics.append, history=history)
+            for topic in {"tf_static", f"{where.namespace}/tf_static".lstrip("/")}
+        ]
+        held.append(session.declare_subscriber(where.key(about), infos.append))
+        until, mount = time.monotonic() + WAIT_S, None
+        while mount is None and time.monotonic() < until:
+            time.sleep(POLL_S)
+            if infos:
+                info = decode(CAMERA_INFO, infos[-1].payload.to_bytes())
+                mount, missing = mount_of(info.header.frame_id, [each.payload.to_bytes() for each in statics])
+    except (FormatError, ValueError) as error:  # also a quaternion that is no rotation
+        raise UsageError(f"camera {source}: {error}; give --camera-file") from error
+    finally:
+        session.close()
+    if mount is None:
+        raise UsageError(f"camera {source}: {missing}; give --camera-file, with what is missing")
+    size, model = (int(info.width), int(info.height)), str(info.distortion_model)
+    intrinsics = camera_info(size, info.k.tolist(), model, info.d.tolist(), f"camera_info of {about}")
+    return CameraFile(intrinsics=intrinsics, mount=mount)
+
+
+def mount_of(optical: str, statics: Sequence[bytes]) -> tuple[Mount | None, str]:
+    """Return the mount of a camera with this optical frame, or None and what its transforms lack."""
+    frames: dict[str, tuple[str, Floats]] = {}
+    """The parent of each frame, and the frame's pose in it (4 × 4)."""
+    for data in statics:
+        for each in decode(TF, data).transforms:
+            shift, turn, pose = each.transform.translation, each.transform.rotation, np.eye(4)
+            pose[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
+            pose[:3, 3] = shift.x, shift.y, shift.z
+            frames[each.child_frame_id.lstrip("/")] = each.header.frame_id.lstrip("/"), pose
+    frame, pose = optical.lstrip("/"), np.eye(4)
+    while frame != BASE_FRAME and frame in frames:
+        frame, step = frames.pop(frame)
+        pose = step @ pose
+    if frame != BASE_FRAME:
+        words = (
+            f"tf_static has no way from {BASE_FRAME} to the camera's frame {optical!r}: it ends at {frame!r}"
+        )
+        return None, words
+    yaw, pitch, roll = Rotation.from_matrix(pose[:3, :3] @ OPTICAL.T).as_euler("ZYX").tolist()
+    x, y, z = pose[:3, 3].tolist()
+    return Mount(x=x, y=y, z=z, yaw=yaw, pitch=pitch, roll=roll), ""

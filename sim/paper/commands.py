@@ -16,7 +16,8 @@ paper = typer.Typer(
     name="paper",
     no_args_is_help=True,
     add_completion=False,
-    help="Reproduce the paper's experiments: make runs, replay them, report which claims they confirm.",
+    help="Reproduce the paper's experiments: make runs, replay them, report which claims they confirm.\n\n"
+    "    rover-ncp paper run --budget quick --task parking",
 )
 
 Tasks = Annotated[list[str] | None, typer.Option(help="Only this task; may be repeated.", show_default="all")]
@@ -130,7 +131,9 @@ def replay_experiments(
 ) -> int:
     """Score the parameters of stored runs again; exit 1 if a verdict or a return differs.
 
-    rover-ncp paper replay --task mountain-car
+    Each run's parameters drive its episodes again, and the score is compared to the last bit.
+
+        rover-ncp paper replay --task mountain-car
     """
     from sim.paper.results import DifferentRun, ReplayResult, ResultStore
     from sim.paper.runs import agrees, replay
@@ -168,8 +171,10 @@ def report_experiments(
 ) -> None:
     """Report the paper's claims, and whether the stored runs reproduce them.
 
-    rover-ncp paper report
-    rover-ncp paper report --curves curves.png
+    Without --long it prints the first part of docs/paper.md.
+
+        rover-ncp paper report
+        rover-ncp paper report --curves curves.png
     """
     from rover_ncp.core.files import require_writable, write_atomic
     from sim.paper.claims import judge_claims, load_claims

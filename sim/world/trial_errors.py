@@ -84,8 +84,8 @@ def apply_base_errors(
     """Return what a base makes of a command (m/s, rad/s): the motion it then accelerates to.
 
     ``before`` is what it made of the last command. A speed within the dead band counts as 0; by stiction, the
-    band of a base that moved before is narrower. Then each wheel that is slower than the least speed stands or
-    turns at its speed for slow wheels.
+    band of a base that moved before is narrower. Then each wheel that is slower than the least speed stands
+    or turns at its speed for slow wheels.
     """
     kinetic = 1.0 - base.stiction
     if abs(v) < base.dead_band_v * (1.0 if before[0] == 0.0 else kinetic):

@@ -85,7 +85,7 @@ def deploy(
     the drive (4, pose-age).
 
     With --to it waits for an external pose, drives to the staging pose of a place and from there into it,
-    tries again after a miss, and ends docked (0) or back at the staging pose (1; docs/place.md).
+    tries again after a miss, and ends docked or back at the staging pose (docs/place.md).
 
     The estimate is judged: parked; not parked, also after a bumper or a stall; or "parked, uncertain" if the
     rover may be outside the tolerances with a probability of more than 5 %. Ends with 0 parked, 1 not parked,

@@ -38,6 +38,7 @@ def ros_environment(domain):
         "ROS_DOMAIN_ID": str(domain),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+        "ROS_DISTRO": "kilted",  # by which zenoh-bridge-ros2dds knows the form of ROS's discovery messages
         "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",  # shared memory outlives processes that are killed
         "OPENBLAS_NUM_THREADS": "1",
         "CYDR_CACHE_DIR": str(VENV / "cydr"),

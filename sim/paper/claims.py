@@ -238,7 +238,7 @@ def _fewest_parameters(_: ResultStore, task: str) -> str:
     agents = ("circuit", "mlp", "lstm")
     sizes = {agent: build_agent(TASKS[task], agent, 0).layout().size for agent in agents}
     fewest = min(sizes, key=sizes.__getitem__)
-    return f"{fewest} with {sizes[fewest]}"
+    return f"the {fewest} has the fewest, {sizes[fewest]}"
 
 
 def _overlapping_time_constants(

@@ -29,6 +29,8 @@ LAYOUTS = {
 _COLUMNS = ("pendulum", "mountain-car", "half-cheetah")
 _ROBOTS = {"harsh": "robots of `harsh`", "unseen": "robots of `full` on other courses"}
 _TRIALS = 1000
+_COMPARE = "python -m benchmarks.compare AGENT --rollouts 104"
+"""The command that made the results in ``random-robots``."""
 
 
 class GroupRow(BaseModel):
@@ -61,7 +63,7 @@ def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Judged])
         f"**Interquartile means by the paper's own search**\n\n{iqm_table(store, FAITHFUL)}",
         f"**Definition 1**\n\n{sign_table(store, file)}",
         f"**Time constants of parking, s**\n\n{time_constant_table(store, file)}",
-        f"**Since the paper: parking random robots**\n\n{robots_table(store)}",
+        f"**Since the paper: parking random robots** (`{_COMPARE}`)\n\n{robots_table(store)}",
         f"**The stored runs, by commit**\n\n{commits_table(store)}",
     ]
     return "\n\n".join(parts)
@@ -85,25 +87,23 @@ def long_report(store: ResultStore, judged: Sequence[Judged]) -> str:
 
 
 def answers(file: ClaimsFile, judged: Sequence[Judged]) -> str:
-    """Return the page's questions with the verdicts on their claims."""
+    """Return the page's questions with their claims by verdict."""
     by_name = {claim.name: claim for claim in judged}
-    rows: list[Row] = [("question", "answer: ours against the paper's")]
+    rows: list[Row] = [("question", "holds", "does not hold", "not known")]
     for number, (question, names) in enumerate(file.questions.items(), start=1):
-        parts = []
-        for verdict in Verdict:
-            claims = [by_name[name] for name in names if by_name[name].verdict is verdict]
-            found = "; ".join(f"`{each.name}` {each.figure}{_reason(each)}" for each in claims)
-            if verdict is Verdict.NOT_TESTED:
-                reasons = ", ".join(dict.fromkeys(claim.why for claim in claims))
-                found = ", ".join(f"`{each.name}`" for each in claims) + f" ({reasons})"
-            if claims:
-                parts.append(f"**{verdict}**: {found}")
-        rows.append((f"{number}. {question}", ". ".join(parts)))
+        found: dict[Verdict, list[str]] = {verdict: [] for verdict in Verdict}
+        untested: dict[str, list[str]] = {}
+        for claim in (by_name[name] for name in names):
+            why = f" ({claim.why})" if claim.verdict is Verdict.INCONCLUSIVE else ""
+            if claim.verdict is Verdict.NOT_TESTED:
+                untested.setdefault(claim.why, []).append(f"`{claim.name}`")
+            else:
+                found[claim.verdict].append(f"`{claim.name}` {claim.figure}{why}")
+        not_known = found[Verdict.INCONCLUSIVE]
+        not_known += [f"not tested: {', '.join(names)} ({why})" for why, names in untested.items()]
+        cells = (found[Verdict.REPRODUCED], found[Verdict.DIFFERS], not_known)
+        rows.append((f"{number}. {question}", *map("; ".join, cells)))
     return markdown(rows)
-
-
-def _reason(claim: Judged) -> str:
-    return f" ({claim.why})" if claim.verdict is Verdict.INCONCLUSIVE else ""
 
 
 def paper_table(store: ResultStore, file: ClaimsFile, name: str) -> str:
@@ -212,12 +212,16 @@ def coverage(store: ResultStore) -> list[GroupRow]:
 
 
 def commits_table(store: ResultStore) -> str:
-    """Return how many runs each commit made, by budget and task."""
-    found: dict[tuple[str, str], Counter[str]] = {}
+    """Return how many runs each commit made and how long they took, by budget and task."""
+    found: dict[tuple[str, str], tuple[list[float], Counter[str]]] = {}
     for group in coverage(store):
-        found.setdefault((group.budget, group.task), Counter()).update(group.commits)
-    rows: list[Row] = [("search", "task", "runs", "of commit")]
-    rows += [(*key, commits.total(), _counts(commits)) for key, commits in found.items() if commits]
+        times, commits = found.setdefault((group.budget, group.task), ([], Counter()))
+        times.append(group.cpu_s)
+        commits.update(group.commits)
+    rows: list[Row] = [("search", "task", "runs", "core s a run", "of commit")]
+    for key, (times, commits) in found.items():
+        if count := commits.total():
+            rows.append((*key, count, f"{sum(times) / count:.0f}", _counts(commits)))
     return markdown(rows)
 
 

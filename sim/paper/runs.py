@@ -2,7 +2,7 @@
 
 import importlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import as_completed
 from importlib import metadata
 from pathlib import Path
@@ -93,7 +93,9 @@ def train_run(
         curve=found.curve,
         policy=policy_to_yaml(agent) if circuit and isinstance(agent, Policy) else None,
         parameters=Packed.of(found.vector),
-        **score(task, agent, found.vector, name.seed, episodes, settings).model_dump(),
+        **score(
+            task, agent, found.vector, name.seed, episodes=episodes, warm_up=settings.get("warm_up", 0)
+        ).model_dump(),
     )
 
 
@@ -129,18 +131,13 @@ def _train_by_gradients(task: Task, name: RunName) -> tuple[Found, int, dict[str
     return Found(actor.vector(), 0, (), "steps"), steps, settings
 
 
-def score(  # noqa: PLR0917
-    task: Task,
-    agent: Policy | Net | None,
-    vector: Vector,
-    seed: int,
-    episodes: int,
-    settings: Mapping[str, Any],
+def score(
+    task: Task, agent: Policy | Net | None, vector: Vector, seed: int, *, episodes: int, warm_up: int = 0
 ) -> Score:
     """Return the score of parameters (P,) in fresh episodes.
 
     Without an agent, the parameters are those of an actor (``search/gradients.py``). Parking is
-    deterministic: one episode is enough. ``settings`` are those of the run.
+    deterministic: one episode is enough.
     """
     if not isinstance(task, Benchmark):
         assert agent is not None
@@ -153,7 +150,7 @@ def score(  # noqa: PLR0917
 
         returns, plain = score_actor(task, vector, seeds)
     else:
-        evaluator = Evaluator(task, agent, warm_up=int(settings.get("warm_up", 0)))
+        evaluator = Evaluator(task, agent, warm_up=warm_up)
         found = evaluator.run(np.tile(vector, (episodes, 1)), seeds)
         returns, plain = found[:, :2].sum(axis=1), found[:, 0]
     plain_mean = float(plain.mean())
@@ -175,8 +172,8 @@ def replay(result: Result) -> Score:
         agent = policy_from_yaml(result.policy, str(name))
     elif name.agent not in GRADIENTS:
         agent = _agent(task, name)
-    vector = result.parameters.array()
-    return score(task, agent, vector, name.seed, result.episodes, result.settings)
+    vector, warm_up = result.parameters.array(), int(result.settings.get("warm_up", 0))
+    return score(task, agent, vector, name.seed, episodes=result.episodes, warm_up=warm_up)
 
 
 def is_stored(store: ResultStore, name: RunName, circuit: Path | None) -> bool:

@@ -13,7 +13,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.core.errors import RoverNcpError
 from sim.paper.plants.lanes import MujocoLanes
 
 # Without a handler, MuJoCo writes a warning, such as that of an outdated attribute in Gymnasium's
@@ -31,8 +30,7 @@ def _library() -> ctypes.CDLL:
 
 def _address(name: str) -> int:
     found = ctypes.cast(getattr(_library(), name), ctypes.c_void_p).value
-    if found is None:
-        raise RoverNcpError(f"mujoco {mujoco.__version__} has no {name}: install that of constraints.txt")
+    assert found is not None
     return found
 
 

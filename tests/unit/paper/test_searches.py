@@ -9,8 +9,9 @@ from sim.learn.search.base import draw_seeds
 from sim.paper import BudgetName
 from sim.paper.agents import build_agent
 from sim.paper.runs import budget_for
+from sim.paper.search import loop
 from sim.paper.search.estimate import BenchmarkEstimator, ParkingEvaluator
-from sim.paper.search.loop import search_parking
+from sim.paper.search.loop import Checkpoint, search_from_one, search_parking
 from sim.paper.tasks import TASKS
 
 
@@ -48,3 +49,17 @@ def test_creeping_counts_as_a_miss_and_in_no_return(name):
     assert (counted < values).all()
     found = search_parking(place, policy, 1, default_budget(name, evaluations=300))
     assert found.curve[-1].value == place.outcome(found.vector)[0]
+
+
+@pytest.mark.parametrize(("fresh", "ended"), [(50.0, "steps"), (61.0, "enough")])
+def test_a_return_is_enough_only_where_fresh_episodes_confirm_it(fresh, ended, monkeypatch):
+    default = TASKS["cart-pole"].default._replace(enough=60.0)
+    task = TASKS["cart-pole"].model_copy(update={"default": default})
+    policy, budget = build_agent(task, "circuit", 0), default_budget("cart-pole", steps=30_000, starts=50)
+    asked = []
+    monkeypatch.setattr(loop, "confirmed", lambda *_: asked.append(1) or fresh)
+    place = BenchmarkEstimator(task, policy, 0, budget)
+    found = search_from_one(place, policy, 0, budget, Checkpoint(None, {}))
+    assert asked
+    assert found.ended == ended
+    assert (found.curve[-1].value >= 60.0) is (ended == "enough")

@@ -85,9 +85,8 @@ def find_mount(
 ) -> MountFound:
     """Return the camera's mount from the odometry's poses and the tags seen there.
 
-    ``camera.mount`` is the start, measured by hand.
-
-    Odometry's gains are found, too. Raises UsageError when the drive does not determine it.
+    ``camera.mount`` is the start, measured by hand. Odometry's gains are found, too. Raises UsageError when
+    the drive does not determine it.
     """
     known = {tag.id: tag for tag in tag_map.tags}
     visible = [[each for each in found if each.id in known] for _, found in samples]

@@ -78,5 +78,5 @@ def test_layout_and_recording_are_written_into_one_file(tmp_path):
     subprocess.run([sys.executable, str(script), str(recording), "--save", str(target)], check=True, **how)
     text = subprocess.run([rerun(), "rrd", "print", str(target)], check=True, **how).stdout
     assert "Blueprint" in text
-    for path in ("/neurons/AVB", "/deploy/path", "/rover/status"):
+    for path in ("/neurons/AVB", "/paths/rover/estimate", "/rover/status"):
         assert f" - {path} " in text

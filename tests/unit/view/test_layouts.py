@@ -54,5 +54,5 @@ def test_foxglove_layout_plots_every_neuron_of_the_shipped_policies():
 
 
 def test_every_topic_of_the_rerun_layout_is_in_a_recording(recorded):
-    assert {*RERUN["ABOVE"], *RERUN["TEXTS"]} <= recorded.keys()
+    assert {*RERUN["PATHS"], *RERUN["TEXTS"]} <= recorded.keys()
     assert all(topic.startswith(RERUN["NEURONS"] + "/") for topic in SHIPPED)

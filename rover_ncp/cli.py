@@ -100,7 +100,7 @@ def _app() -> typer.Typer:
     app = typer.Typer(
         cls=_Commands,
         name="rover-ncp",
-        help="Train a tiny worm circuit to park a rover in simulation, then drive a real Pioneer with it.",
+        help="Train a tiny worm circuit to park a rover in simulation, then drive a robot with it.",
         epilog="Exit codes: " + ". ".join(f"{code} {text}" for code, text in EXIT_CODES.items()) + ".",
         no_args_is_help=True,
         pretty_exceptions_enable=False,

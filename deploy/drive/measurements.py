@@ -119,7 +119,7 @@ class Measurements:
             except FormatError as error:
                 if not self.unreadable[topic]:
                     self.complaints[topic] = str(error)
-                    _LOGGER.info(f"a message on '{topic}' cannot be read: {error}")
+                    _LOGGER.info(f"a message on '{topic}' is not used: {error}")
                 self.unreadable[topic] += 1
                 continue
             if sample.stamp_ns == 0:  # a publisher without a clock

@@ -28,6 +28,7 @@ def main(truth: str, robot: str = "tcp/127.0.0.1:7447", frame: str = "map") -> N
     with zenoh.open(config) as session, Path(truth).open() as lines:
         names = lines.readline().split(",")
         last = ""
+        print(f"publishing on 'pose' at {robot}, frame {frame}; Ctrl-C ends it", flush=True)
         while True:
             for line in lines:
                 last = line if line.endswith("\n") else last

@@ -65,4 +65,14 @@ def signals(pose: Pose, start: float, reference: tuple[Pose, Velocity] | None) -
     elif turned <= -math.pi:
         turned += math.tau
     longitudinal, lateral = cos * dx + sin * dy, cos * dy - sin * dx
-    return (pose.x, pose.y, pose.theta, start, longitudinal, lateral, turned, motion.v, motion.omega)
+    return (
+        pose.x,
+        pose.y,
+        pose.theta,
+        start,
+        longitudinal,
+        lateral,
+        turned,
+        motion.v,
+        motion.omega,
+    )

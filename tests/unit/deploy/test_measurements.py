@@ -86,5 +86,5 @@ def test_the_first_unreadable_pose_is_named(log):
         driver.source.poses.put(Arrival(data.replace(rotation, bytes(16)), 0))
     assert driver.measurements.poses() == []
     assert log.messages == [
-        "a message on 'pose' cannot be read: the orientation 0, 0, 0, 0 is not a rotation"
+        "a message on 'pose' is not used: the orientation 0, 0, 0, 0 is not a rotation"
     ]

@@ -85,6 +85,4 @@ def test_the_first_unreadable_pose_is_named(log):
     for _ in range(3):
         driver.source.poses.put(Arrival(data.replace(rotation, bytes(16)), 0))
     assert driver.measurements.poses() == []
-    assert log.messages == [
-        "a message on 'pose' is not used: the orientation 0, 0, 0, 0 is not a rotation"
-    ]
+    assert log.messages == ["a message on 'pose' is not used: the orientation 0, 0, 0, 0 is not a rotation"]

@@ -99,18 +99,20 @@ def run_mock(options: MockOptions) -> None:
     rover, trials = draw_rover(ranges, robot, course, seed=seed, number=trial)
     if truth is not None:
         require_creatable(truth, overwrite=options.overwrite)
-    server = _server(options, robot, rover, injected, BaseTrial(trials))
-    try:
+    with Interrupts() as interrupts, contextlib.ExitStack() as stack:
+        # First the camera, which starts for seconds: a client that connects meanwhile would get no answer.
+        eye = None
+        if options.camera is not None and options.tags is not None:
+            eye = stack.enter_context(_camera(options.camera, options.tags, options))
+        server = stack.enter_context(
+            contextlib.closing(_server(options, robot, rover, injected, BaseTrial(trials)))
+        )
         server.truth = TruthFile(truth, overwrite=options.overwrite) if truth else None
-        with Interrupts() as interrupts, contextlib.ExitStack() as stack:
-            if options.camera is not None and options.tags is not None:
-                eye = stack.enter_context(_camera(options.camera, options.tags, options))
-                server.show = eye.show
-                output.announce(f"camera at {eye.address}")
-            output.announce(f"listening on {server.host}:{server.port}")
-            server.serve(lambda: interrupts.raised, fault_lines)
-    finally:
-        server.close()
+        if eye is not None:
+            server.show = eye.show
+            output.announce(f"camera at {eye.address}")
+        output.announce(f"listening on {server.host}:{server.port}")
+        server.serve(lambda: interrupts.raised, fault_lines)
     x, y, theta = rover.pose
     fields: dict[str, Any] = {
         "listen": f"{server.host}:{server.port}",

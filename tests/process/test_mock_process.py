@@ -4,6 +4,7 @@ import signal
 import socket
 import time
 from contextlib import ExitStack, closing
+from pathlib import Path
 
 import pytest
 from kit.pioneer_bench import Pioneer
@@ -12,8 +13,12 @@ from bridge.pioneer.arcos import Command, Decoder, encode_command, encode_frame
 from bridge.pioneer.packets import Kind, decode_names
 from bridge.pioneer.transport import open_transport
 from rover_ncp.cli import run
+from rover_ncp.core.errors import UsageError
 from sim.live.processes import Process, wait_for
 from sim.live.truth import TruthReader
+from sim.pioneer.options import MockOptions
+from sim.pioneer.ros2_server import free_port
+from sim.pioneer.run import run_mock
 from sim.pioneer.server import Server
 
 
@@ -118,3 +123,18 @@ def test_mock_serves_where_no_fault_can_come_from_its_input(mock):
     process.send_signal(signal.SIGINT)
     code, report, _ = process.wait(10.0)
     assert (code, report["connections"]) == (0, 1)
+
+
+def test_no_client_connects_while_the_camera_starts(monkeypatch):
+    """It would get no answer for as long as that takes, some seconds."""
+    port = free_port("127.0.0.1")
+
+    def camera(*_):
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.1", port), 1.0)
+        raise UsageError("the camera starts")
+
+    monkeypatch.setattr("sim.pioneer.run._camera", camera)
+    options = MockOptions(listen=f"127.0.0.1:{port}", camera=Path("camera.yaml"), tags=Path("tags.yaml"))
+    with pytest.raises(UsageError, match="the camera starts"):
+        run_mock(options)

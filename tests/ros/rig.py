@@ -26,11 +26,6 @@ _FIRST = 1 + 30 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
 _domains = itertools.cycle(range(_FIRST, _FIRST + 30))
 
 
-def next_domain():
-    """Return a ROS_DOMAIN_ID that no other test has now."""
-    return next(_domains)
-
-
 def ros_environment(domain):
     """Return the environment of a ROS process, which finds others of its domain on this machine only."""
     ours = ("PATH", "HOME", "LANG", "TMPDIR")
@@ -113,12 +108,38 @@ class RosProcess(ClosedAtExit):
     close = stop
 
 
-class RosRun(LiveRun):
+def free_address():
+    """Return HOST:PORT where nothing listens now."""
+    return f"127.0.0.1:{free_port('127.0.0.1')}"
+
+
+class RunWithRos(LiveRun):
+    """A run with ROS processes, which have a ``ROS_DOMAIN_ID`` that no other test has now."""
+
+    def __init__(self, *arguments, **options):
+        super().__init__(*arguments, **options)
+        self.domain = next(_domains)
+
+    def ros(self, name, *command):
+        """Start a ROS process that ends with the run."""
+        return self.start_process(lambda: RosProcess(name, command, self.folder, self.domain))
+
+    def start_relay(self, address, *arguments):
+        """Start zenoh-bridge-ros2dds, or the stand-in, which listens on ``address``."""
+        arguments = ["-l", f"tcp/{address}", *arguments]
+        if ROS2DDS_BRIDGE:
+            return self.ros("ros2dds", ROS2DDS_BRIDGE, *arguments)
+        relay = self.ros("ros2dds", "relay.py", *arguments)
+        relay.wait_for_line("ready")
+        return relay
+
+
+class RosRun(RunWithRos):
     """A robot of ROS 2, its Zenoh integration, and our bridge; ``way`` is a wire of ``wires.py``."""
 
     def __init__(self, folder, *bridge, model="turtlebot4", robot=(), way="rclpy", namespace=""):
         super().__init__(folder, bridge=["--model", model, "--no-base-watchdog", *bridge])
-        self.domain, self.way = next_domain(), way
+        self.way = way
         self._base_form = f"{ROS2DDS}#" if way == "rclpy" else f"{RMW_ZENOH}&domain={self.domain}"
         self._base_form += f"&namespace={namespace}" if namespace else ""
         self._robot_arguments = ["--by", way, "--namespace", namespace, *robot]
@@ -131,8 +152,8 @@ class RosRun(LiveRun):
     def start_robot_side(self):
         """Start the robot and its Zenoh router."""
         if self.way == "rclpy":
-            self.base = f"127.0.0.1:{free_port('127.0.0.1')}"
-            self.relay = start_relay(self, "-l", f"tcp/{self.base}")
+            self.base = free_address()
+            self.start_relay(self.base)
         else:  # any router does what rmw_zenohd does for nodes of one machine
             self._router, locator = open_router()
             self.base = locator.removeprefix("tcp/")
@@ -144,20 +165,7 @@ class RosRun(LiveRun):
         robot.wait_for_line("{")
         return robot
 
-    def ros(self, name, *command):
-        """Start a ROS process that ends with the run."""
-        return self.start_process(lambda: RosProcess(name, command, self.folder, self.domain))
-
     def close(self):
         super().close()
         if self._router is not None:
             self._router.close()
-
-
-def start_relay(run, *arguments):
-    """Start zenoh-bridge-ros2dds, or the stand-in; ``arguments`` are those of both."""
-    if ROS2DDS_BRIDGE:
-        return run.ros("ros2dds", ROS2DDS_BRIDGE, *arguments)
-    relay = run.ros("ros2dds", "relay.py", *arguments)
-    relay.wait_for_line("ready")
-    return relay

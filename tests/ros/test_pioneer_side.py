@@ -5,12 +5,11 @@ from contextlib import contextmanager
 
 import pytest
 from kit.bridge_bench import Driver, wait_for
-from ros.rig import RosProcess, next_domain, start_relay
+from ros.rig import RunWithRos, free_address
 
 from deploy.place.place import load_place
 from rover_ncp import cli
 from rover_ncp.wire.messages import POSE_STAMPED, POSE_WITH_COVARIANCE, TWIST, TWIST_STAMPED
-from sim.live.live_run import LiveRun
 
 # teleop_twist_keyboard's first message of its key i: speed 0.5, turn 1.0, and no frame.
 LINEAR = {"x": 0.5, "y": 0.0, "z": 0.0}
@@ -20,18 +19,14 @@ TELEOP = {
 }
 
 
-class Pioneer(LiveRun):
+class Pioneer(RunWithRos):
     """A mock Pioneer, a bridge in both forms of ROS, and a relay between the bridge and DDS."""
 
     def start(self):
-        self.domain = next_domain()
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("ROS_DOMAIN_ID", str(self.domain))
             super().start()
-        start_relay(self, "-e", self.robot)
-
-    def ros(self, name, *command):
-        return self.start_process(lambda: RosProcess(name, command, self.folder, self.domain))
+        self.start_relay(free_address(), "-e", self.robot)
 
     @contextmanager
     def topic(self, *command, by="rclpy"):

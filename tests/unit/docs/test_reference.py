@@ -36,7 +36,7 @@ def test_an_example_is_valid_and_has_every_key_that_its_file_needs(name):
         assert set(model.model_fields) == {*yaml.safe_load(text), *commented} & set(model.model_fields)
 
 
-@pytest.mark.parametrize("name", ["commands.md", "files.md", "keys.md", "results.md"])
+@pytest.mark.parametrize("name", ["commands.md", "files.md", "keys.md", "results.md", "models.md"])
 def test_a_generated_page_is_that_of_the_present_code(name, pages):
     page = (ROOT / "docs" / "reference" / name).read_text()
     assert page == pages[name], "make reference writes it"

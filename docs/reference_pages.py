@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from model_cards import models_page
 from pydantic import BaseModel
 from result_fields import RESULTS, models_in, noted, result_fields
 
@@ -83,6 +84,7 @@ def reference_pages() -> dict[str, str]:
         "files.md": files_page(),
         "keys.md": keys_page(),
         "results.md": results_page(),
+        "models.md": models_page(),
     }
 
 

@@ -59,7 +59,7 @@ class Robot:
         self.wire = WIRES[arguments.by](arguments.name, arguments.namespace, arguments.router)
         reliable = not arguments.best_effort
         self.publishers = {
-            name: self.wire.publisher(topic, ros_type, reliable)
+            name: self.wire.publisher(topic, ros_type, reliable and name != "imu")
             for name, topic, ros_type in [
                 ("odom", arguments.odom, arguments.odom_type),
                 ("imu", arguments.imu, IMU),
@@ -140,7 +140,7 @@ def main():
     add("--stamped", action="store_true")
     add("--best-effort", action="store_true")
     add("--rate", type=float, default=20.0)
-    add("--imu-rate", type=float, default=25.0)
+    add("--imu-rate", type=float, default=20.0)
     add("--clock", type=float, default=0.0, help="its clock minus this machine's, s")
     add("--timeout", type=float, default=0.5)
     add("--accel", type=float, default=0.9)

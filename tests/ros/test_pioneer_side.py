@@ -32,7 +32,7 @@ class Pioneer(RunWithRos):
     def topic(self, *command, by="rclpy"):
         """A node that publishes or listens until the block ends."""
         router = ["--by", by, "--router", self.robot.removeprefix("tcp/")]
-        node = self.ros("topic", "topic.py", *command, *router)
+        node = self.ros("topic", "topic.py", *router, *command)
         try:
             node.wait_for_line("{")
             yield node
@@ -84,7 +84,8 @@ def test_ros_lists_the_topics_of_the_bridge_before_any_subscription(pioneer):
         # AMCL's publisher is transient local.
         (POSE_WITH_COVARIANCE, {"pose": {"pose": None, "covariance": [1e-4] * 36}}, ["--latched"]),
         # What Nav2's docking server reads on detected_dock_pose.
-        (POSE_STAMPED, {"pose": None}, []),
+        # By rmw_zenoh: a relay may still hold the route of this name with AMCL's type.
+        (POSE_STAMPED, {"pose": None}, ["--by", "zenoh-ros2-sdk"]),
     ],
     ids=["AMCL", "dock pose"],
 )

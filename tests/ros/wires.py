@@ -49,9 +49,9 @@ def fill(message, fields):
 
 
 def profile(reliable=True, latched=False):
-    """Return the QoS of a topic."""
+    """Return the QoS of a topic: of a sensor's, a reader that was held up has the newest message alone."""
     return QoSProfile(
-        depth=1 if latched else 10,
+        depth=10 if reliable and not latched else 1,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )

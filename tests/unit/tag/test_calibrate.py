@@ -107,7 +107,7 @@ def test_picture_is_paired_with_the_odometry_of_its_own_moment():
     odometry.times = [1_000, 1_100, 1_200]
     odometry.poses = [Pose(0.0, 0.0, 3.0), Pose(0.1, 0.0, 3.1), Pose(0.2, 0.0, -3.08)]
     assert odometry.at(1_025) == pytest.approx((0.025, 0.0, 3.025))
-    assert odometry.at(1_150).theta == pytest.approx(3.1 + 0.5 * (math.tau - 6.18))
+    assert odometry.at(1_150).theta == pytest.approx(3.1 + 0.5 * (math.tau - 6.18) - math.tau)
     assert odometry.at(999) is odometry.at(1_201) is None
 
 

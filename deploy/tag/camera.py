@@ -144,8 +144,7 @@ class ReadCamera(LiveCamera):
             wall_ns = time.time_ns() - self._delay_ns
             if not more:
                 return
-            picture = Picture(_grey(np.asarray(frame, np.uint8)), wall_ns)
-            yield lambda picture=picture: picture
+            yield partial(Picture, _grey(np.asarray(frame, np.uint8)), wall_ns)
 
     def _stream(self) -> Iterator[Callable[[], Picture]]:
         with urllib.request.urlopen(self._source, timeout=TIMEOUT_S) as stream:

@@ -123,19 +123,11 @@ class Localiser:
                 f"{self._size[1]} × {self._size[0]}"
             )
         self.pictures += 1
-        before, self._checksum = self._checksum, zlib.crc32(grey.tobytes())
-        if self._checksum == before:  # noise alone changes a picture, so the camera is frozen
-            return self._reject(FROZEN)
-        if now_ns is not None and now_ns - picture.wall_ns > MAX_AGE_S * 1e9:
-            return self._reject(OLD)
-        self.detections = self._detector.detect(grey)
-        self.unknown |= {each.id for each in self.detections} - self._ids
-        found = self._locator.locate(self.detections)
-        if isinstance(found, Rejection):
-            level = float(grey.mean())
-            if found is Rejection.NO_TAG and not DARK <= level <= BRIGHT:
-                return self._reject(TOO_DARK if level < DARK else TOO_BRIGHT)
-            return self._reject(found)
+        found = self._found(picture, now_ns)
+        if not isinstance(found, Located):
+            self.rejected[found] += 1
+            self.state = found
+            return None
         self.poses, self.last = self.poses + 1, found
         self.state = (
             f"x {found.pose.x:.3f} m  y {found.pose.y:.3f} m  θ {found.pose.theta:.3f} rad  "
@@ -143,9 +135,23 @@ class Localiser:
         )
         return found
 
-    def _reject(self, reason: str) -> None:
-        self.rejected[str(reason)] += 1
-        self.state = str(reason)
+    def _found(self, picture: Picture, now_ns: int | None) -> Located | str:
+        """Return the pose, or why there is none."""
+        grey = picture.grey
+        before, self._checksum = self._checksum, zlib.crc32(grey.tobytes())
+        if self._checksum == before:  # noise alone changes a picture, so the camera is frozen
+            return FROZEN
+        if now_ns is not None and now_ns - picture.wall_ns > MAX_AGE_S * 1e9:
+            return OLD
+        self.detections = self._detector.detect(grey)
+        self.unknown |= {each.id for each in self.detections} - self._ids
+        found = self._locator.locate(self.detections)
+        if isinstance(found, Located):
+            return found
+        level = float(grey.mean())
+        if found is Rejection.NO_TAG and not DARK <= level <= BRIGHT:
+            return TOO_DARK if level < DARK else TOO_BRIGHT
+        return str(found)
 
 
 def tag_pose(found: Located) -> TagPose:

@@ -130,8 +130,8 @@ def relay(source: str, *, address: BridgeAddress, frame: str, seconds: float | N
         while not interrupts.raised and (seconds is None or time.monotonic() - began < seconds):
             for arrival in inbox.take(TAKE_S):
                 try:
-                    pose = with_covariance(arrival.data)
-                    pose = transforms.take(arrival.data) if transforms else pose
+                    take = with_covariance if transforms is None else transforms.take
+                    pose = take(arrival.data)
                     if pose is not None:
                         read(pose)
                         link.send(pose)

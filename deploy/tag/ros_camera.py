@@ -47,7 +47,7 @@ class RosCamera(LiveCamera):
 
     def close(self) -> None:
         """End the session."""
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]
 
     def _take(self, sample: zenoh.Sample) -> None:
         now_ns, wall_ns, data = time.monotonic_ns(), time.time_ns(), sample.payload.to_bytes()
@@ -110,7 +110,7 @@ def ros_camera_file(source: str) -> CameraFile:
     except (FormatError, ValueError) as error:  # also a quaternion that is no rotation
         raise UsageError(f"camera {source}: {error}; give --camera-file") from error
     finally:
-        session.close()
+        session.close()  # type: ignore[no-untyped-call]
     if mount is None:
         raise UsageError(f"camera {source}: {missing}; give --camera-file, with what is missing")
     size, model = (int(info.width), int(info.height)), str(info.distortion_model)

@@ -124,7 +124,7 @@ def calibrate_mount(
     if tag_map.tags_on == "rover":
         raise UsageError(f"{map_file}: tags_on: rover: the mount of a ceiling's camera is measured by hand")
     require_writable(camera_file)
-    odometry, detector = _Odometry(), Detector()
+    odometry, detector = _Odometry(), Detector(2.0)  # as in `run`: the drive's processes need the processor
     seen: list[tuple[int, list[Detection]]] = []
     with (
         Interrupts() as interrupts,

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from deploy.tag.calibrate import find_intrinsics, find_mount
 from deploy.tag.detector import Detection, Detector
 from deploy.tag.locate import Locator
+from deploy.tag.run import _Odometry
 from deploy.tag.sheet import Board, board_page, pattern, tag_pages
 from deploy.tag.tag_map import CameraFile, Intrinsics, Mount, Tag, TagMap, load_camera_info
 from rover_ncp.core.errors import ConfigError, UsageError
@@ -99,6 +100,15 @@ def test_mount_comes_back_from_a_drive_with_turns(gain):
         assert error < max(3.0 * found.deviations[name], 0.002), name
     assert found.deviations["x"] < 0.02
     assert found.deviations["yaw"] < 0.02
+
+
+def test_picture_is_paired_with_the_odometry_of_its_own_moment():
+    odometry = _Odometry()
+    odometry.times = [1_000, 1_100, 1_200]
+    odometry.poses = [Pose(0.0, 0.0, 3.0), Pose(0.1, 0.0, 3.1), Pose(0.2, 0.0, -3.08)]
+    assert odometry.at(1_025) == pytest.approx((0.025, 0.0, 3.025))
+    assert odometry.at(1_150).theta == pytest.approx(3.1 + 0.5 * (math.tau - 6.18) - math.tau)
+    assert odometry.at(999) is odometry.at(1_201) is None
 
 
 def test_mount_is_refused_after_a_drive_without_a_turn():

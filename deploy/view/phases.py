@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from deploy.view.trace import Currents, Trace, motor_shares, synapse_currents
+from deploy.view.trace import Currents, FloatArray, Trace, motor_shares, synapse_currents
 from rover_ncp.circuit.circuit import MIDPOINT_MV
 from rover_ncp.core.config import ResultModel
 from rover_ncp.core.geometry import Velocity, wrap_angle
@@ -26,6 +26,8 @@ IDLE = 0.1
 MIN_PHASE_S = 0.5
 VISIBLE = (0.05, float(np.radians(10.0)))
 """Way in m and turn in rad that a whole phase may command and still count as standing, or as straight."""
+SMALL_M = 0.01
+"""Way in m that shows which end of the rover leads."""
 LABELS: dict[tuple[int, ...], str] = {
     (0, 0): "standing still",
     (1, 0): "straight ahead",
@@ -37,7 +39,7 @@ LABELS: dict[tuple[int, ...], str] = {
     (-1, 1): "left turn backwards",
     (-1, -1): "right turn backwards",
 }
-"""By the signs of v and omega."""
+"""By the signs of v and omega in the rover's frame."""
 
 WEAK_MV = 1.0
 """If all pulls on a motor neuron are weaker in a phase, the strongest in the whole run counts."""
@@ -55,7 +57,7 @@ class Phase(ResultModel):
     """One phase: ticks ``first`` up to, not including, ``last``."""
 
     label: str = Field(description="what the rover does; with --task the signs of the outputs")
-    signs: tuple[int, ...] = Field(exclude=True, description="of each output")
+    signs: tuple[int, ...] = Field(exclude=True, description="of each output, as the policy means it")
     first: int = Field(exclude=True)
     last: int = Field(exclude=True)
     start_s: float = Field(description="time at its beginning; with --task in the time of the circuit")
@@ -116,7 +118,7 @@ def phases(trace: Trace) -> tuple[Phase, ...]:
         runs = _joined(runs)
     if trace.outputs == Velocity._fields:
         runs = _joined([_named(trace, *each) for each in _placed(runs)])
-    return tuple(_phase(trace, run.signs, first, last) for run, first, last in _placed(runs))
+    return tuple(_phase(trace, run, first, last) for run, first, last in _placed(runs))
 
 
 def explain(trace: Trace) -> tuple[ExplainedPhase, ...]:
@@ -129,6 +131,8 @@ def explain(trace: Trace) -> tuple[ExplainedPhase, ...]:
 class _Run(NamedTuple):
     signs: tuple[int, ...]
     ticks: int
+    moves: tuple[int, ...] = ()
+    """Signs of the motion in the rover's frame; empty for a task that is no drive."""
 
 
 def _placed(runs: Sequence[_Run]) -> list[tuple[_Run, int, int]]:
@@ -138,10 +142,22 @@ def _placed(runs: Sequence[_Run]) -> list[tuple[_Run, int, int]]:
 
 
 def _named(trace: Trace, run: _Run, first: int, last: int) -> _Run:
-    """Return a run whose signs are not 0 where commands that count as zero add up to a visible motion."""
-    moved = trace.commands[first:last].sum(axis=0) * trace.policy.tick_s
-    slow = np.where(np.abs(moved) >= VISIBLE, np.sign(moved), 0).astype(int).tolist()
-    return run._replace(signs=tuple(sign or other for sign, other in zip(run.signs, slow, strict=True)))
+    """Return a run whose signs are not 0 where commands that count as zero add up to a visible motion.
+
+    A policy that backs the rover out of a place has its poses turned by 180°: positive v moves the rover back.
+    """
+    asked = trace.commands[first:last].sum(axis=0) * trace.policy.tick_s
+    slow = np.where(np.abs(asked) >= VISIBLE, np.sign(asked), 0).astype(int).tolist()
+    v, omega = (sign or other for sign, other in zip(run.signs, slow, strict=True))
+    ahead = _ahead_m(trace.poses[first : last + 1])
+    turned_round = abs(ahead) >= SMALL_M and ahead * asked[V] < 0
+    return run._replace(signs=(v, omega), moves=(-v if turned_round else v, omega))
+
+
+def _ahead_m(poses: FloatArray) -> float:
+    """Return the way along the rover's own axis, forward positive."""
+    step, heading = np.diff(poses[:, :2], axis=0), poses[:-1, 2]
+    return float((step[:, 0] * np.cos(heading) + step[:, 1] * np.sin(heading)).sum())
 
 
 def _signs(trace: Trace) -> NDArray[np.int64]:
@@ -156,23 +172,23 @@ def _signs(trace: Trace) -> NDArray[np.int64]:
 
 def _joined(runs: Sequence[_Run]) -> list[_Run]:
     """Join neighbours with the same signs."""
-    groups = groupby(runs, key=lambda run: run.signs)
-    return [_Run(signs, sum(run.ticks for run in group)) for signs, group in groups]
+    groups = groupby(runs, key=lambda run: (run.signs, run.moves))
+    return [_Run(signs, sum(run.ticks for run in group), moves) for (signs, moves), group in groups]
 
 
-def _label(outputs: Sequence[str], signs: tuple[int, ...]) -> str:
-    if tuple(outputs) == Velocity._fields:
-        return LABELS[signs]
+def _label(outputs: Sequence[str], run: _Run) -> str:
+    if run.moves:
+        return LABELS[run.moves]
     words = {0: "about 0", 1: "positive", -1: "negative"}
-    return ", ".join(f"{name} {words[sign]}" for name, sign in zip(outputs, signs, strict=True))
+    return ", ".join(f"{name} {words[sign]}" for name, sign in zip(outputs, run.signs, strict=True))
 
 
-def _phase(trace: Trace, signs: tuple[int, ...], first: int, last: int) -> Phase:
+def _phase(trace: Trace, run: _Run, first: int, last: int) -> Phase:
     way = trace.poses[first : last + 1]
     end_s = trace.times[last] if last < len(trace.times) else trace.times[-1] + trace.policy.tick_s
     return Phase(
-        label=_label(trace.outputs, signs),
-        signs=signs,
+        label=_label(trace.outputs, run),
+        signs=run.signs,
         first=first,
         last=last,
         start_s=float(trace.times[first]),

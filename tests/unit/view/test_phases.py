@@ -83,6 +83,14 @@ def test_a_long_phase_is_named_for_what_its_small_commands_add_up_to():
     assert phases(trace_of([(-0.011, 0.0)] * 150))[0].label == "straight back"
 
 
+@pytest.mark.parametrize(("command", "label"), [(AHEAD, "straight back"), (LEFT, "left turn backwards")])
+def test_a_policy_that_drives_the_tail_first_moves_the_rover_back(command, label):
+    found = trace_of([STAND] * 10 + [command] * 20)
+    tail_first = dataclasses.replace(found, poses=found.poses + np.array([0, 0, np.pi]))
+    assert [phase.label for phase in phases(tail_first)] == ["standing still", label]
+    assert phases(tail_first)[1].signs == phases(found)[1].signs
+
+
 def test_short_phase_is_merged_with_its_longer_neighbour():
     found = phases(trace_of([LEFT] * 20 + [AHEAD] * 4 + [RIGHT] * 10))
     assert [(p.label, p.first, p.last) for p in found] == [("left turn", 0, 24), ("right turn", 24, 34)]

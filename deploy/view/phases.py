@@ -144,7 +144,7 @@ def _placed(runs: Sequence[_Run]) -> list[tuple[_Run, int, int]]:
 def _named(trace: Trace, run: _Run, first: int, last: int) -> _Run:
     """Return a run whose signs are not 0 where commands that count as zero add up to a visible motion.
 
-    A policy that backs the rover out of a place has its poses turned by 180°: positive v moves the rover back.
+    A policy that backs the rover out of a place has its poses turned by 180°: its positive v is a way back.
     """
     asked = trace.commands[first:last].sum(axis=0) * trace.policy.tick_s
     slow = np.where(np.abs(asked) >= VISIBLE, np.sign(asked), 0).astype(int).tolist()

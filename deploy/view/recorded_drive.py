@@ -91,7 +91,7 @@ def summarise(drive: Drive) -> Summary:
     if drive.damage:
         rows.append(("Recording", f"{drive.damage}; the page shows what precedes it"))
     if dock is None:
-        parked, headline = _headline(next(iter(verdicts.values())), drive.timeline.status)
+        parked, headline = _headline(verdicts, drive.timeline.status)
     else:
         parked, headline = Parked.YES if dock.success else Parked.NO, dock.headline
         rows[:0] = _dock_rows(dock, drive)
@@ -106,11 +106,16 @@ def summarise(drive: Drive) -> Summary:
     )
 
 
-def _headline(verdict: Verdict, status: DriverStatus | None) -> tuple[Parked, str]:
-    reason = verdict.reason
-    if verdict.words is Parked.UNCERTAIN and status is not None:
-        reason = status.reason  # that of the driver
-    return verdict.words, verdict.words.capitalize() + (f": {reason}" if reason else "")
+def _headline(verdicts: Mapping[str, Verdict], status: DriverStatus | None) -> tuple[Parked, str]:
+    """Return the verdict and its words, which say if the true pose was judged and not the driver's."""
+    by, verdict = next(iter(verdicts.items()))
+    parked, reason = verdict.words, verdict.reason
+    if by == "estimated" and parked is Parked.YES and status is not None and status.state == Parked.UNCERTAIN:
+        parked = Parked.UNCERTAIN
+    if parked is Parked.UNCERTAIN and status is not None:
+        reason = status.reason
+    words = parked.capitalize() + (" (true pose)" if by == "true" else "")
+    return parked, words + (f": {reason}" if reason else "")
 
 
 def _dock_rows(dock: DockResult, drive: Drive) -> Iterator[tuple[str, str]]:

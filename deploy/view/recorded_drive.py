@@ -134,9 +134,11 @@ def facts(timeline: Timeline, verdicts: Mapping[str, Verdict] | None) -> Iterato
         yield f"By the {by} pose", _verdict(verdict)
     status, gate = timeline.status, timeline.gate
     if status is not None:
-        yield "Ended as" if ended else "State", status.state + (f": {status.reason}" if status.reason else "")
+        reason = f": {status.reason}" if status.reason else ""
+        yield "Ended as" if ended else "State", timeline.in_words(status.state) + reason
         if status.error_95_m is not None:
-            yield "Estimate", f"error up to {1000 * status.error_95_m:.0f} mm in 95 % of drives"
+            most = f"up to {1000 * status.error_95_m:.0f} mm from the true position in 95 % of drives"
+            yield "Estimate", most + ("; this is no error of the docking" if timeline.dock else "")
     late = f"{status.overruns if status else 0} late, {timeline.predicted} on prediction"
     yield "Ticks", f"{_rate(timeline.ticks)}, {late}"
     yield "Odometry", _rate(timeline.odometry)

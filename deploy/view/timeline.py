@@ -275,7 +275,7 @@ class Timeline:
             raise FormatError(f"{TICKS_TOPIC}: {error}") from error
         if predicted:
             self.predicted += 1
-            words = f"no odometry in time: tick {index} ran on prediction"
+            words = f"no odometry in time: tick {index} ran on prediction; the drive went on"
             self._events.append(Event(message.log_ns, "late", words))
 
 
@@ -309,7 +309,7 @@ def _driver_events(before: DriverStatus | None, now: DriverStatus) -> Iterator[t
     if before is None or now.state != before.state:
         yield "stop" if now.state == "fault" else "state", now.state + _because(now.reason)
     if before is not None and now.overruns > before.overruns:
-        yield "late", f"tick {now.tick} was late"
+        yield "late", f"tick {now.tick} was late: this computer was busy; the drive went on"
 
 
 def _gate_events(before: GateStatus, now: GateStatus) -> Iterator[tuple[str, str]]:

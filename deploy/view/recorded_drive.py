@@ -42,6 +42,16 @@ class Drive:
     """Where the recording is cut off or damaged; empty if it is whole."""
 
     @property
+    def names(self) -> str:
+        """The policies that drove, and the course or place."""
+        own, staging = self.policy.circuit.name, self.timeline.staging
+        if self.settings.get("place") is None:
+            return f"policy {own} on course {self.course.name}"
+        if staging is None or not any(tick.staged for tick in self.timeline.ticks):
+            return f"policy {own} at place {self.course.name}"
+        return f"policies {staging.circuit.name} (to the staging pose) and {own} at place {self.course.name}"
+
+    @property
     def outline(self) -> FloatArray:
         """The outline of the robot that the driver's settings describe, or of a Pioneer 3-AT."""
         described = self.settings.get("described")
@@ -96,11 +106,10 @@ def summarise(drive: Drive) -> Summary:
         parked, headline = Parked.YES if dock.success else Parked.NO, dock.headline
         rows[:0] = _dock_rows(dock, drive)
     began = datetime.fromtimestamp(drive.timeline.ticks[0].wall_ns * 1e-9, UTC)
-    names = f"policy {drive.policy.circuit.name} on course {drive.course.name}"
     return Summary(
         parked=parked,
         headline=headline,
-        subline=f"{names}, {began:%Y-%m-%d %H:%M:%S} UTC",
+        subline=f"{drive.names}, {began:%Y-%m-%d %H:%M:%S} UTC",
         rows=tuple(rows),
         origin=tuple(_origin(drive)),
     )

@@ -49,6 +49,7 @@ def test_report_names_the_place_and_how_it_ended(docked):
     summary = summarise(drive)
     rows = dict(summary.rows)
     assert "docked" in summary.headline.lower()
+    assert summary.subline.startswith("policies course (to the staging pose) and dock at place ")
     assert rows["Ended as"] == "docked"
     assert rows["Estimate"].endswith(
         " mm from the true position in 95 % of drives; this is no error of the docking"

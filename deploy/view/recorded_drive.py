@@ -123,6 +123,8 @@ def _headline(verdicts: Mapping[str, Verdict], status: DriverStatus | None) -> t
         parked = Parked.UNCERTAIN
     if parked is Parked.UNCERTAIN and status is not None:
         reason = status.reason
+    if by == "true" and parked is Parked.YES and status is not None and status.state == Parked.UNCERTAIN:
+        reason = "the driver's own verdict is uncertain"
     words = parked.capitalize() + (" (true pose)" if by == "true" else "")
     return parked, words + (f": {reason}" if reason else "")
 

@@ -228,6 +228,9 @@ def test_the_drivers_uncertain_verdict_is_never_shown_as_parked(tmp_path):
     summary = summarise(read_drive(tmp_path / "run.mcap"))
     assert dict(summary.rows)["By the estimated pose"].startswith("parked, ")
     assert (summary.parked, summary.headline) == (Parked.UNCERTAIN, "Parked, uncertain: 33 %")
+    write_drive(tmp_path / "true.mcap", more=[uncertain])
+    summary = summarise(read_drive(tmp_path / "true.mcap"))
+    assert summary.headline == "Parked (true pose): the driver's own verdict is uncertain"
 
 
 def test_the_live_page_shows_an_uncertain_verdict():

@@ -7,7 +7,7 @@ import numpy as np
 
 from deploy.view.interpretation import Contribution, TimeConstant, contributions, time_constant_ranges
 from deploy.view.layout import labels, layers
-from deploy.view.phases import ExplainedPhase, Mean, Phase, explain
+from deploy.view.phases import STILL, ExplainedPhase, Mean, Phase, explain
 from deploy.view.trace import Trace
 
 WEAK_MV, WEAK_SHARE = 1.0, 0.15
@@ -111,9 +111,9 @@ def sentence(explained: ExplainedPhase, labels: Mapping[str, str], sensory: Coll
 
 def _head(phase: Phase) -> str:
     head = f"{phase.label.capitalize()} {phase.start_s:.1f} to {phase.end_s:.1f} s"
-    moved = [f"{phase.driven_m:.2f} m"] if phase.driven_m >= 0.005 else []
-    if abs(degrees := float(np.degrees(phase.turned_rad))) >= 0.5:
-        moved.append(f"{number(degrees, '+.0f')}°")
+    moved = [f"{phase.driven_m:.2f} m"] if phase.driven_m >= STILL[0] else []
+    if abs(phase.turned_rad) >= STILL[1]:
+        moved.append(f"{number(float(np.degrees(phase.turned_rad)), '+.0f')}°")
     return f"{head} ({', '.join(moved)})" if moved else head
 
 

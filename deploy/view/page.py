@@ -82,7 +82,7 @@ def drive_page(drive: Drive) -> str:
     events = event_rows(drive.timeline)
     verdict, _, reason = summary.headline.partition(": ")
     return page(
-        title=f"{summary.headline}: policy {drive.policy.circuit.name} on course {drive.course.name}",
+        title=f"{summary.headline}: {drive.names}",
         data=_data(drive.policy, drive.course, drive.outline)
         | {"updates": _updates(findings, columns(drive.timeline, Counter()), events)},
         html={

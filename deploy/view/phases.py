@@ -1,8 +1,8 @@
 """Phases of a manoeuvre (driving straight, turning, standing) and the neurons that caused them, in numbers.
 
-A tick is labelled by the signs of its command; a command below a tenth of the circuit's range counts as zero.
-Phases shorter than half a second are merged with their longer neighbour. A phase whose commands all count as
-zero but add up to a visible way or turn is named for it. A phase is explained backwards from its output: the
+Ticks are grouped by the signs of their commands; below a tenth of the circuit's range a command is zero.
+Phases shorter than half a second are merged with their longer neighbour. A phase is named for its net motion,
+less of which counts if its commands ask for it. A phase is explained backwards from its output: the
 motor neuron with the largest share in it, the neuron whose synapse pulls most on that motor neuron, and the
 synapses that pull most on that neuron. Pulls are means over the phase in mV (`deploy.view.trace`). In a
 task that is no drive, the commands are the policy's outputs.
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from deploy.view.trace import Currents, Trace, motor_shares, synapse_currents
+from deploy.view.trace import Currents, FloatArray, Trace, motor_shares, synapse_currents
 from rover_ncp.circuit.circuit import MIDPOINT_MV
 from rover_ncp.core.config import ResultModel
 from rover_ncp.core.geometry import Velocity, wrap_angle
@@ -25,9 +25,13 @@ V, OMEGA = 0, 1
 IDLE = 0.1
 MIN_PHASE_S = 0.5
 VISIBLE = (0.05, float(np.radians(10.0)))
-"""Way in m and turn in rad that a whole phase may command and still count as standing, or as straight."""
+"""Way in m and turn in rad that name a phase whose commands count as zero."""
+ASKED = (0.01, float(np.radians(2.5)))
+"""Way and turn that name a phase whose commands ask for them."""
+STILL = (0.005, float(np.radians(0.5)))
+"""Way and turn from which on a phase is not called standing still; smaller ones are not shown."""
 LABELS: dict[tuple[int, ...], str] = {
-    (0, 0): "standing still",
+    (0, 0): "hardly moving",
     (1, 0): "straight ahead",
     (1, 1): "left turn",
     (1, -1): "right turn",
@@ -37,7 +41,7 @@ LABELS: dict[tuple[int, ...], str] = {
     (-1, 1): "left turn backwards",
     (-1, -1): "right turn backwards",
 }
-"""By the signs of v and omega."""
+"""By the signs of v and omega in the rover's frame."""
 
 WEAK_MV = 1.0
 """If all pulls on a motor neuron are weaker in a phase, the strongest in the whole run counts."""
@@ -55,7 +59,7 @@ class Phase(ResultModel):
     """One phase: ticks ``first`` up to, not including, ``last``."""
 
     label: str = Field(description="what the rover does; with --task the signs of the outputs")
-    signs: tuple[int, ...] = Field(exclude=True, description="of each output")
+    signs: tuple[int, ...] = Field(exclude=True, description="of each output, as the policy means it")
     first: int = Field(exclude=True)
     last: int = Field(exclude=True)
     start_s: float = Field(description="time at its beginning; with --task in the time of the circuit")
@@ -116,7 +120,7 @@ def phases(trace: Trace) -> tuple[Phase, ...]:
         runs = _joined(runs)
     if trace.outputs == Velocity._fields:
         runs = _joined([_named(trace, *each) for each in _placed(runs)])
-    return tuple(_phase(trace, run.signs, first, last) for run, first, last in _placed(runs))
+    return tuple(_phase(trace, run, first, last) for run, first, last in _placed(runs))
 
 
 def explain(trace: Trace) -> tuple[ExplainedPhase, ...]:
@@ -129,6 +133,8 @@ def explain(trace: Trace) -> tuple[ExplainedPhase, ...]:
 class _Run(NamedTuple):
     signs: tuple[int, ...]
     ticks: int
+    moves: tuple[int, ...] = ()
+    """Signs of the motion in the rover's frame; empty for a task that is no drive."""
 
 
 def _placed(runs: Sequence[_Run]) -> list[tuple[_Run, int, int]]:
@@ -138,10 +144,23 @@ def _placed(runs: Sequence[_Run]) -> list[tuple[_Run, int, int]]:
 
 
 def _named(trace: Trace, run: _Run, first: int, last: int) -> _Run:
-    """Return a run whose signs are not 0 where commands that count as zero add up to a visible motion."""
-    moved = trace.commands[first:last].sum(axis=0) * trace.policy.tick_s
-    slow = np.where(np.abs(moved) >= VISIBLE, np.sign(moved), 0).astype(int).tolist()
-    return run._replace(signs=tuple(sign or other for sign, other in zip(run.signs, slow, strict=True)))
+    """Return a run with the signs of its visible motion, in the policy's frame and in the rover's.
+
+    A policy that backs the rover out of a place has its poses turned by 180°: its positive v is a way back.
+    """
+    moved = _motion(trace.poses[first : last + 1])
+    visible = np.abs(moved) >= np.where(run.signs, ASKED, VISIBLE)
+    moves = np.where(visible, np.sign(moved), 0).astype(int).tolist()
+    asked = int(np.sign(trace.commands[first:last, V].sum()))
+    return run._replace(signs=(asked or moves[V] if moves[V] else 0, moves[OMEGA]), moves=tuple(moves))
+
+
+def _motion(poses: FloatArray) -> tuple[float, float]:
+    """Return the way in m along the rover's own axis, forward positive, and its turn in rad."""
+    step, heading = np.diff(poses[:, :2], axis=0), poses[:-1, 2]
+    ahead = step[:, 0] * np.cos(heading) + step[:, 1] * np.sin(heading)
+    turned = sum(wrap_angle(b - a) for a, b in zip(heading, poses[1:, 2], strict=True))
+    return float(ahead.sum()), turned
 
 
 def _signs(trace: Trace) -> NDArray[np.int64]:
@@ -156,29 +175,32 @@ def _signs(trace: Trace) -> NDArray[np.int64]:
 
 def _joined(runs: Sequence[_Run]) -> list[_Run]:
     """Join neighbours with the same signs."""
-    groups = groupby(runs, key=lambda run: run.signs)
-    return [_Run(signs, sum(run.ticks for run in group)) for signs, group in groups]
+    groups = groupby(runs, key=lambda run: (run.signs, run.moves))
+    return [_Run(signs, sum(run.ticks for run in group), moves) for (signs, moves), group in groups]
 
 
-def _label(outputs: Sequence[str], signs: tuple[int, ...]) -> str:
-    if tuple(outputs) == Velocity._fields:
-        return LABELS[signs]
+def _label(outputs: Sequence[str], run: _Run) -> str:
+    if run.moves:
+        return LABELS[run.moves]
     words = {0: "about 0", 1: "positive", -1: "negative"}
-    return ", ".join(f"{name} {words[sign]}" for name, sign in zip(outputs, signs, strict=True))
+    return ", ".join(f"{name} {words[sign]}" for name, sign in zip(outputs, run.signs, strict=True))
 
 
-def _phase(trace: Trace, signs: tuple[int, ...], first: int, last: int) -> Phase:
+def _phase(trace: Trace, run: _Run, first: int, last: int) -> Phase:
     way = trace.poses[first : last + 1]
+    driven_m = float(np.hypot(*np.diff(way[:, :2], axis=0).T).sum())
+    _, turned_rad = _motion(way)
+    still = run.moves == (0, 0) and driven_m < STILL[0] and abs(turned_rad) < STILL[1]
     end_s = trace.times[last] if last < len(trace.times) else trace.times[-1] + trace.policy.tick_s
     return Phase(
-        label=_label(trace.outputs, signs),
-        signs=signs,
+        label="standing still" if still else _label(trace.outputs, run),
+        signs=run.signs,
         first=first,
         last=last,
         start_s=float(trace.times[first]),
         end_s=float(end_s),
-        driven_m=float(np.hypot(*np.diff(way[:, :2], axis=0).T).sum()),
-        turned_rad=sum(wrap_angle(b - a) for a, b in zip(way[:-1, 2], way[1:, 2], strict=True)),
+        driven_m=driven_m,
+        turned_rad=turned_rad,
     )
 
 

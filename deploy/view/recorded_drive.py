@@ -42,6 +42,16 @@ class Drive:
     """Where the recording is cut off or damaged; empty if it is whole."""
 
     @property
+    def names(self) -> str:
+        """The policies that drove, and the course or place."""
+        own, staging = self.policy.circuit.name, self.timeline.staging
+        if self.settings.get("place") is None:
+            return f"policy {own} on course {self.course.name}"
+        if staging is None or not any(tick.staged for tick in self.timeline.ticks):
+            return f"policy {own} at place {self.course.name}"
+        return f"policies {staging.circuit.name} (to the staging pose) and {own} at place {self.course.name}"
+
+    @property
     def outline(self) -> FloatArray:
         """The outline of the robot that the driver's settings describe, or of a Pioneer 3-AT."""
         described = self.settings.get("described")
@@ -91,26 +101,32 @@ def summarise(drive: Drive) -> Summary:
     if drive.damage:
         rows.append(("Recording", f"{drive.damage}; the page shows what precedes it"))
     if dock is None:
-        parked, headline = _headline(next(iter(verdicts.values())), drive.timeline.status)
+        parked, headline = _headline(verdicts, drive.timeline.status)
     else:
         parked, headline = Parked.YES if dock.success else Parked.NO, dock.headline
         rows[:0] = _dock_rows(dock, drive)
     began = datetime.fromtimestamp(drive.timeline.ticks[0].wall_ns * 1e-9, UTC)
-    names = f"policy {drive.policy.circuit.name} on course {drive.course.name}"
     return Summary(
         parked=parked,
         headline=headline,
-        subline=f"{names}, {began:%Y-%m-%d %H:%M:%S} UTC",
+        subline=f"{drive.names}, {began:%Y-%m-%d %H:%M:%S} UTC",
         rows=tuple(rows),
         origin=tuple(_origin(drive)),
     )
 
 
-def _headline(verdict: Verdict, status: DriverStatus | None) -> tuple[Parked, str]:
-    reason = verdict.reason
-    if verdict.words is Parked.UNCERTAIN and status is not None:
-        reason = status.reason  # that of the driver
-    return verdict.words, verdict.words.capitalize() + (f": {reason}" if reason else "")
+def _headline(verdicts: Mapping[str, Verdict], status: DriverStatus | None) -> tuple[Parked, str]:
+    """Return the verdict and its words, which say if the true pose was judged and not the driver's."""
+    by, verdict = next(iter(verdicts.items()))
+    parked, reason = verdict.words, verdict.reason
+    if by == "estimated" and parked is Parked.YES and status is not None and status.state == Parked.UNCERTAIN:
+        parked = Parked.UNCERTAIN
+    if parked is Parked.UNCERTAIN and status is not None:
+        reason = status.reason
+    if by == "true" and parked is Parked.YES and status is not None and status.state == Parked.UNCERTAIN:
+        reason = "the driver's own verdict is uncertain"
+    words = parked.capitalize() + (" (true pose)" if by == "true" else "")
+    return parked, words + (f": {reason}" if reason else "")
 
 
 def _dock_rows(dock: DockResult, drive: Drive) -> Iterator[tuple[str, str]]:
@@ -129,9 +145,11 @@ def facts(timeline: Timeline, verdicts: Mapping[str, Verdict] | None) -> Iterato
         yield f"By the {by} pose", _verdict(verdict)
     status, gate = timeline.status, timeline.gate
     if status is not None:
-        yield "Ended as" if ended else "State", status.state + (f": {status.reason}" if status.reason else "")
+        reason = f": {status.reason}" if status.reason else ""
+        yield "Ended as" if ended else "State", timeline.in_words(status.state) + reason
         if status.error_95_m is not None:
-            yield "Estimate", f"error up to {1000 * status.error_95_m:.0f} mm in 95 % of drives"
+            most = f"up to {1000 * status.error_95_m:.0f} mm from the true position in 95 % of drives"
+            yield "Estimate", most + ("; this is no error of the docking" if timeline.dock else "")
     late = f"{status.overruns if status else 0} late, {timeline.predicted} on prediction"
     yield "Ticks", f"{_rate(timeline.ticks)}, {late}"
     yield "Odometry", _rate(timeline.odometry)

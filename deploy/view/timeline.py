@@ -17,7 +17,7 @@ from deploy.view.trace import FloatArray, Trace, motor_outputs
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, compose, inverse
-from rover_ncp.course.course import TICK_S, Course, Verdict
+from rover_ncp.course.course import TICK_S, Course, Parked, Verdict
 from rover_ncp.recording.recorded import TICKS_TOPIC
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire.cdr import decode
@@ -138,12 +138,21 @@ class Timeline:
     @property
     def events(self) -> list[Event]:
         """Events in order, with the start signal once a tick has seen it."""
-        events = list(self._events)
+        events = [
+            event._replace(text=self.in_words(event.text)) if event.kind == "state" else event
+            for event in self._events
+        ]
         if self.ticks:
             signal = self.ticks[0].wall_ns + round(self.course.start_signal_s * 1e9)
             if self.ticks[-1].wall_ns >= signal:
                 events.append(Event(signal, "start", "start signal"))
         return sorted(events, key=lambda event: event.wall_ns)
+
+    def in_words(self, state: str) -> str:
+        """Return the driver's state; of a docking that succeeded, the driver says parked."""
+        if self.dock is None or state != Parked.YES:
+            return state
+        return "undocked" if self.dock.undock else "docked"
 
     def on_course(self, odometry: Pose) -> Pose | None:
         """Return a pose of odometry in the course frame; None before the first tick."""
@@ -266,7 +275,7 @@ class Timeline:
             raise FormatError(f"{TICKS_TOPIC}: {error}") from error
         if predicted:
             self.predicted += 1
-            words = f"no odometry in time: tick {index} ran on prediction"
+            words = f"no odometry in time: tick {index} ran on prediction; the drive went on"
             self._events.append(Event(message.log_ns, "late", words))
 
 
@@ -300,7 +309,7 @@ def _driver_events(before: DriverStatus | None, now: DriverStatus) -> Iterator[t
     if before is None or now.state != before.state:
         yield "stop" if now.state == "fault" else "state", now.state + _because(now.reason)
     if before is not None and now.overruns > before.overruns:
-        yield "late", f"tick {now.tick} was late"
+        yield "late", f"tick {now.tick} was late: this computer was busy; the drive went on"
 
 
 def _gate_events(before: GateStatus, now: GateStatus) -> Iterator[tuple[str, str]]:

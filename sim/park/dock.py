@@ -59,7 +59,10 @@ def run_dock(output: Output, out: Path, *, overwrite: bool) -> int:
         localise += ["--map", str(files["tags"]), "--robot", run.robot, "--picture", str(view), "--json"]
         tags = run.start_process(lambda: Process("tag", localise, out / "log"))
         tags.wait_for_line("localising")
-        output.say(f"mock, bridge ({run.robot}) and localiser are up; the circuit drives to the place")
+        output.say(
+            f"mock, bridge ({run.robot}) and localiser are up; policy course drives to the staging pose, "
+            f"policy dock from there to the place"
+        )
         driver = run.deploy("--to", str(files["place"]), "--record", str(recording), *overwriting)
         wait_for(lambda: _near(run, place.goal) or not driver.running, APPROACH_S, "the approach")
         if driver.running:

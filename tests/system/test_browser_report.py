@@ -25,6 +25,15 @@ FONT_SIZES = """[...document.querySelectorAll('main p, main li, main dd, main td
   .map(e => parseFloat(getComputedStyle(e).fontSize))"""
 CUT_TABLES = """[...document.querySelectorAll('.table .scroll')]
   .filter(e => e.scrollWidth > e.clientWidth).map(e => e.textContent)"""
+LABELS_COVER = """(() => {
+  const box = (e) => e.getBoundingClientRect(), plot = box(document.getElementById('path-plot'));
+  const texts = [...document.querySelectorAll('#path-plot .annotation-text')];
+  const labels = texts.map(e => [e.textContent, box(e)]);
+  const cut = labels.filter(([, a]) => a.right > plot.right || a.left < plot.left);
+  const over = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
+  const covering = labels.filter(([, a], k) => labels.slice(k + 1).some(([, b]) => over(a, b)));
+  return [...cut, ...covering].map(([words]) => words);
+})()"""
 FOCUSED = "(e => e.dataset.neuron || e.id || e.closest('[id]')?.id)(document.activeElement)"
 
 
@@ -163,11 +172,20 @@ def test_the_page_fits_and_is_photographed(opened):
     opened.to(7.0)
     width = page.viewport_size["width"]
     assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.evaluate(LABELS_COVER) == []
     sizes = page.evaluate(FONT_SIZES)
     assert min(sizes) >= 12
     drawn = page.evaluate("document.querySelector('#circuit .name').getBoundingClientRect().height")
     assert drawn >= 11
     opened.photograph(f"report_{width}")
+
+
+def test_a_window_that_gets_narrow_does_not_scroll_sideways(browser, drive):
+    watched = Watched(browser, drive.as_uri(), 500)
+    widths = """(() => { const e = document.documentElement; return e.scrollWidth <= innerWidth; })()"""
+    watched.page.set_viewport_size({"width": 400, "height": 3000})
+    assert watched.page.evaluate(widths)
+    watched.page.close()
 
 
 @pytest.mark.parametrize("width", [1280, 800, 400])

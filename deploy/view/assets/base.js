@@ -43,11 +43,12 @@ function plot(holder, height, traces, layout) {
   }, { displayModeBar: false, responsive: true, scrollZoom: false, doubleClick: false });
 }
 
-// A legend of lines beside a plot; Plotly's own would take its room from the plot.
-function legend(list, lines, others = []) {
+// A legend of lines and marks beside a plot; Plotly's own would take its room from the plot.
+const sample = (drawn, words) => `<li><svg width="32" height="14" aria-hidden="true">${drawn}</svg>${words}</li>`;
+function legend(list, lines, marks = []) {
   const items = lines.map(([words, { color, width, dash }]) =>
-    `<li><svg width="32" height="14" aria-hidden="true"><line x1="1" y1="7" x2="31" y2="7" stroke="${color}" stroke-width="${width}" stroke-dasharray="${DASHES[dash] || ""}"/></svg>${words}</li>`);
-  list.innerHTML = [...items, ...others.map((words) => `<li>${words}</li>`)].join("");
+    sample(`<line x1="1" y1="7" x2="31" y2="7" stroke="${color}" stroke-width="${width}" stroke-dasharray="${DASHES[dash] || ""}"/>`, words));
+  list.innerHTML = [...items, ...marks.map(([words, drawn]) => sample(drawn, words))].join("");
 }
 
 // The parts of a course that do not move: its checkpoints as a trace, goal and obstacles as shapes.

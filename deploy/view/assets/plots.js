@@ -6,6 +6,11 @@ const PATH_LINES = {
   true: { color: COLOR.ink, width: 1.5, dash: "dot" }, [`covariance, ${ELLIPSE_SIGMAS} σ`]: { color: COLOR.focus, width: 2 },
   [REFERENCE[0]]: REFERENCE[1], [GOAL[0]]: GOAL[1],
 };
+const PATH_MARKS = [
+  ["rover", `<rect x="5" y="1" width="22" height="12" fill="none" stroke="${COLOR.blue}" stroke-width="2"/><path d="M16 7H27" stroke="${COLOR.blue}" stroke-width="2"/>`],
+  ["checkpoint, its heading", `<path d="M10 2L22 7L10 12L13 7Z" fill="${COLOR.ink}"/>`],
+  ["the next one due", `<circle cx="16" cy="7" r="5.5" fill="none" stroke="${COLOR.red}" stroke-width="2.5"/>`],
+];
 const COMMAND_LINES = {
   [data.simulated ? "output" : "command sent"]: { color: COLOR.blue, width: 3 }, "setpoint of the gate": { color: COLOR.amber, width: 1.8, dash: "dash" },
   measured: { color: COLOR.ink, width: 1.2, dash: "dot" },
@@ -28,7 +33,7 @@ class PathPlot {
     const { course, drive: { odometry, ticks, truth } } = this.model;
     const lines = Object.entries(PATH_LINES), [estimate, alone, real, doubt] = lines.map(([, line]) => line);
     const empty = [!ticks.t.length, !odometry.t.length, !truth.t.length, !ticks.ellipse];
-    legend($("path-legend"), lines.filter((_, k) => !empty[k]), ["arrow: checkpoint", "ring: the next one due"]);
+    legend($("path-legend"), lines.filter((_, k) => !empty[k]), PATH_MARKS);
     const path = ({ x, y, t }, line) => ({ x, y, mode: "lines", line, text: t, hovertemplate: "%{text} s<extra></extra>" });
     const moving = (style) => ({ x: [], y: [], mode: "lines", hoverinfo: "skip", ...style });
     const traces = [
@@ -42,8 +47,12 @@ class PathPlot {
     const corners = course.obstacles.flat();
     const [x, y] = ["x", "y"].map((name, k) =>
       range([shown[k], ticks[name], truth[name], odometry[name], corners.map((corner) => corner[k])], 0.38));
-    plot(this.holder, narrow() ? 340 : 500, traces, {
-      ...meters(x, y), margin: { l: 46, r: 8, t: 8, b: 40, autoexpand: false }, hovermode: "closest", shapes: ground(course), annotations: this.deadlines(),
+    // As high as the path is wide and high, so that a straight one does not get an axis of empty metres.
+    const margin = { l: 46, r: 8, t: 8, b: 40, autoexpand: false }, wide = this.holder.clientWidth - margin.l - margin.r;
+    const high = clamp((wide * (y[1] - y[0])) / (x[1] - x[0]), 150, narrow() ? 300 : 450);
+    const scale = Math.min(wide / (x[1] - x[0]), high / (y[1] - y[0]));
+    plot(this.holder, high + margin.t + margin.b, traces, {
+      ...meters(x, y), margin, hovermode: "closest", shapes: ground(course), annotations: this.deadlines(scale, x[1]),
     });
   }
 
@@ -59,13 +68,20 @@ class PathPlot {
     };
   }
 
-  // Deadlines beside the checkpoints; a label that would cover an earlier one is left out.
-  deadlines() {
-    const labelled = [], room = narrow() ? 0.16 : 0.07;
-    for (const place of this.model.course.deadlines) {
-      if (labelled.every(([x, y]) => Math.hypot(place[0] - x, place[1] - y) > room)) labelled.push(place);
+  // Deadlines beside the checkpoints, at `scale` pixels per metre; one that would cover an earlier one is left out.
+  deadlines(scale, right) {
+    const size = 11, labelled = [];
+    for (const [x, y, text] of this.model.course.deadlines) {
+      const width = 0.62 * size * text.length, flipped = scale * (right - x) < width + 7;
+      const left = scale * x + (flipped ? -7 - width : 7), top = scale * y;
+      // Right of a flipped label, that of an earlier place would be taken for a later one.
+      const label = { x, y, text, flipped, left, top, end: flipped ? Infinity : left + width + 4 };
+      const covers = (other) => left < other.end && other.left < label.end && Math.abs(top - other.top) < 1.3 * size;
+      if (!labelled.some(covers)) labelled.push(label);
     }
-    return labelled.map(([x, y, text]) => ({ x, y, text, showarrow: false, xanchor: "left", yanchor: "top", xshift: 7, yshift: -3, font: { size: 11 } }));
+    return labelled.map(({ x, y, text, flipped }) => ({
+      x, y, text, showarrow: false, xanchor: flipped ? "right" : "left", yanchor: "top", xshift: flipped ? -7 : 7, yshift: -3, font: { size },
+    }));
   }
 
   choose(index) {

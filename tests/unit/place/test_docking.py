@@ -45,7 +45,17 @@ def test_docking_is_replayed_to_the_last_bit(docked):
 
 
 def test_report_names_the_place_and_how_it_ended(docked):
-    assert "docked" in summarise(read_drive(docked.path)).headline.lower()
+    drive = read_drive(docked.path)
+    summary = summarise(drive)
+    rows = dict(summary.rows)
+    assert "docked" in summary.headline.lower()
+    assert summary.subline.startswith("policies course (to the staging pose) and dock at place ")
+    assert rows["Ended as"] == "docked"
+    assert rows["Estimate"].endswith(
+        " mm from the true position in 95 % of drives; this is no error of the docking"
+    )
+    states = [event.text for event in drive.timeline.events if event.kind == "state"]
+    assert states[-1] == "docked"
 
 
 def test_report_explains_each_part_of_the_way_by_the_policy_that_drove_it(docked):

@@ -132,7 +132,7 @@ def test_the_summary_names_verdict_rates_and_origin(tmp_path):
     summary = summary_of(tmp_path)
     rows, origin = dict(summary.rows), dict(summary.origin)
     assert summary.parked is Parked.NO
-    assert summary.headline.startswith("Not parked: ")
+    assert summary.headline.startswith("Not parked (true pose): ")
     assert "from the goal" in rows["By the true pose"]
     assert rows["Ticks"] == "40 at 10.00 Hz, 0 late, 0 on prediction"
     assert rows["Odometry"] == "41 at 10.00 Hz"
@@ -154,7 +154,7 @@ def test_the_summary_has_a_stop_and_its_reason(tmp_path):
     ]
     summary = summary_of(tmp_path, more=more)
     rows = dict(summary.rows)
-    assert summary.headline == "Not parked: touched an obstacle"
+    assert summary.headline == "Not parked (true pose): touched an obstacle"
     assert rows["Ended as"] == "fault: stopped by bumper"
     assert rows["Gate"] == "40 commands accepted, 3 dropped (stale 3), 0 limited, 1 stops (bumper 1)"
     assert rows["Ticks"].endswith("2 late, 0 on prediction")
@@ -215,9 +215,22 @@ def test_an_uncertain_verdict_is_shown_as_such(tmp_path):
     assert '"doubt">Parked, uncertain<' in drive_page(drive)
 
     write_drive(tmp_path / "true.mcap", **known)  # where the true pose is known, it counts
-    summary = summarise(read_drive(tmp_path / "true.mcap"))
-    assert summary.headline == "Parked"
+    drive = read_drive(tmp_path / "true.mcap")
+    summary = summarise(drive)
+    assert summary.headline == "Parked (true pose)"
+    assert '"good">Parked (true pose)<' in drive_page(drive)
     assert dict(summary.rows)["By the estimated pose"].startswith("parked, uncertain, ")
+
+
+def test_the_drivers_uncertain_verdict_is_never_shown_as_parked(tmp_path):
+    uncertain = state(DriverStatus(state=Parked.UNCERTAIN, reason="33 %", tick=320), BEGAN_NS + 400 * TICK_NS)
+    write_drive(tmp_path / "run.mcap", truth=False, more=[uncertain])
+    summary = summarise(read_drive(tmp_path / "run.mcap"))
+    assert dict(summary.rows)["By the estimated pose"].startswith("parked, ")
+    assert (summary.parked, summary.headline) == (Parked.UNCERTAIN, "Parked, uncertain: 33 %")
+    write_drive(tmp_path / "true.mcap", more=[uncertain])
+    summary = summarise(read_drive(tmp_path / "true.mcap"))
+    assert summary.headline == "Parked (true pose): the driver's own verdict is uncertain"
 
 
 def test_the_live_page_shows_an_uncertain_verdict():

@@ -71,16 +71,35 @@ def test_phases_are_the_signs_of_the_commands():
 
 
 def test_command_below_a_tenth_of_the_range_counts_as_zero():
-    assert phases(trace_of([(0.0159, 0.0179)] * 9))[0].label == "standing still"
-    assert phases(trace_of([(0.0161, -0.0181)] * 9))[0].label == "right turn"
+    assert phases(trace_of([(0.0159, 0.0179)] * 30))[0].label == "hardly moving"
+    assert phases(trace_of([(0.0161, -0.0181)] * 30))[0].label == "right turn"
+    assert phases(trace_of([(0.001, 0.001)] * 30))[0].label == "standing still"
 
 
 def test_a_long_phase_is_named_for_what_its_small_commands_add_up_to():
     creep, bend = (0.011, 0.0), (0.1, 0.017)  # below a tenth of 0.16 m/s and of 0.18 rad/s
     found = phases(trace_of([LEFT] * 20 + [AHEAD] * 10 + [bend] * 140 + [creep] * 150))
     assert [phase.label for phase in found] == ["left turn", "straight ahead"]
-    assert phases(trace_of([creep] * 40))[0].label == "standing still"
+    assert phases(trace_of([creep] * 40))[0].label == "hardly moving"
     assert phases(trace_of([(-0.011, 0.0)] * 150))[0].label == "straight back"
+
+
+def test_a_phase_is_named_for_its_net_motion_and_not_for_its_commands():
+    asked = [(0.1, 0.02)] * 60 + [STAND] * 10  # to the left
+    found = trace_of(asked)
+    straight = dataclasses.replace(found, poses=trace_of([(0.1, -0.005)] * 60 + [STAND] * 10).poses)
+    assert [phase.label for phase in phases(straight)] == ["straight ahead", "standing still"]
+    assert phases(straight)[0].signs == (1, 0)  # no motor neuron is named for a turn
+    blocked = dataclasses.replace(found, poses=np.zeros((71, 3)))
+    assert [phase.label for phase in phases(blocked)] == ["standing still"]
+
+
+@pytest.mark.parametrize(("command", "label"), [(AHEAD, "straight back"), (LEFT, "left turn backwards")])
+def test_a_policy_that_drives_the_tail_first_moves_the_rover_back(command, label):
+    found = trace_of([STAND] * 10 + [command] * 20)
+    tail_first = dataclasses.replace(found, poses=found.poses + np.array([0, 0, np.pi]))
+    assert [phase.label for phase in phases(tail_first)] == ["standing still", label]
+    assert phases(tail_first)[1].signs == phases(found)[1].signs
 
 
 def test_short_phase_is_merged_with_its_longer_neighbour():

@@ -164,7 +164,7 @@ def run(
 @tag.command()
 def relay(
     *,
-    source: Annotated[
+    topic: Annotated[
         str,
         typer.Option(
             "--from", help="The robot's Zenoh router and the topic: ros2/tcp/HOST[:PORT]#topic=amcl_pose"
@@ -189,7 +189,7 @@ def relay(
     from deploy.zenoh_client import BridgeAddress
 
     output, address = Output(json, controls=True), BridgeAddress(robot, namespace, zenoh_config)
-    return run_relay(source, address=address, frame=frame, seconds=seconds, output=output)
+    return run_relay(topic, address=address, frame=frame, seconds=seconds, output=output)
 
 
 def parse_ids(text: str) -> list[int]:

@@ -201,9 +201,10 @@ def test_each_right_follows_from_the_table_of_keys():
     assert {item for item in allowed if "*" in item[3] or not item[3].startswith("bot1/")} == set()
     ingress = {(who, key) for who, flow, message, key in allowed if (flow, message) == ("ingress", "put")}
     assert {key for who, key in ingress if who == "viewer"} == set()
-    assert {key for who, key in ingress if who == "localiser"} == {"bot1/pose"}
-    assert {key for who, key in ingress if who == "driver"} == {
-        f"bot1/{name}" for name in ("cmd_vel", "pose", "rover/estimate", "rover/neurons", "rover/status")
+    localiser = {"bot1/pose", "bot1/tag_view/compressed"}
+    assert {key for who, key in ingress if who == "localiser"} == localiser
+    assert {key for who, key in ingress if who == "driver"} == localiser | {
+        f"bot1/{name}" for name in ("cmd_vel", "rover/estimate", "rover/neurons", "rover/status")
     }
     assert {(who, key) for who, flow, message, key in allowed if (flow, message) == ("ingress", "query")} == {
         ("driver", f"bot1/rover/{name}") for name in ("motors", "stop", "reset_odometry", "base")

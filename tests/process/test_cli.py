@@ -30,7 +30,7 @@ for command in json.loads(sys.argv[1]):
 """
 
 
-PARTS = {"tag": "tag run"}
+PARTS = {"paper": "paper report", "tag": "tag run"}
 """Of a command of several, one."""
 
 

@@ -13,7 +13,8 @@ from rover_ncp.recording.recording import read_recording
 from rover_ncp.wire.cdr import decode
 
 VIEWING = ROOT / "docs" / "viewing"
-LAYOUT = json.loads((VIEWING / "rover-ncp.json").read_text())["configById"]
+FOXGLOVE = json.loads((VIEWING / "rover-ncp.json").read_text())
+LAYOUT = FOXGLOVE["configById"]
 RERUN = run_path(str(VIEWING / "rerun_drive.py"))
 PATHS = [path["value"] for panel in LAYOUT.values() for path in panel.get("paths", ())]
 """Of the plots: TOPIC.FIELD.FIELD or TOPIC.FIELD[INDEX]."""
@@ -47,6 +48,11 @@ def test_every_plotted_field_is_in_its_message(path, recorded):
         value = getattr(value, name)
         value = value[int(index)] if index else value
     assert isinstance(float(value), float)
+
+
+def test_every_panel_of_the_foxglove_layout_has_a_place():
+    placed = json.dumps(FOXGLOVE["layout"])
+    assert all(name in placed for name in LAYOUT)
 
 
 def test_foxglove_layout_plots_every_neuron_of_the_shipped_policies():

@@ -1,27 +1,20 @@
-"""Topics in a recording for viewers, and the layout file for them."""
+"""Topics in a recording for viewers."""
 
-import json
-import re
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from kit.paths import ROOT
 
 from deploy.drive.controller import Tick
 from deploy.drive.measurements import SampleRef
 from deploy.drive.publisher import Publisher
 from deploy.drive.records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord, numbers
 from deploy.estimator.estimator import Estimate
-from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.core.geometry import STANDSTILL, Pose, compose
 from rover_ncp.wire.cdr import decode
-from rover_ncp.wire.key_table import KEYS
 from rover_ncp.wire.messages import read_neurons
-from sim.live.truth import TRUTH_TOPIC
 
 NAMES = ("A", "B", "Long_name")
-LAYOUT = ROOT / "docs" / "viewing" / "rover-ncp.json"
 
 
 def recorded(ticks=3):
@@ -71,25 +64,3 @@ def test_the_path_is_whole_and_there_from_the_start():
     assert [pose.pose.position.x for pose in poses] == pytest.approx([0.0, 0.1, 0.2])
     assert [m.topic for m in messages].count("deploy/pose") == 3
     assert [message.topic for message in recorded(ticks=0)] == ["deploy/frames"]
-
-
-def test_the_layout_shows_topics_that_recordings_have():
-    layout = json.loads(LAYOUT.read_text())
-    known = {row.name for row in KEYS} | {message.topic for message in recorded()} | {TRUTH_TOPIC}
-    known |= {f"neurons/{name}" for name in load_circuit("parking").neurons}
-    panels = layout["configById"]
-    shown, plotted = set(), []
-    for name, panel in panels.items():
-        if name.startswith("3D!"):
-            shown |= set(panel["topics"])
-        plotted += [path["value"] for path in panel.get("paths", [])]
-        if "topicPath" in panel:
-            plotted.append(panel["topicPath"])
-    topics = {re.split(r"\.|\[", path)[0] for path in plotted}
-    assert shown | topics <= known
-    # Each neuron of the parking circuit is a named series.
-    labels = {p["value"]: p["label"] for panel in panels.values() for p in panel.get("paths", [])}
-    for name in load_circuit("parking").neurons:
-        assert labels[f"neurons/{name}.data[0]"] == name
-    placed = json.dumps(layout["layout"])
-    assert all(name in placed for name in panels)

@@ -57,7 +57,7 @@ def random_messages():
 
 
 def test_random_messages_of_ros_have_equal_values_and_bytes_here(random_messages):
-    assert len(random_messages) == EACH * 16
+    assert len(random_messages) == EACH * len(TYPES - NO_WHEEL)
     for found in random_messages:
         message = decode(found["type"], bytes.fromhex(found["bytes"]))
         assert plain(fields(message)) == found["values"], found["type"]
@@ -84,7 +84,7 @@ def read_by_ros(messages):
 
 def test_hashes_and_keys_of_types_are_those_of_ros(random_messages):
     hashes = {found["type"]: found["hash"] for found in random_messages}
-    assert len(hashes) == 16
+    assert set(hashes) == TYPES - NO_WHEEL
     for ros_type, known in hashes.items():
         assert type_hash(ros_type) == known
         package, _, name = ros_type.split("/")

@@ -95,7 +95,7 @@ def test_poses_of_ros_nodes_become_a_place(ros_type, fields, options, pioneer, t
     inner = fields["pose"] | {"pose": pose} if fields["pose"] else pose
     message = {"header": {"frame_id": "map"}, "pose": inner}
     with pioneer.topic("pub", "pose", ros_type, json.dumps(message), *options):
-        assert cli.run(["place", "set", "charger", "--robot", pioneer.robot, "--seconds", "2"]) == 0
+        assert cli.run(["place", "set", "charger", "--robot", pioneer.robot, "--seconds", "8"]) == 0
     place = load_place("charger")
     assert place.frame == "map"
     assert (place.goal.x, place.goal.y, abs(place.goal.theta)) == pytest.approx((2.0, 1.0, 3.14159), abs=1e-4)

@@ -45,6 +45,8 @@ class DriveTrain:
         self._heading: float | None = None
         self._commanded: tuple[float, float] | None = None
         """The setpoints in force; None while the motors are off or rest."""
+        self._driven = 0.0, 0.0
+        """The motion that they led to."""
         self._pushing_s = self._resting_s = 0.0
         self.restore_flash()
 
@@ -152,7 +154,8 @@ class DriveTrain:
         idle = halted or not self.enabled or self._resting_s > 0.0
         wanted = None if idle else (self._speed(), self._turn())
         if wanted != self._commanded:
-            self.rover.command(*((0.0, 0.0) if wanted is None else self._trial.driven(*wanted)))
+            self._driven = (0.0, 0.0) if wanted is None else self._trial.driven(*wanted, self._driven)
+            self.rover.command(*self._driven)
             self._commanded = wanted
         self.rover.substep()
         self._count_way()

@@ -30,7 +30,6 @@ class BaseTrial:
     def __init__(self, trials: Trials) -> None:
         self._trials = trials
         self._base = base_errors(trials, 0)
-        self._driven = 0.0, 0.0
         self._odometry = odometry_errors(trials._replace(sensors=(False, False)), 0)
         self.efforts = dict(
             zip(("accel", "alpha", "decel", "alpha_decel"), trials.acceleration[0].tolist(), strict=True)
@@ -39,10 +38,9 @@ class BaseTrial:
         self.tick = -1
         """Before the first; and after the last there is neither loss nor push."""
 
-    def driven(self, v: float, omega: float) -> tuple[float, float]:
-        """Return the motion that a setpoint (m/s, rad/s) leads to."""
-        self._driven = apply_base_errors(v, omega, self._base, self._driven)
-        return self._driven
+    def driven(self, v: float, omega: float, before: tuple[float, float]) -> tuple[float, float]:
+        """Return the motion that a setpoint (m/s, rad/s) leads to after the motion of the one before."""
+        return apply_base_errors(v, omega, self._base, before)
 
     def measured(self, motion: Velocity) -> Velocity:
         """Return the motion that encoders and gyro see."""

@@ -12,8 +12,7 @@ from sim.world.randomization import Trials
 
 
 class BaseErrors(NamedTuple):
-    """Errors between command and motion; gains, rad/m, s; of the motors m/s, rad/s, m, rad/m,
-    share."""
+    """Errors between command and motion; gains, rad/m, s; of the motors m/s, rad/s, m, rad/m, a share."""
 
     gain_v: float
     gain_omega: float
@@ -79,7 +78,7 @@ def odometry_errors(trials: Trials, row: int) -> OdometryErrors:
 
 
 def apply_base_errors(
-    v: float, omega: float, base: BaseErrors, before: tuple[float, float] = (0.0, 0.0)
+    v: float, omega: float, base: BaseErrors, before: tuple[float, float]
 ) -> tuple[float, float]:
     """Return what a base makes of a command (m/s, rad/s): the motion it then accelerates to.
 

@@ -16,16 +16,19 @@ from rover_ncp.cli import run
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, distance
 from rover_ncp.course.course import Parked, load_course
+from rover_ncp.robot.description import load_description
 from rover_ncp.robot.profile import RoverProfile, load_profile
 from sim.evaluate.evaluate import drive_trials
 from sim.learn.engine.driver import circuit_driver, load_driver
 from sim.learn.engine.rollout import rollout
+from sim.pioneer.drive_train import DriveTrain
 from sim.pioneer.trial import BaseTrial
 from sim.stack.camera import Camera
 from sim.stack.estimates import summary
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
 from sim.world.described import default_rover, ranges_for
+from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import Randomization, draw_trials, load_randomization, nominal_trials
 from sim.world.skid_robot import Contact, SkidRanges
 
@@ -177,9 +180,31 @@ def test_encoders_see_what_odometry_in_the_simulator_sees():
     assert seen.omega == pytest.approx(heading_scale * turn + trials.drift[0])
 
 
+def test_stiction_holds_a_base_again_after_its_watchdog_halted_it():
+    ranges = Randomization(name="sticks", dead_band_m_s=(0.1, 0.1), stiction=(0.5, 0.5))
+    trials = draw_trials(ranges, default_rover(), 1, count=1, ticks=1)
+    wheels = DriveTrain(
+        load_description("p3at-sh"), PymunkRover(default_rover(), Ground()), BaseTrial(trials)
+    )
+
+    def speed(v):
+        wheels.set_speed(v)
+        for _ in range(300):
+            wheels.substep(False)
+        return wheels.rover.velocity.v
+
+    wheels.enable(True)
+    assert speed(0.08) == 0.0
+    assert speed(0.15) == pytest.approx(0.15, abs=1e-6)
+    assert speed(0.08) == pytest.approx(0.08, abs=1e-6)
+    for _ in range(300):
+        wheels.substep(True)
+    assert speed(0.08) == 0.0
+
+
 def test_without_a_trial_a_base_is_as_it_should_be():
     base = BaseTrial(nominal_trials(default_rover(), 1))
-    assert base.driven(0.123, -0.456) == (0.123, -0.456)
+    assert base.driven(0.123, -0.456, (0.0, 0.0)) == (0.123, -0.456)
     assert base.measured(Velocity(0.123, -0.456)) == (0.123, -0.456)
     assert set(base.efforts.values()) == {1.0}
 

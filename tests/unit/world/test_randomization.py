@@ -221,7 +221,7 @@ CREEPS = {"creep": 0.004, "pull": 0.5}
 )
 def test_what_a_base_makes_of_a_command(errors, command, moves):
     base = BaseErrors(1.0, 1.0, 0.0, 0.0)._replace(**errors)
-    assert apply_base_errors(*command, base) == pytest.approx(moves, abs=1e-15)
+    assert apply_base_errors(*command, base, (0.0, 0.0)) == pytest.approx(moves, abs=1e-15)
 
 
 @pytest.mark.parametrize(

@@ -131,7 +131,7 @@ test-torch: $(GRADIENTS_STAMP) ## CfC and LTC against the library ncps, whose ce
 # All platforms and Pythons in one file; no address, so that any index can serve it. gradients has no lock: torch comes from
 # an index of its choice.
 LOCK := uv pip compile --quiet --universal --python-version 3.11 --constraint constraints.txt --generate-hashes \
-	--no-header --no-annotate --no-emit-index-url pyproject.toml
+	--no-header --no-annotate pyproject.toml
 .PHONY: lock
 lock: ## Write requirements/: the versions of constraints.txt with hashes, for each extra. Needs uv.
 	$(LOCK) --output-file requirements/base.txt

@@ -18,7 +18,7 @@ from bridge.pioneer.base_connection import first_connection
 from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
-from bridge.ros2.address import PREFIX, RosAddress, parse_ros_address
+from bridge.ros2.address import RosAddress, parse_ros_address
 from bridge.ros2.base import LoopSeen, Ros2Base
 from bridge.ros2.connection import LOOP_KEY, RosConnection
 from bridge.zenoh.link import ZenohLink
@@ -26,6 +26,7 @@ from rover_ncp.core.config import load_yaml, validated
 from rover_ncp.core.errors import NoRobot, RoverNcpError, UsageError
 from rover_ncp.core.files import shipped_names
 from rover_ncp.robot.description import RobotDescription, Topics, load_description
+from rover_ncp.wire.address import ROS2
 
 BASES = "rover_ncp.bases"
 
@@ -63,7 +64,7 @@ def choose_base(address: str, model: str, zenoh_config: Path | None = None) -> C
 
     Raises UsageError, FileError or ConfigError.
     """
-    ros2 = parse_ros_address(address, zenoh_config) if address.startswith(PREFIX) else None
+    ros2 = parse_ros_address(address, zenoh_config) if address.startswith(ROS2) else None
     if zenoh_config is not None and ros2 is None:
         raise UsageError(f"--base-zenoh-config: {address} is not a ROS 2 robot (ros2/tcp/HOST)")
     other = next(iter(entry_points(group=BASES, name=address.partition("/")[0])), None)

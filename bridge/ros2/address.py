@@ -4,11 +4,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from bridge.ros2.discovery import Convention
-from bridge.ros2.rmw import read_domain
 from rover_ncp.core.console import printable
 from rover_ncp.core.errors import UsageError
 from rover_ncp.robot.description import Topics
-from rover_ncp.wire.address import parse_address
+from rover_ncp.wire.address import parse_ros_endpoint
 from rover_ncp.wire.messages import (
     BATTERY_STATE,
     BOOL,
@@ -21,7 +20,6 @@ from rover_ncp.wire.messages import (
 )
 from rover_ncp.wire.zenoh import PORT
 
-PREFIX = "ros2/"
 _FORM = (
     "expected ros2/tcp/HOST[:PORT], then #rmw=zenoh&domain=N for rmw_zenoh (&distro=humble for Humble's), "
     "&namespace=NAME for a namespace, and &odom=, &cmd_vel=, &cmd_vel_type= ... for a description's topics"
@@ -47,29 +45,17 @@ class RosAddress:
 
 def parse_ros_address(text: str, zenoh_config: Path | None = None) -> RosAddress:
     """Read ``ros2/tcp/HOST[:PORT][#rmw=zenoh&domain=N&namespace=NAME&odom=TOPIC...]``. Raises UsageError."""
-    where = parse_address(text.removeprefix(PREFIX), PORT)
-    settings = "" if where is None else where.settings.removeprefix("#")
-    found = dict(item.partition("=")[::2] for item in settings.split("&") if item)
-    rmw, number = found.pop("rmw", "ros2dds"), found.pop("domain", "0")
-    namespace, distro = found.pop("namespace", "").strip("/"), found.pop("distro", "jazzy")
-    topics = {name: value.strip("/") for name, value in found.items()}
-    if not (
-        text.startswith(PREFIX)
-        and where is not None
-        and where.protocol in {"tcp", "tls", "quic"}
-        and where.connectable
-        and rmw in {"zenoh", "ros2dds"}
-        and (domain := read_domain(number)) is not None
-        and distro in {"jazzy", "humble"}
-        and topics.keys() <= Topics.model_fields.keys()
-    ):
+    where = parse_ros_endpoint(text, PORT)
+    settings = {} if where is None else dict(where.settings)
+    distro = settings.pop("distro", "jazzy")
+    topics = {name: value.strip("/") for name, value in settings.items()}
+    if where is None or distro not in {"jazzy", "humble"} or not topics.keys() <= Topics.model_fields.keys():
         raise UsageError(f"base {printable(text)}: {_FORM}")
-    convention = Convention.RMW_ZENOH if rmw == "zenoh" else Convention.ROS2DDS
     return RosAddress(
-        str(where._replace(settings="")),
-        convention,
-        domain,
-        namespace,
+        where.endpoint,
+        Convention.RMW_ZENOH if where.rmw_zenoh else Convention.ROS2DDS,
+        where.domain,
+        where.namespace,
         hashed=distro != "humble",
         topics=topics,
         zenoh_config=zenoh_config,

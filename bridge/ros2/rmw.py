@@ -14,11 +14,10 @@ import xxhash
 
 from bridge.ros2.discovery import Announced
 from rover_ncp.core.errors import FormatError, UsageError
+from rover_ncp.wire.address import MAX_DOMAIN, read_domain
 from rover_ncp.wire.cdr import type_hash
 
 NODE_NAME = "rover_bridge"
-MAX_DOMAIN = 232
-"""The largest ROS_DOMAIN_ID whose ports DDS has."""
 _NAMESPACE = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 # What differs from rmw_zenoh's defaults (reliable, volatile, keep the last 42, no deadlines):
 # reliability:durability:history,depth:deadline:lifespan:liveliness.
@@ -136,11 +135,6 @@ def domain_id(environment: Mapping[str, str]) -> int:
     if domain is None:
         raise UsageError(f"ROS_DOMAIN_ID={value}: expected a number from 0 to {MAX_DOMAIN}")
     return domain
-
-
-def read_domain(value: str) -> int | None:
-    """Read a domain; None if it is none."""
-    return int(value) if value.isascii() and value.isdigit() and int(value) <= MAX_DOMAIN else None
 
 
 def _mangled(name: str) -> str:

@@ -19,12 +19,7 @@ from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
 from rover_ncp.wire.cdr import decode, encode
 from rover_ncp.wire.key_table import KEYS, TAG_VIEW, spec
-from rover_ncp.wire.messages import (
-    BASE_FRAME,
-    TF,
-    pose_with_covariance,
-    read_yaw,
-)
+from rover_ncp.wire.messages import BASE_FRAME, TF, pose_with_covariance, read_yaw
 
 BASE_FRAMES = BASE_FRAME, "base_footprint"
 """Names of the base, whose pose in the plane is the same."""
@@ -52,7 +47,7 @@ class PoseLink(ZenohClient):
 
     @property
     def watched(self) -> bool:
-        """Whether somebody receives pictures."""
+        """Whether a page receives pictures."""
         return matches(self._viewed)
 
     def show(self, jpeg: bytes) -> None:

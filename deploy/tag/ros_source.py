@@ -8,10 +8,8 @@ from typing import NamedTuple, Self
 import zenoh
 
 from rover_ncp.core.errors import NoRobot, UsageError
-from rover_ncp.wire.address import parse_address
+from rover_ncp.wire.address import parse_ros_endpoint
 from rover_ncp.wire.zenoh import PORT, client_config, reason
-
-PREFIX = "ros2/"
 
 
 class RosSource(NamedTuple):
@@ -20,24 +18,22 @@ class RosSource(NamedTuple):
     endpoint: str
     topic: str
     namespace: str
-    domain: str | None
+    domain: int | None
 
     @classmethod
     def parse(cls, source: str, name: str, topic: str) -> Self:
         """Read an address as that of ``bridge --base``, with ``name`` for the topic. Raises UsageError."""
-        where = parse_address(source.removeprefix(PREFIX), PORT)
-        settings = "" if where is None else where.settings.removeprefix("#")
-        found = dict(item.partition("=")[::2] for item in settings.split("&") if item)
-        topic, namespace = found.pop(name, topic).strip("/"), found.pop("namespace", "").strip("/")
-        rmw, domain = found.pop("rmw", "ros2dds"), found.pop("domain", "0")
-        known = rmw in {"zenoh", "ros2dds"} and domain.isdigit() and topic and not found
-        if not source.startswith(PREFIX) or where is None or not where.connectable or not known:
+        where = parse_ros_endpoint(source, PORT)
+        settings = {} if where is None else dict(where.settings)
+        topic = settings.pop(name, topic).strip("/")
+        if where is None or settings or not topic:
             raise UsageError(
                 f"{source}: expected ros2/tcp/HOST[:PORT][#{name}=TOPIC&namespace=NAME], with "
                 "&rmw=zenoh&domain=N for rmw_zenoh"
             )
+        namespace = where.namespace
         topic = f"{namespace}/{topic}" if namespace else topic
-        return cls(str(where._replace(settings="")), topic, namespace, domain if rmw == "zenoh" else None)
+        return cls(where.endpoint, topic, namespace, where.domain if where.rmw_zenoh else None)
 
     def key(self, topic: str) -> str:
         """Return the key expression of a topic of this robot, whatever its type."""

@@ -14,7 +14,6 @@ from deploy.tag.detector import Detection, Detector
 from deploy.tag.localiser import Localiser, TagCalibration, TagRunResult, drawn, tag_pose
 from deploy.tag.relay import PoseLink
 from deploy.tag.ros_camera import RosCamera, ros_camera_file
-from deploy.tag.ros_source import PREFIX
 from deploy.tag.sheet import Board
 from deploy.tag.tag_map import CameraFile, Mount, load_camera, load_camera_info, load_tag_map
 from deploy.zenoh_client import BridgeAddress, ZenohClient
@@ -26,6 +25,7 @@ from rover_ncp.core.files import require_writable, write_atomic
 from rover_ncp.core.geometry import Pose, wrap_angle
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
+from rover_ncp.wire.address import ROS2
 from rover_ncp.wire.key_table import KeySpec
 from rover_ncp.wire.messages import pose_with_covariance, read_odometry
 
@@ -48,7 +48,7 @@ def run_localiser(
     tag_map = load_tag_map(map_file)
     if camera_file is not None:
         camera = load_camera(camera_file)
-    elif source.startswith(PREFIX):
+    elif source.startswith(ROS2):
         camera = ros_camera_file(source)
         output.say(f"by camera_info and tf_static: {camera.intrinsics}; mount {camera.mount}")
     else:
@@ -195,7 +195,7 @@ class _Odometry:
 @contextlib.contextmanager
 def opened(source: str, delay_s: float = 0.0) -> Iterator[tuple[Iterator[Picture], bool]]:
     """Open a source of pictures, and say whether it is a camera that runs."""
-    pictures = RosCamera(source, delay_s) if source.startswith(PREFIX) else pictures_of(source, delay_s)
+    pictures = RosCamera(source, delay_s) if source.startswith(ROS2) else pictures_of(source, delay_s)
     if isinstance(pictures, LiveCamera):
         with pictures:
             yield iter(pictures), True

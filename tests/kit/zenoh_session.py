@@ -1,6 +1,9 @@
 """Zenoh sessions with settings of their own."""
 
+import itertools
 import json
+import threading
+from contextlib import contextmanager
 
 import zenoh
 
@@ -20,3 +23,27 @@ def open_router(protocol="tcp", **settings):
     session = open_session("router", own | settings)
     (reply,) = session.get(f"@/{session.info.zid()}/router", timeout=2.0)
     return session, json.loads(reply.ok.payload.to_string())["locators"][0]
+
+
+@contextmanager
+def repeating(session, period_s):
+    """Yield a function that has another one called with 0, 1, ... by a thread; in the end close the session."""
+    ended, threads = threading.Event(), []
+
+    def start(put):
+        def run():
+            for number in itertools.count():
+                if ended.wait(period_s):
+                    return
+                put(number)
+
+        threads.append(threading.Thread(target=run))
+        threads[-1].start()
+
+    try:
+        yield start
+    finally:
+        ended.set()
+        for thread in threads:
+            thread.join()
+        session.close()

@@ -1,12 +1,10 @@
 """The command ``place`` beside a process that publishes poses, in each form that ROS sends them."""
 
 import json
-import socket
-import threading
 
 import numpy as np
 import pytest
-from kit.zenoh_session import open_session
+from kit.zenoh_session import open_router, repeating
 
 from bridge.ros2.rmw import Topic
 from deploy.place.place import load_place
@@ -20,24 +18,14 @@ DOCKED = Pose(2.0, 1.0, 3.1)
 @pytest.fixture
 def publish():
     """Return a function that publishes poses on a key until the test ends, and the address to reach it."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        address = f"tcp/127.0.0.1:{server.getsockname()[1]}"
-    session, ended, threads = open_session("router", {"listen/endpoints": [address]}), threading.Event(), []
+    session, address = open_router()
+    with repeating(session, 0.02) as start:
 
-    def run(key, data):
-        while not ended.wait(0.02):
-            session.put(key, data)
+        def publish(key, data):
+            start(lambda number: session.put(key, data))
+            return address
 
-    def publish(key, data):
-        threads.append(threading.Thread(target=run, args=(key, data)))
-        threads[-1].start()
-        return address
-
-    yield publish
-    ended.set()
-    for thread in threads:
-        thread.join()
-    session.close()
+        yield publish
 
 
 @pytest.mark.parametrize(

@@ -1,15 +1,13 @@
 """A camera of a ROS 2 robot in both Zenoh forms: its pictures, its camera_info and its place on the robot."""
 
-import itertools
 import json
 import math
-import threading
 
 import cv2
 import numpy as np
 import pytest
 from kit.tags import CAMERA, PICTURE, WALL, picture_of
-from kit.zenoh_session import open_router
+from kit.zenoh_session import open_router, repeating
 from scipy.spatial.transform import Rotation
 
 from bridge.ros2.discovery import Convention
@@ -152,7 +150,15 @@ def test_source_names_router_and_key(source, key):
 
 
 @pytest.mark.parametrize(
-    "source", ["ros2/", "ros2/tcp/robot#rmw=dds", "ros2/tcp/robot#topic=x", "ros2/tcp/r:0"]
+    "source",
+    [
+        "ros2/",
+        "ros2/tcp/robot#rmw=dds",
+        "ros2/tcp/robot#topic=x",
+        "ros2/tcp/r:0",
+        "ros2/udp/robot",
+        "ros2/tcp/robot#rmw=zenoh&domain=233",
+    ],
 )
 def test_source_of_another_form_is_refused(source):
     with pytest.raises(UsageError, match=r"expected ros2/tcp/HOST"):
@@ -177,31 +183,20 @@ def test_transforms_give_a_pose_each_time_the_localiser_corrects():
 def publish():
     """Return a function that publishes a robot's topics until the test ends, and the router's address."""
     session, address = open_router()
-    ended, threads, latched = threading.Event(), [], []
+    latched = []
+    with repeating(session, 0.05) as start:
 
-    def publish(convention, topics):
-        node = RosNode(session, convention, domain=3)
-        for data in (MAST, LENS):
-            latched.append(node.publisher("tf_static", TF, latched=True))
-            latched[-1].put(data)
-        moving = [(node.publisher(name, ros_type), data) for name, ros_type, data in topics]
+        def publish(convention, topics):
+            node = RosNode(session, convention, domain=3)
+            for data in (MAST, LENS):
+                latched.append(node.publisher("tf_static", TF, latched=True))
+                latched[-1].put(data)
+            for name, ros_type, data in topics:
+                publisher = node.publisher(name, ros_type)
+                start(lambda number, put=publisher.put, data=data: put(data[number % len(data)]))
+            return address
 
-        def run():
-            for number in itertools.count():
-                if ended.wait(0.05):
-                    return
-                for publisher, data in moving:
-                    publisher.put(data[number % len(data)])
-
-        threads.append(threading.Thread(target=run))
-        threads[-1].start()
-        return address
-
-    yield publish
-    ended.set()
-    for thread in threads:
-        thread.join()
-    session.close()
+        yield publish
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ def open_router(protocol="tcp", **settings):
 
 @contextmanager
 def repeating(session, period_s):
-    """Yield a function that has another one called with 0, 1, ... by a thread; in the end close the session."""
+    """Yield a function that has another called with 0, 1, ... by a thread; in the end close the session."""
     ended, threads = threading.Event(), []
 
     def start(put):

@@ -20,7 +20,7 @@ from typer.main import get_command
 
 from rover_ncp.core.console import BLOCKED_S, Output, Writer, install, keep, printable
 from rover_ncp.core.errors import FileError, MissingExtra, RoverNcpError
-from rover_ncp.core.interruption import INTERRUPTED, Interruption
+from rover_ncp.core.interruption import INTERRUPTED, is_interruption
 
 GROUP = "rover_ncp.commands"
 EXIT_CODES = {
@@ -156,7 +156,7 @@ def run(arguments: list[str]) -> int:
         eof = error.__cause__ if isinstance(error, typer.Abort) else None
         if isinstance(eof, EOFError):  # typer takes each one for the end of a dialog
             raise eof from None
-        if Interruption.raised or isinstance(error, typer.Abort):  # a library replaced the KeyboardInterrupt
+        if is_interruption(error) or isinstance(error, typer.Abort):
             return interrupted(arguments)
         return _failed(error, "--json" in arguments)
     if result == INTERRUPTED:  # typer turns Ctrl-C into this code, without a message
@@ -182,14 +182,15 @@ def main() -> int:
     stdout, stderr = install()
     try:
         code = run(sys.argv[1:])
-    except KeyboardInterrupt:
-        code = interrupted(sys.argv[1:])
     except SystemExit as ended:  # typer's, after it has printed completions for a shell
         code = ended.code if isinstance(ended.code, int) else 1
-    except Exception:
-        # Here and not by the interpreter, which would end before it is written.
-        traceback.print_exc()
-        code = 1
+    except (KeyboardInterrupt, Exception) as error:
+        if is_interruption(error):
+            code = interrupted(sys.argv[1:])
+        else:
+            # Here and not by the interpreter, which would end before it is written.
+            traceback.print_exc()
+            code = 1
     return _written(code, stdout, stderr)
 
 
@@ -202,6 +203,8 @@ def _written(code: int, stdout: Writer, stderr: Writer) -> int:
             why = stdout.failure.strerror if stdout.failure else "the reader takes no data"
             code = _fail(f"standard output cannot be written: {why}", "FileError", 2, as_json=False)
         stderr.drained(blocked_s)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, RuntimeError) as error:
+        if not is_interruption(error):
+            raise
         return INTERRUPTED
     return code

@@ -4,7 +4,7 @@ import os
 import sys
 
 try:
-    from rover_ncp.core.interruption import INTERRUPTED, handle_signals, ignore_signals
+    from rover_ncp.core.interruption import INTERRUPTED, handle_signals, ignore_signals, is_interruption
 except KeyboardInterrupt:  # Python's own handler, which would print a traceback
     os._exit(130)
 
@@ -17,7 +17,9 @@ def main() -> None:
         from rover_ncp.cli import main as run_command_line
 
         code = run_command_line()
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, Exception) as error:
+        if not is_interruption(error):
+            raise
         ignore_signals()
         from rover_ncp.cli import interrupted
 

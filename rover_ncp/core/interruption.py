@@ -29,6 +29,14 @@ class Interruption:
     raised = False
 
 
+def is_interruption(error: BaseException) -> bool:
+    """Return whether an interruption caused an exception.
+
+    Code that it interrupts may raise another one, such as a ``threading.Condition`` that lost its lock.
+    """
+    return isinstance(error, KeyboardInterrupt) or Interruption.raised
+
+
 def interrupt(number: int, frame: FrameType | None) -> None:
     """Raise KeyboardInterrupt; as long as a module runs in which it is lost, later."""
     while frame is not None:

@@ -9,6 +9,7 @@ import typer
 
 from rover_ncp import cli
 from rover_ncp.core.errors import NoBridge, SafetyStop, UsageError
+from rover_ncp.core.interruption import Interruption
 
 MODULES = {point.name: point.module for point in entry_points(group=cli.GROUP)}
 NO_BRIDGE = "--robot tcp/127.0.0.1:1"
@@ -121,7 +122,7 @@ def test_error_that_a_library_makes_of_an_interruption_is_one(monkeypatch, run_c
     def fail():
         raise ValueError("literal validator: KeyboardInterrupt")
 
-    monkeypatch.setattr(cli.Interruption, "raised", True)
+    monkeypatch.setattr(Interruption, "raised", True)
     assert run_command(fail) == 130
     assert capsys.readouterr().err == "rover-ncp: interrupted\n"
 

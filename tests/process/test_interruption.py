@@ -62,6 +62,34 @@ def test_signal_while_the_command_line_is_imported_is_an_interruption(module, nu
     assert json.loads(done.stdout)["exit_code"] == 130
 
 
+# A condition gives up its lock before it waits. Interrupted there, it gives it up again: another error.
+AT_WAIT = """
+import os, sys, threading
+from rover_ncp.entry import main
+
+release, left = threading.Condition._release_save, [int(sys.argv[1])]
+
+def interrupting(self):
+    state = release(self)
+    if threading.current_thread() is threading.main_thread():
+        left[0] -= 1
+        if left[0] == 0:
+            os.kill(os.getpid(), 2)
+    return state
+
+threading.Condition._release_save = interrupting
+sys.argv[1:] = sys.argv[2:]
+main()
+"""
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_signal_while_a_lock_is_waited_for_is_an_interruption(number):
+    """The first two waits are for the start of the threads that write output."""
+    done = python(AT_WAIT, number, "course", "check", "parking", "--json")
+    assert (done.returncode, done.stderr) == (130, "rover-ncp: interrupted\n")
+
+
 @pytest.mark.parametrize(
     ("module", "command"),
     [

@@ -31,7 +31,7 @@ class Body:
         self.queue.append((time.monotonic() + self.delay_s, v, omega))
 
     def advance(self, now):
-        while self.now < now:
+        while self.now + STEP_S <= now:
             self.now += STEP_S
             while self.queue and self.queue[0][0] <= self.now:
                 self.fed_s, *self.wanted = self.queue.popleft()
@@ -54,6 +54,7 @@ class Robot:
 
     def __init__(self, arguments):
         self.arguments, self.clock_s, self.rate_hz = arguments, arguments.clock, arguments.rate
+        self.since_s = time.time() - time.monotonic()
         self.body = Body(arguments.accel, arguments.alpha, 0.08, arguments.timeout)
         self.body.x, self.body.y, self.body.theta = arguments.start
         self.wire = WIRES[arguments.by](arguments.name, arguments.namespace, arguments.router)
@@ -100,7 +101,8 @@ class Robot:
                 self.rate_hz = float(value)
 
     def header(self, frame):
-        return header(time.time() + self.clock_s, frame)
+        # The moment of the state: what takes long to publish is no newer for it.
+        return header(self.body.now + self.since_s + self.clock_s, frame)
 
     def odom(self):
         body, (frame, child) = self.body, self.arguments.frames

@@ -66,9 +66,13 @@ class Ready:
 
 @dataclass(frozen=True)
 class TurnRate:
-    """Mean turn rate by the base's gyro since the last one, rad/s, with an unknown constant offset."""
+    """Mean turn rate by the base's gyro since the last one, rad/s, with an unknown constant offset.
+
+    Its time ends ``age_s`` before it arrives.
+    """
 
     rate: float
+    age_s: float = 0.0
 
 
 @dataclass(frozen=True)

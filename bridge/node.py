@@ -191,8 +191,9 @@ class Node:
                     self._report = event
                     self._judge(event, arrived_s)
                     self._publish_report(event, arrived_s)
-                case TurnRate(rate) if self._robot is not None:
-                    self._link.publish("imu", ros.turn_rate(rate, self._robot, self._wall_ns(arrived_s)))
+                case TurnRate(rate, age_s) if self._robot is not None:
+                    stamp_ns = self._wall_ns(arrived_s - age_s)
+                    self._link.publish("imu", ros.turn_rate(rate, self._robot, stamp_ns))
                 case Ready(hardware, robot):
                     self._hardware, self._robot, self._errors = hardware, robot, OdometryErrors(robot)
                     self._answers.model = robot.name

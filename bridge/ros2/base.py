@@ -26,11 +26,11 @@ from bridge.base import (
     Ready,
     Recovered,
     Setpoint,
-    TurnRate,
 )
 from bridge.inbox import RobotMessage
 from bridge.ros2.base_timeout import HALTED, TimeoutMeasurement, TimeoutRecord
 from bridge.ros2.discovery import Announced
+from bridge.ros2.gyro import GyroTurns
 from bridge.ros2.odometry import CLOCK_BACK_S, LOSS_S, MIN_IN_RATE, RATE_S, Moved, RosOdometer
 from bridge.ros2.scan import ScanRoom
 from rover_ncp.core.errors import FormatError
@@ -48,7 +48,6 @@ from rover_ncp.wire.messages import (
     WHEEL_DROP,
     read_battery,
     read_hazards,
-    read_imu,
 )
 from rover_ncp.wire.protocol import TimeoutState
 
@@ -145,7 +144,7 @@ class Ros2Base:
         self._battery_v = 0.0
         self._charging: bool | None = None
         self._stop_pressed, self._hazards = False, frozenset[int]()
-        self._turns: deque[float] = deque(maxlen=100)
+        self._turns = GyroTurns()
         self._room = ScanRoom(description) if self._topics.scan is not None else None
         self._timeout = TimeoutRecord(description.measured_base_timeout_s, unsafe)
         self._speed = 0.0
@@ -239,9 +238,7 @@ class Ros2Base:
             if topic == self._topics.cmd_vel:
                 self._other_command(message)
             elif topic == self._topics.imu:
-                rate = read_imu(message.payload).rate
-                if math.isfinite(rate):
-                    self._turns.append(rate)
+                self._turns.take(message.payload, now)
             elif topic == self._topics.scan and self._room is not None:
                 self._room.take(message.payload, now)
             elif topic == self._topics.stop:
@@ -269,10 +266,8 @@ class Ros2Base:
         if now - self._reported_s < REPORT_S:
             return []
         self._reported_s = now
-        events: list[BaseEvent] = []
-        if self._turns:
-            events.append(TurnRate(math.fsum(self._turns) / len(self._turns)))
-            self._turns.clear()
+        turn = self._turns.since_last(now)
+        events: list[BaseEvent] = [turn] if turn is not None else []
         x, y, theta = moved.pose
         ahead, behind = self._room.clear(now) if self._room is not None else (math.nan, math.nan)
         report = BaseReport(

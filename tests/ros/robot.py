@@ -57,6 +57,7 @@ class Robot:
         self.since_s = time.time() - time.monotonic()
         self.body = Body(arguments.accel, arguments.alpha, 0.08, arguments.timeout)
         self.body.x, self.body.y, self.body.theta = arguments.start
+        self.turned = self.body.theta, self.body.now
         self.wire = WIRES[arguments.by](arguments.name, arguments.namespace, arguments.router)
         reliable = not arguments.best_effort
         self.publishers = {
@@ -121,7 +122,11 @@ class Robot:
         }
 
     def imu(self):
-        return {"header": self.header("imu_link"), "angular_velocity": {"z": self.body.omega}}
+        # A gyro measures turns between its messages too: the mean since the last one.
+        (theta, now), body = self.turned, self.body
+        self.turned = body.theta, body.now
+        rate = (body.theta - theta) / (body.now - now) if body.now > now else body.omega
+        return {"header": self.header("imu_link"), "angular_velocity": {"z": rate}}
 
     def battery(self):
         return {"header": self.header("base_link"), "voltage": self.arguments.volts, "present": True}

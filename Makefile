@@ -65,7 +65,7 @@ test-long: $(STAMP) ## The long tests that measure no times: they mostly wait.
 .PHONY: test-ros
 test-ros: $(STAMP) ## Bridge and driver with ROS 2 (rclpy from PyPI); skipped where its wheels cannot be had.
 	@$(BIN)/python tests/ros/install.py build/venv-ros; code=$$?; test $$code = 77 && exit 0; test $$code = 0 && \
-		$(BIN)/pytest tests/ros -m long --durations=10 --numprocesses 2
+		$(BIN)/pytest tests/ros -m long --durations=10 --numprocesses 3
 
 .PHONY: test-timed
 test-timed: $(STAMP) ## Every row of both safety matrices, the soak's test and live drives.

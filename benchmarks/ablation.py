@@ -14,7 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from deploy.estimator.settings import EstimatorSettings
-from rover_ncp.course.course import Parked, load_course
+from rover_ncp.course.course import load_course
+from rover_ncp.course.scoring import Parked
 from rover_ncp.robot.description import load_description
 from sim.evaluate.commands import Sensors
 from sim.learn.engine.driver import load_driver

@@ -31,7 +31,8 @@ from deploy.place.docking import Docking, Evidence
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from rover_ncp.core.process import Clock
-from rover_ncp.course.course import TICK_S, Parked, Verdict
+from rover_ncp.course.course import TICK_S
+from rover_ncp.course.scoring import Parked, Verdict
 from rover_ncp.wire.messages import OdometrySample
 from rover_ncp.wire.protocol import CONTACTS, DriverStatus
 

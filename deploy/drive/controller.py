@@ -26,8 +26,9 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, Velocity, compose, distance, wrap_angle
-from rover_ncp.course.course import TICK_S, Course, Verdict
+from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.reference import Reference, plan_reference
+from rover_ncp.course.scoring import Verdict, judge
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
@@ -195,13 +196,13 @@ class Controller:
         that stands. Contact is not judged here.
         """
         if not self._estimates:
-            return self._course.judge([], [], touched=False)
+            return judge(self._course, [], [], touched=False)
         last = self._estimates[-1]
         path = [last.pose]
         for before, after in pairwise(reversed(self._estimates)):
             v, omega = 0.5 * (np.array(before.velocity) + after.velocity) * (after.t - before.t)
             path.append(compose(path[-1], Pose(v, 0.0, omega)))
-        return self._course.judge(self._times, path[::-1], False, last.covariance[:3, :3])
+        return judge(self._course, self._times, path[::-1], False, last.covariance[:3, :3])
 
     def _observation(self, pose: Pose, index: int, start: float) -> list[float]:
         reference = self._reference.tick(index) if self._reference else None

@@ -13,7 +13,7 @@ from deploy.place.outcome import DockResult
 from deploy.recorder import RecordingResult
 from rover_ncp.core.console import printable
 from rover_ncp.core.interruption import INTERRUPTED
-from rover_ncp.course.course import Parked
+from rover_ncp.course.scoring import Parked
 
 
 class Samples(BaseModel):

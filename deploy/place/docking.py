@@ -29,8 +29,9 @@ from deploy.place.plan import FAR_M, Way, approach, retreat, tail, to_staging
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import ConfigError, SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, wrap_angle
-from rover_ncp.course.course import TICK_S, Failure, Parked, Verdict
+from rover_ncp.course.course import TICK_S
 from rover_ncp.course.fit import slowdown
+from rover_ncp.course.scoring import Failure, Parked, Verdict
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample

@@ -20,7 +20,8 @@ from deploy.view.page_data import columns, event_rows
 from deploy.view.recorded_drive import KINDS, facts
 from deploy.view.timeline import Timeline
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.course.course import Course, Parked, Verdict
+from rover_ncp.course.course import Course
+from rover_ncp.course.scoring import Parked, Verdict
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.key_table import TAG_VIEW

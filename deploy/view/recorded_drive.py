@@ -14,7 +14,8 @@ from rover_ncp.circuit.policy_file import policy_from_yaml
 from rover_ncp.core.config import parse_yaml, read_yaml, validated
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import relative
-from rover_ncp.course.course import Course, Parked, Verdict
+from rover_ncp.course.course import Course
+from rover_ncp.course.scoring import Parked, Verdict
 from rover_ncp.recording.recorded import steady
 from rover_ncp.recording.recording import Recording, read_recording
 from rover_ncp.robot.description import RobotDescription

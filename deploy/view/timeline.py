@@ -17,7 +17,8 @@ from deploy.view.trace import FloatArray, Trace, motor_outputs
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, compose, inverse
-from rover_ncp.course.course import TICK_S, Course, Parked, Verdict
+from rover_ncp.course.course import TICK_S, Course
+from rover_ncp.course.scoring import Parked, Verdict, judge
 from rover_ncp.recording.recorded import TICKS_TOPIC
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire.cdr import decode
@@ -204,7 +205,8 @@ class Timeline:
             "estimated": estimates,
         }
         return {
-            by: self.course.judge(
+            by: judge(
+                self.course,
                 [(p.wall_ns - began) * 1e-9 for p in path],
                 [p.pose for p in path],
                 self.touched,

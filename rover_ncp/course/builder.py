@@ -18,15 +18,7 @@ from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml, validated
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.files import existing_file, read_text
 from rover_ncp.core.geometry import Pose, distance, relative, wrap_angle
-from rover_ncp.course.course import (
-    MAX_CHECKPOINTS,
-    TICK_S,
-    Angle,
-    Checkpoint,
-    Coordinate,
-    Course,
-    Obstacle,
-)
+from rover_ncp.course.course import MAX_CHECKPOINTS, TICK_S, Angle, Checkpoint, Coordinate, Course, Obstacle
 from rover_ncp.course.feasibility import Cause, Drivability, check_course
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX
 from rover_ncp.recording.recording import Recording, read_recording

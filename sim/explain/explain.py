@@ -21,7 +21,8 @@ from deploy.view.trace import Trace
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.config import ResultModel
-from rover_ncp.course.course import Course, Parked, Verdict, load_course
+from rover_ncp.course.course import Course, load_course
+from rover_ncp.course.scoring import Parked, Verdict
 from sim.explain.what_if import Knockout, Outcome, Sensitivity, knock_outs, sensitivities
 from sim.learn.engine.evaluator import Evaluator
 from sim.learn.engine.rollout import Rollout, rollout

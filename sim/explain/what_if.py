@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.config import ResultModel
-from rover_ncp.course.course import Verdict
+from rover_ncp.course.scoring import Verdict
 
 FloatArray = NDArray[np.float64]
 

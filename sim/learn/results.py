@@ -2,7 +2,7 @@
 
 from pydantic import BaseModel, Field
 
-from rover_ncp.course.course import Failure
+from rover_ncp.course.scoring import Failure
 from sim.learn.record import RobustSettings, TaskSettings
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.course.course import Verdict
+from rover_ncp.course.scoring import Verdict
 from sim.learn.agents import AgentState, Plan, Snapshot, run_rounds
 from sim.learn.cluster import DaskCluster
 from sim.learn.curve import curve_csv, curve_png

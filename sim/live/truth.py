@@ -9,7 +9,8 @@ from typing import NamedTuple
 from deploy.view.timeline import TRUTH_TOPIC
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.course.course import TICK_S, Course, Verdict
+from rover_ncp.course.course import TICK_S, Course
+from rover_ncp.course.scoring import Verdict, judge
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire.messages import pose_stamped
 from sim.live.processes import GrowingFile, TimedOut
@@ -112,7 +113,8 @@ def judge_truth(
     run = during(course, states, began_ns, margin_s)
     first = run[0]
     lag_ns = first.wall_ns - began_ns
-    return course.judge(
+    return judge(
+        course,
         [(state.clock_ns - first.clock_ns + lag_ns) * 1e-9 for state in run],
         [state.pose for state in run],
         any(state.contact for state in run),

@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field
 
 from deploy.drive.control_loop import Drive
 from rover_ncp.core.geometry import Pose, distance
-from rover_ncp.course.course import Parked
+from rover_ncp.course.scoring import Parked
 
 ELLIPSES = 0.5, 0.95
 

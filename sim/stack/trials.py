@@ -25,7 +25,8 @@ from deploy.identify.motion_log import motion_log
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.streams import Domain, integer_seed, random_stream
-from rover_ncp.course.course import Course, Verdict
+from rover_ncp.course.course import Course
+from rover_ncp.course.scoring import Verdict, judge
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import RobotDescription, load_description
 from rover_ncp.robot.profile import RoverProfile
@@ -215,7 +216,7 @@ class _Truth:
         began = self._times[-1] if began_ns is None else began_ns * 1e-9
         first, last = (bisect_right(self._times, began + t) for t in (-1e-6, course.horizon_s + 1e-6))
         times = [now - began for now in self._times[first:last]]
-        return course.judge(times, self._poses[first:last], self._touched)
+        return judge(course, times, self._poses[first:last], self._touched)
 
 
 def drive_whole(drive: Drive) -> None:

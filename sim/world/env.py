@@ -12,8 +12,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.course.course import TICK_S, Course, due_checkpoints, load_course, reward
+from rover_ncp.course.course import TICK_S, Course, load_course
 from rover_ncp.course.reference import plan_reference
+from rover_ncp.course.scoring import due_checkpoints, reward
 from rover_ncp.course.signals import SIGNALS, needs_reference, signals
 from rover_ncp.course.spaces import ACTIONS, observation_space
 from sim.world.described import default_rover

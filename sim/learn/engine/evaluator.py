@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
-from rover_ncp.course.course import TICK_S, Course, due_checkpoints
+from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.reference import Reference, plan_reference
+from rover_ncp.course.scoring import due_checkpoints
 from rover_ncp.course.signals import SIGNALS
 from rover_ncp.kernels.jit import bound
 from sim.learn.engine.commander import Commander, circuit_commander

@@ -20,8 +20,9 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import FunctionRunner, RoverInterface
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
-from rover_ncp.course.course import TICK_S, Course, Verdict, due_checkpoints, reward
+from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.reference import Reference, plan_reference
+from rover_ncp.course.scoring import Verdict, due_checkpoints, judge, reward
 from sim.learn.engine.commander import CommanderRunner
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
@@ -161,5 +162,5 @@ def rollout(
         touched=touched,
         total=total,
         rms_m=math.sqrt(sum(error * error for error in distances) / len(distances)),
-        verdict=course.judge(times, poses, touched),
+        verdict=judge(course, times, poses, touched),
     )

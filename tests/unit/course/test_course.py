@@ -12,7 +12,8 @@ from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose
-from rover_ncp.course.course import SURE, Failure, Parked, load_course, probability_within
+from rover_ncp.course.course import load_course
+from rover_ncp.course.scoring import SURE, Failure, Parked, judge, probability_within
 
 COURSE = load_course("parking")
 GOAL, RULE = COURSE.goal, COURSE.parked
@@ -50,7 +51,7 @@ def test_the_start_signal_rises_at_its_tick_whatever_the_rounding(tick, signal):
 )
 def test_parked_is_near_the_goal_in_place_and_heading(dx, dy, dtheta, parked):
     x, y, theta = GOAL
-    verdict = COURSE.judge(TIMES, [Pose(x + dx, y + dy, theta + dtheta)] * 321, touched=False)
+    verdict = judge(COURSE, TIMES, [Pose(x + dx, y + dy, theta + dtheta)] * 321, touched=False)
     assert verdict.parked is parked
     assert bool(verdict.reason) is not parked
 
@@ -69,19 +70,19 @@ def test_parked_means_still_for_two_seconds(index, dx, dtheta, failure):
     x, y, theta = GOAL
     poses = [GOAL] * 321
     poses[index] = Pose(x + dx, y, theta + dtheta)
-    assert COURSE.judge(TIMES, poses, touched=False).failure is failure
+    assert judge(COURSE, TIMES, poses, touched=False).failure is failure
 
 
 def test_contact_and_an_early_end_are_not_parked():
     poses = [GOAL] * 321
-    assert COURSE.judge(TIMES, poses, touched=True).failure is Failure.TOUCHED
-    assert COURSE.judge(TIMES[:-30], poses[:-30], touched=False).failure is Failure.EARLY
+    assert judge(COURSE, TIMES, poses, touched=True).failure is Failure.TOUCHED
+    assert judge(COURSE, TIMES[:-30], poses[:-30], touched=False).failure is Failure.EARLY
 
 
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-10, 10))
 def test_errors_are_distances(dx, dy, dtheta):
     x, y, theta = GOAL
-    verdict = COURSE.judge([0.0, 32.0], [Pose(x + dx, y + dy, theta + dtheta)] * 2, touched=False)
+    verdict = judge(COURSE, [0.0, 32.0], [Pose(x + dx, y + dy, theta + dtheta)] * 2, touched=False)
     assert verdict.error_m == pytest.approx((dx**2 + dy**2) ** 0.5, abs=1e-9)
     assert 0 <= verdict.error_rad <= 3.1416
 
@@ -119,7 +120,7 @@ def of_stds(*stds):
 
 def standing_at(pose, covariance=None, touched=False):
     times = [0.0, COURSE.horizon_s - 3.0, COURSE.horizon_s]
-    return COURSE.judge(times, [pose] * 3, touched, covariance)
+    return judge(COURSE, times, [pose] * 3, touched, covariance)
 
 
 @pytest.mark.parametrize("std_m", [0.02, 0.05, 0.1, 0.3])

@@ -12,7 +12,8 @@ from deploy.replay import replay
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import NoBridge, NoPose, NoRobot
 from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, compose, distance, wrap_angle
-from rover_ncp.course.course import SURE, Parked, load_course
+from rover_ncp.course.course import load_course
+from rover_ncp.course.scoring import SURE, Parked
 from rover_ncp.recording.recording import read_recording, rewrite
 from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import imu, pose_with_covariance, read_odometry, read_pose, read_text

@@ -13,7 +13,7 @@ from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.view.recorded_drive import read_drive
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity
-from rover_ncp.course.course import Parked
+from rover_ncp.course.scoring import Parked
 from rover_ncp.wire.messages import bumpers, twist_stamped
 from rover_ncp.wire.protocol import CommandTag, Signed, StopRequest, dump_json
 

@@ -15,7 +15,8 @@ from deploy.env import RoverEnv
 from rover_ncp.core.config import parse_yaml
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.geometry import Pose
-from rover_ncp.course.course import TICK_S, Course, reward
+from rover_ncp.course.course import TICK_S, Course
+from rover_ncp.course.scoring import reward
 from sim.world.env import RoverParkingEnv
 
 

@@ -14,7 +14,8 @@ from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.cli import run
-from rover_ncp.course.course import Verdict, load_course
+from rover_ncp.course.course import load_course
+from rover_ncp.course.scoring import Verdict
 from sim.explain.explain import explain, traced
 from sim.explain.files import page
 from sim.explain.what_if import parameter_names, sensitivities, without_neuron, without_synapse

@@ -12,8 +12,9 @@ from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import wrap_angle
-from rover_ncp.course.course import Obstacle, due_checkpoints, load_course
+from rover_ncp.course.course import Obstacle, load_course
 from rover_ncp.course.reference import plan_reference
+from rover_ncp.course.scoring import due_checkpoints
 from sim.learn.engine.commander import start_circuit, tick_circuits
 from sim.learn.engine.episode import episode_kernel
 from sim.learn.engine.evaluator import Evaluator

@@ -15,7 +15,8 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose, Velocity, distance
-from rover_ncp.course.course import Parked, load_course
+from rover_ncp.course.course import load_course
+from rover_ncp.course.scoring import Parked
 from rover_ncp.robot.description import load_description
 from rover_ncp.robot.profile import RoverProfile, load_profile
 from sim.evaluate.evaluate import drive_trials

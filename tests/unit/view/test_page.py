@@ -16,7 +16,8 @@ from deploy.view.timeline import Timeline
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.course.course import Parked, load_course
+from rover_ncp.course.course import load_course
+from rover_ncp.course.scoring import Parked
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire import messages
 from rover_ncp.wire.protocol import DriverStatus, GateStatus

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from rover_ncp.core.errors import ConfigError
-from rover_ncp.course.course import Checkpoint, Course, Obstacle, due_checkpoints, load_course
+from rover_ncp.course.course import Checkpoint, Course, Obstacle, load_course
+from rover_ncp.course.scoring import due_checkpoints
 from sim.world.described import default_rover
 from sim.world.env import ENV_ID
 

@@ -195,7 +195,7 @@ def keys(
 
         rover-ncp keys --host 192.168.1.20 --out keys
     """
-    from bridge.zenoh.credentials import KeysResult, make_credentials
+    from bridge.zenoh.certificate_authority import KeysResult, make_credentials
     from rover_ncp.core.files import require_writable, write_atomic
 
     taken = [name.name for name in out.glob("*") if name.suffix in {".pem", ".json5"}] if out.is_dir() else []

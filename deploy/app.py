@@ -9,9 +9,9 @@ import numpy as np
 from deploy.drive.config import DriveConfig
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
-from deploy.drive.publisher import Publisher
 from deploy.drive.records import attachments
 from deploy.drive.result import result_of
+from deploy.drive.tick_messages import Publisher
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.place.docking import Docking
 from deploy.recorder import Recorder

@@ -28,7 +28,7 @@ from deploy.app import prepare_for_real_time
 from deploy.drive.config import PoseUse, config_for
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
-from deploy.drive.publisher import Publisher
+from deploy.drive.tick_messages import Publisher
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.circuit.rover_interface import DEFAULT_SIGNALS, FunctionRunner, RoverInterface

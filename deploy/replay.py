@@ -14,7 +14,6 @@ from pydantic import BaseModel, Field
 
 from deploy.drive.controller import Controller, Tick
 from deploy.drive.measurements import Sample, SampleRef, readers
-from deploy.drive.publisher import estimate_message
 from deploy.drive.records import (
     STAGING_FILE,
     START_TOPIC,
@@ -25,6 +24,7 @@ from deploy.drive.records import (
     attached_policy,
     numbers,
 )
+from deploy.drive.tick_messages import estimate_message
 from deploy.estimator.estimator import Estimate
 from deploy.place.docking import Docking
 from rover_ncp.core.errors import FileError, FormatError

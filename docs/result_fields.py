@@ -42,7 +42,7 @@ RESULTS = {
     "place": "deploy.place.survey:PlaceResult",
     "replay": "deploy.replay:Comparison",
     "check": "deploy.check:CheckResult",
-    "keys": "bridge.zenoh.credentials:KeysResult",
+    "keys": "bridge.zenoh.certificate_authority:KeysResult",
     "recover": "rover_ncp.recording.recording:Recovery",
     "explain": "sim.explain.explain:Result",
     "report": "deploy.view.page:Report",

@@ -10,7 +10,7 @@ import zenoh
 
 from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.wire.address import parse_address
-from rover_ncp.wire.certificates import require_valid
+from rover_ncp.wire.certificate_dates import require_valid
 from rover_ncp.wire.zenoh import PORT, read_config
 
 LISTEN = "tcp/127.0.0.1:7447"

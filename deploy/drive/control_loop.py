@@ -20,11 +20,11 @@ from deploy.drive.config import DriveConfig
 from deploy.drive.controller import Controller
 from deploy.drive.link import Link
 from deploy.drive.measurements import NS, Measurement, Measurements, SampleRef
-from deploy.drive.publisher import Publisher
 from deploy.drive.rate_keeper import RateKeeper
 from deploy.drive.records import StartRecord, TickRecord, numbers
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.start import StartDetector
+from deploy.drive.tick_messages import Publisher
 from deploy.estimator.estimator import Estimate
 from deploy.estimator.measurements import Outcome
 from deploy.place.docking import Docking, Evidence

@@ -10,7 +10,7 @@ import zenoh
 from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.core.files import existing_file
 from rover_ncp.wire.address import MAX_PORT, parse_address
-from rover_ncp.wire.certificates import require_valid
+from rover_ncp.wire.certificate_dates import require_valid
 
 PORT = 7447
 """Zenoh's own port, where bridge and routers listen."""

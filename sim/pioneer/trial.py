@@ -14,11 +14,11 @@ from rover_ncp.core.geometry import ORIGIN, Pose, Velocity
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.robot.description import RobotDescription
 from sim.world.described import described_rover
+from sim.world.motion_errors import apply_base_errors, base_errors, odometry_errors
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import Randomization, Trials, draw_trials, trial_body
 from sim.world.rover import SUBSTEP_S, Rover, RoverModel
 from sim.world.skid_robot import draw_robot, rigid_body_of
-from sim.world.trial_errors import apply_base_errors, base_errors, odometry_errors
 
 TRIAL_TICKS = 600
 """Length of a trial without a course; its noise then begins again."""

@@ -14,8 +14,8 @@ from bridge.inbox import CommandMessage, Query
 from bridge.node import Node
 from deploy.drive.controller import Tick
 from deploy.drive.link import Arrival, Inbox, Link, Sources
-from deploy.drive.publisher import Publisher
 from deploy.drive.records import TickRecord
+from deploy.drive.tick_messages import Publisher
 from deploy.estimator.estimator import Estimate
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity

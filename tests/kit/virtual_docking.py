@@ -5,9 +5,9 @@ import zlib
 import numpy as np
 
 from deploy.drive.control_loop import Drive
-from deploy.drive.publisher import Publisher
 from deploy.drive.records import attachments
 from deploy.drive.result import result_of
+from deploy.drive.tick_messages import Publisher
 from deploy.place.docking import Docking, place_config
 from deploy.place.place import Place
 from deploy.place.plan import place_course

@@ -8,9 +8,9 @@ from deploy.drive.config import DriveConfig
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
 from deploy.drive.link import Arrival
-from deploy.drive.publisher import Publisher
 from deploy.drive.records import TICKS_TOPIC, attachments
 from deploy.drive.result import result_of
+from deploy.drive.tick_messages import Publisher
 from kit.paths import DATA
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.geometry import Pose

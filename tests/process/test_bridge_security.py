@@ -11,7 +11,7 @@ from kit.bridge_bench import Driver, wait_for
 from kit.zenoh_session import open_router
 
 from bridge.pioneer import base_connection
-from bridge.zenoh.credentials import access_control
+from bridge.zenoh.certificate_authority import access_control
 from deploy.drive import config
 from deploy.drive.config import DriveConfig
 from deploy.view.server import Viewer

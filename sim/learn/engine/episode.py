@@ -27,9 +27,9 @@ from sim.world.fleet import (
     set_delay,
     wrapped,
 )
+from sim.world.motion_errors import apply_base_errors, base_errors, dead_reckon, odometry_errors, quantise
 from sim.world.randomization import Trials
 from sim.world.rover import SUBSTEP_S
-from sim.world.trial_errors import apply_base_errors, base_errors, dead_reckon, odometry_errors, quantise
 
 _signals = kernel(signals)
 _base_errors, _odometry_errors = inlined_kernel(base_errors), inlined_kernel(odometry_errors)

@@ -25,10 +25,10 @@ from rover_ncp.course.reference import Reference, plan_reference
 from rover_ncp.course.scoring import Verdict, due_checkpoints, judge, reward
 from sim.learn.engine.commander import CommanderRunner
 from sim.world.described import default_rover
+from sim.world.motion_errors import apply_base_errors, base_errors, dead_reckon, odometry_errors, quantise
 from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
 from sim.world.randomization import Trials, nominal_trials, trial_model
 from sim.world.rover import SUBSTEPS, RoverModel
-from sim.world.trial_errors import apply_base_errors, base_errors, dead_reckon, odometry_errors, quantise
 
 FloatArray = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ from datetime import datetime
 import pytest
 import zenoh
 
+from bridge.zenoh.certificate_authority import make_credentials
 from bridge.zenoh.config import configured
-from bridge.zenoh.credentials import make_credentials
 from rover_ncp.core.errors import FileError
 from rover_ncp.wire.zenoh import CLIENT
 

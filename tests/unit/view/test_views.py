@@ -7,8 +7,8 @@ import pytest
 
 from deploy.drive.controller import Tick
 from deploy.drive.measurements import SampleRef
-from deploy.drive.publisher import Publisher
 from deploy.drive.records import START_TOPIC, TICKS_TOPIC, StartRecord, TickRecord, numbers
+from deploy.drive.tick_messages import Publisher
 from deploy.estimator.estimator import Estimate
 from rover_ncp.core.geometry import STANDSTILL, Pose, compose
 from rover_ncp.wire.cdr import decode

@@ -13,6 +13,7 @@ from rover_ncp.course.course import load_course
 from rover_ncp.robot.profile import RoverProfile
 from sim.learn.engine.rollout import rollout
 from sim.world.described import default_rover
+from sim.world.motion_errors import BaseErrors, OdometryErrors, apply_base_errors, dead_reckon, quantise
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.random_course import random_course
 from sim.world.randomization import (
@@ -22,7 +23,6 @@ from sim.world.randomization import (
     nominal_trials,
     trial_model,
 )
-from sim.world.trial_errors import BaseErrors, OdometryErrors, apply_base_errors, dead_reckon, quantise
 
 MODEL = default_rover()
 TRACKER = course_policy(load_circuit("tap_withdrawal"))

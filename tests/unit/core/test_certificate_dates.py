@@ -11,9 +11,9 @@ from cryptography import x509
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.zenoh.credentials import make_credentials
+from bridge.zenoh.certificate_authority import make_credentials
 from rover_ncp.core.errors import FileError
-from rover_ncp.wire.certificates import require_valid, validity
+from rover_ncp.wire.certificate_dates import require_valid, validity
 
 NOW = datetime.now(UTC)
 

@@ -11,7 +11,8 @@ This file needs numpy, pymunk, matplotlib and pyyaml, and imports nothing of rov
     python one_file.py --policy POLICY.yaml   # draw the drive of a trained parking circuit
 
 rover-ncp does the same about a hundred times faster, with a better search, and drives real robots with it.
-Units: s, m, rad, mV; conductances in S, capacitances in F, sigma in 1/mV.
+Units: s, m, rad, mV; conductances in S, capacitances in F, sigma in 1/mV. Only ratios of conductances and
+capacitances matter: a capacitance over a conductance is a time constant in s.
 """
 
 import argparse
@@ -30,7 +31,9 @@ import pymunk
 
 NEURONS = ("PVD", "PLM", "AVA", "AVD", "PVC", "AVB", "AVM", "ALM", "DVA", "LFT", "RGT", "FWD")
 
-# Kind of synapse, source, destination, weight before the search. The wiring never changes.
+# Kind of synapse (inhibitory, excitatory, gap junction), source, destination, weight before the search.
+# The wiring is that of the paper's figure 1 and never changes. The weights are the untuned ones of the
+# paper's published circuits.
 WIRING = """
 in PVD AVA 0.60996 | in PLM AVA 0.84907 | ex PVC AVA 1.327515 | in AVB AVA 0.22908 | ex AVD AVA 1.656176
 in PLM AVD 0       | ex PVC AVD 0.900241 | in AVA AVD 0.488061 | in AVB AVD 0.443871
@@ -45,11 +48,13 @@ SYNAPSES = [row.split() for row in WIRING.replace("\n", "|").split("|") if row.s
 SOURCE = np.array([NEURONS.index(source) for _, source, _, _ in SYNAPSES])
 INTO = np.zeros((len(NEURONS), len(SYNAPSES)))  # INTO @ values sums over the synapses into each neuron
 INTO[[NEURONS.index(destination) for _, _, destination, _ in SYNAPSES], range(len(SYNAPSES))] = 1.0
+# A gap junction acts on its destination only: both gap sources are sensory and therefore clamped.
 IS_GAP = np.array([kind == "gap" for kind, *_ in SYNAPSES])
+# Of chemical synapses. A gap junction has no reversal potential: its value here is not used.
 REVERSAL_MV = np.array([0.0 if kind == "ex" else -90.0 for kind, *_ in SYNAPSES])
 MIDPOINT_MV = -40.0  # at this presynaptic potential a chemical synapse is half open
 
-# What the search changes: lower bound, upper bound, value before the search, how many.
+# Searched parameters: lower bound, upper bound, value before the search, number of them.
 PARAMETERS = {
     "weight": (0.0, 3.0, [float(weight) for *_, weight in SYNAPSES], len(SYNAPSES)),
     "sigma": (0.05, 0.5, 0.1, len(SYNAPSES)),
@@ -69,43 +74,43 @@ def circuit_step(circuit: Circuit, potentials: np.ndarray, dt: float) -> np.ndar
     """Return the potentials (12,) one hybrid Euler step later.
 
     A neuron is a leaky capacitor: C dV/dt = G (E_leak - V) + the sum over its synapses of g (E - V).
-    A chemical synapse opens with its presynaptic potential and pulls V toward its reversal potential E. A gap
-    junction pulls V toward the presynaptic potential. The step is implicit in V and explicit in everything
-    else. Every new potential is therefore a weighted mean of potentials that are within bounds.
+    A chemical synapse opens with its presynaptic potential, and E is its reversal potential. For a gap
+    junction, E is the presynaptic potential. The step is implicit in V and explicit in everything else. Every
+    new potential is therefore a weighted mean of potentials that are within bounds.
     """
     presynaptic = potentials[SOURCE]
     opened = 1.0 / (1.0 + np.exp(-circuit["sigma"] * (presynaptic - MIDPOINT_MV)))
     conductance = circuit["weight"] * np.where(IS_GAP, 1.0, opened)
-    pull = np.where(IS_GAP, presynaptic, REVERSAL_MV)
+    target = np.where(IS_GAP, presynaptic, REVERSAL_MV)
     c_per_dt = circuit["capacitance"] / dt
     numerator = (
-        c_per_dt * potentials + circuit["leak"] * circuit["leak_potential"] + INTO @ (conductance * pull)
+        c_per_dt * potentials + circuit["leak"] * circuit["leak_potential"] + INTO @ (conductance * target)
     )
     return numerator / (c_per_dt + circuit["leak"] + INTO @ conductance)
 
 
 # 2. From the pose to the touch neurons, from the motor neurons to the wheels.
 
-SENSORY = [
-    NEURONS.index(name) for name in ("PVD", "PLM", "ALM", "AVM")
-]  # driven by x, y, heading, start signal
+# Sensory neurons of x, y, heading and start signal, in this order.
+SENSORY = [NEURONS.index(name) for name in ("PVD", "PLM", "ALM", "AVM")]
 LEFT, RIGHT, FORWARD = (NEURONS.index(name) for name in ("LFT", "RGT", "FWD"))
-V_MAX, OMEGA_MAX = 0.16, 0.18
+V_MAX, OMEGA_MAX = 0.16, 0.18  # m/s, rad/s: full speed in the paper's parking task
 DT, SUBSTEPS = 0.01, 10  # a control tick is ten steps of circuit and rover
 TICK = DT * SUBSTEPS
 
 
 def control_tick(circuit: Circuit, potentials: np.ndarray, observation: np.ndarray) -> np.ndarray:
-    """Return the potentials after a tick in which the touch neurons are driven by ``observation`` (4,).
+    """Return the potentials after a tick with the touch neurons clamped to ``observation`` (4,).
 
-    0 to 1 (m, m, rad, signal) becomes -70 to -20 mV.
+    0 to 1 (m, m, rad, signal) becomes -70 to -20 mV. The circuit senses no negative x, y or heading, and none
+    above 1: a heading of 1.04 rad, which the course has, looks like 1 rad.
     """
     touch = -70.0 + 50.0 * np.clip(observation, 0.0, 1.0)
     potentials = potentials.copy()
     potentials[SENSORY] = touch
     for _ in range(SUBSTEPS):
         potentials = circuit_step(circuit, potentials, DT)
-        potentials[SENSORY] = touch  # nothing feeds a touch neuron
+        potentials[SENSORY] = touch  # clamped: no synapse ends at a touch neuron, but its leak would move it
     return potentials
 
 
@@ -116,18 +121,22 @@ def motor_command(potentials: np.ndarray) -> tuple[float, float]:
 
 
 # 3. The rover: a box on pymunk whose wheels accelerate it.
+#
+# Nothing collides on this course. pymunk moves the box because rover-ncp uses it, also for obstacles: both
+# programs compute the same drive.
 
 
 class Rover:
     """A Pioneer 3-AT that obeys a command after a delay and with limited acceleration."""
 
+    # As in the parking simulator of the paper.
     ACCEL, ALPHA = 0.31, 1.25  # m/s², rad/s²
     DELAY_V, DELAY_OMEGA = 15, 10  # substeps of 0.01 s
 
     def __init__(self) -> None:
         self.space = pymunk.Space()
-        size = (0.626, 0.505)
-        self.body = pymunk.Body(12.0, pymunk.moment_for_box(12.0, size))
+        mass, size = 12.0, (0.626, 0.505)  # kg; length and width in m
+        self.body = pymunk.Body(mass, pymunk.moment_for_box(mass, size))
         self.space.add(self.body, pymunk.Poly.create_box(self.body, size))
         self.v_queue = deque([0.0] * self.DELAY_V)
         self.omega_queue = deque([0.0] * self.DELAY_OMEGA)
@@ -142,7 +151,7 @@ class Rover:
         self.v_queue.append(v)
         self.omega_queue.append(omega)
         body = self.body
-        # The body's velocity still points where the rover headed before it turned in the last substep.
+        # pymunk turned the body after it set the velocity, so undo that turn.
         heading = body.angle - body.angular_velocity * DT
         speed = body.velocity.x * math.cos(heading) + body.velocity.y * math.sin(heading)
         speed = approach(speed, self.v_queue.popleft(), self.ACCEL * DT)
@@ -160,7 +169,8 @@ def approach(value: float, target: float, limit: float) -> float:
 # 4. The task: parallel parking by checkpoints.
 
 START_SIGNAL_S, HORIZON_S = 3.0, 32.0
-# Deadline in s, then the pose that the rover should have at it: forward, left, forward, right, stop.
+# Deadline in s, then the pose that the rover should have at it. Source: the paper's published parking code.
+# Stand still for 3 s, curve left to 1.04 rad, curve right back to 0, stop.
 CHECKPOINTS = np.array(
     [
         *((t, 0, 0, 0) for t in (0.0, 1.01, 2.02, 3.03)),
@@ -182,20 +192,20 @@ CHECKPOINTS = np.array(
 
 
 class Drive(NamedTuple):
-    """What happened in T ticks."""
+    """Record of one drive of T ticks."""
 
     total: float
-    """The return: minus the sum of squared distances to the checkpoints (1 rad counts as 1 m)."""
+    """Return: minus the sum of squared distances to the checkpoints (1 rad counts as 1 m)."""
     poses: np.ndarray
-    """(T + 1, 3), the first one the start."""
+    """(T + 1, 3); the first row is the start."""
     potentials: np.ndarray
     """(T, 12) after each tick."""
 
 
 def drive(circuit: Circuit, to_beat: float = -math.inf) -> Drive:
-    """Drive the course, or as much of it as it takes to see that the return stays below ``to_beat``."""
+    """Drive the course; end early once the return cannot exceed ``to_beat``."""
     rover = Rover()
-    # One tick at rest before the start signal, whose command is not sent.
+    # Run one tick with zero input and discard its command.
     potentials = control_tick(circuit, np.full(len(NEURONS), -70.0), np.zeros(4))
     poses, trace, total, due = [rover.pose], [], 0.0, 0
     for tick in range(round(HORIZON_S / TICK)):
@@ -214,42 +224,58 @@ def drive(circuit: Circuit, to_beat: float = -math.inf) -> Drive:
     return Drive(total, np.array(poses), np.array(trace))
 
 
-# 5. The paper's search.
+# 5. The search of the paper's published parking code.
+#
+# It differs from the paper's Algorithm 1, whose noise adapts. For tasks with chance, the paper averages the
+# worst k of N episodes of a candidate. Parking is deterministic: N = k = 1.
 
-# Noise before the search: changes, deviation. In an iteration: from 0 to a limit of changes, which is first
-# this initial limit and grows to this largest one; range of the deviation.
+
+class Noise(NamedTuple):
+    """Normal noise of one parameter kind; standard deviations in the kind's unit."""
+
+    start_changes: int
+    """Entries changed once before the search, by noise of `start_std`."""
+    start_std: float
+    changes: int
+    """An iteration changes 0 to so many entries; the number grows up to `max_changes`."""
+    max_changes: int
+    std_low: float
+    """An iteration draws its standard deviation between this one and `std_high`."""
+    std_high: float
+
+
 NOISE = {
-    "weight": (15, 0.5, 4, 12, 0.01, 0.4),
-    "sigma": (10, 0.2, 3, 8, 0.01, 0.05),
-    "leak_potential": (8, 8.0, 2, 6, 0.1, 3.0),
-    "leak": (8, 0.2, 2, 6, 0.05, 0.5),
-    "capacitance": (10, 0.1, 2, 4, 0.01, 0.1),
+    "weight": Noise(15, 0.5, 4, 12, 0.01, 0.4),
+    "sigma": Noise(10, 0.2, 3, 8, 0.01, 0.05),
+    "leak_potential": Noise(8, 8.0, 2, 6, 0.1, 3.0),
+    "leak": Noise(8, 0.2, 2, 6, 0.05, 0.5),
+    "capacitance": Noise(10, 0.1, 2, 4, 0.01, 0.1),
 }
 
 
-def perturb(circuit: Circuit, name: str, changes: int, deviation: float, random: np.random.Generator) -> None:
+def perturb(circuit: Circuit, name: str, changes: int, std: float, random: np.random.Generator) -> None:
     """Add noise to randomly picked entries of one parameter kind, within its bounds."""
     lower, upper, _, count = PARAMETERS[name]
-    np.add.at(circuit[name], random.integers(count, size=changes), random.normal(0.0, deviation, changes))
+    np.add.at(circuit[name], random.integers(count, size=changes), random.normal(0.0, std, changes))
     np.clip(circuit[name], lower, upper, out=circuit[name])
 
 
 def search(iterations: int, seed: int) -> tuple[Circuit, list[float]]:
-    """Return the best circuit and its return after each iteration, by the search of the published code.
+    """Return the best circuit, and the best return after each iteration.
 
     Perturb a few parameters and keep the change if the rover drives better. After 51 failures in a row,
     perturb up to one more entry of each kind; after a success, one fewer.
     """
     random = np.random.default_rng(seed)
     best, failures, widened = untrained(), 0, 0
-    for name, (changes, deviation, *_) in NOISE.items():
-        perturb(best, name, changes, deviation, random)
+    for name, noise in NOISE.items():
+        perturb(best, name, noise.start_changes, noise.start_std, random)
     returns = [drive(best).total]
     for _ in range(iterations):
         candidate = {name: values.copy() for name, values in best.items()}
-        for name, (_, _, initial, largest, low, high) in NOISE.items():
-            changes = random.integers(min(initial + widened, largest), endpoint=True)
-            perturb(candidate, name, changes, random.uniform(low, high), random)
+        for name, noise in NOISE.items():
+            changes = random.integers(min(noise.changes + widened, noise.max_changes), endpoint=True)
+            perturb(candidate, name, changes, random.uniform(noise.std_low, noise.std_high), random)
         total = drive(candidate, returns[-1]).total
         if total > returns[-1]:
             best, failures, widened = candidate, 0, max(widened - 1, 0)
@@ -268,36 +294,35 @@ def load(path: str) -> Circuit:
 
     with Path(path).open(encoding="utf-8") as file:
         data = yaml.safe_load(file)["circuit"]
-    circuit = {
-        name: np.array(
-            [part.get(name, 0.1) for part in data["synapses" if count == len(SYNAPSES) else "neurons"]]
-        )
-        for name, (_, _, _, count) in PARAMETERS.items()
-    }
+    of_neurons = ("leak_potential", "leak", "capacitance")
+    circuit = {name: np.array([neuron[name] for neuron in data["neurons"]]) for name in of_neurons}
+    circuit["weight"] = np.array([synapse["weight"] for synapse in data["synapses"]])
+    # Gap junctions have no sigma in a policy file, and do not use it.
+    circuit["sigma"] = np.array([synapse.get("sigma", 0.1) for synapse in data["synapses"]])
     ends = [(synapse["source"], synapse["destination"]) for synapse in data["synapses"]]
     if ends != [(source, destination) for _, source, destination, _ in SYNAPSES]:
         raise SystemExit(f"{path}: its circuit has another wiring than the parking circuit of this file")
     return circuit
 
 
-def draw(run: Drive, path: str) -> None:
-    """Draw the rover's way with the checkpoints, and the potentials of all neurons over time."""
+def draw(run: Drive, file: str) -> None:
+    """Draw the rover's path with the checkpoints, and the potentials of all neurons over time."""
     import matplotlib.pyplot as plt
 
-    figure, (way, neurons) = plt.subplots(1, 2, figsize=(12, 5), layout="constrained")
-    way.plot(*run.poses[:, :2].T, label="rover")
-    way.scatter(*CHECKPOINTS[:, 1:3].T, s=18, color="tab:orange", label="checkpoints", zorder=3)
-    way.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title=f"Return {run.total:.3f}")
-    way.legend()
+    figure, (path_axes, neuron_axes) = plt.subplots(1, 2, figsize=(12, 5), layout="constrained")
+    path_axes.plot(*run.poses[:, :2].T, label="rover")
+    path_axes.scatter(*CHECKPOINTS[:, 1:3].T, s=18, color="tab:orange", label="checkpoints", zorder=3)
+    path_axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title=f"Return {run.total:.3f}")
+    path_axes.legend()
     times = TICK * np.arange(1, len(run.potentials) + 1)
     for number, (name, trace) in enumerate(zip(NEURONS, run.potentials.T, strict=True)):
-        neurons.plot(
+        neuron_axes.plot(
             times, trace, label=name, lw=1.2, color=f"C{number % 10}", ls="-" if number < 10 else "--"
         )
-    neurons.axvline(START_SIGNAL_S, color="gray", ls=":", lw=1)
-    neurons.set(xlabel="time (s)", ylabel="potential (mV)", title="Neurons; dotted: the start signal")
-    neurons.legend(ncols=2, fontsize=7, loc="upper right")
-    figure.savefig(path, dpi=120)
+    neuron_axes.axvline(START_SIGNAL_S, color="gray", ls=":", lw=1)
+    neuron_axes.set(xlabel="time (s)", ylabel="potential (mV)", title="Neurons; dotted: the start signal")
+    neuron_axes.legend(ncols=2, fontsize=7, loc="upper right")
+    figure.savefig(file, dpi=120)
 
 
 def main() -> None:

@@ -23,15 +23,18 @@ STD = {
 }
 """Odometry's errors in the estimator's settings, and their standard deviations."""
 SLIDES = "downhill_x_m", "downhill_y_m"
+"""The values of a profile that share one standard deviation in the estimator's settings, `downhill_std_m`."""
 
 REJECTED_S = 0.3
 """Time for which odometry may be rejected: three reports of a Pioneer."""
 AXLE_STD_M = 0.002
-"""How well a description knows where the axle of a differential drive is (chosen)."""
+"""Standard deviation of the position of a differential drive's axle in its description, m (chosen)."""
+AXLE_SLIDE_STD_M = 0.002
+"""Standard deviation of a differential drive's slide on a slope, m per radian of turn (chosen)."""
 AXLE_GAIN_WALK = 0.02
-"""Random change of its turn gain after a turn of 1 rad (chosen)."""
+"""Random change of a differential drive's turn gain after a turn of 1 rad (chosen)."""
 CASTER_M = 0.015
-"""Random displacement after a metre: its casters push it by a centimetre as they turn (chosen)."""
+"""Random displacement of a differential drive after a metre: its casters push it as they turn (chosen)."""
 
 PoseUse = Literal["auto", "required", "none"]
 """Whether external poses give the start pose: if they come, always, or never."""
@@ -40,7 +43,7 @@ PoseUse = Literal["auto", "required", "none"]
 class DriveConfig(Timeouts):
     """The settings of one drive; times in s."""
 
-    format: int = Field(default=4, ge=4, le=4)
+    format: Literal[4] = 4
     version: str = Field(default_factory=lambda: version("rover-ncp"))
     robot: str
     namespace: str = ""
@@ -48,26 +51,28 @@ class DriveConfig(Timeouts):
     course: str
     dry_run: bool = False
     ticks: int = Field(ge=1, description="how many control ticks the drive lasts at most")
-    still_wait_s: float = Field(default=10.0, gt=0, description="for the rover to stand still")
-    still_s: float = Field(default=1.0, gt=0, description="so long it stands still before the start")
-    still_m: float = Field(default=0.003, gt=0, description="motion that counts as standing")
-    still_rad: float = Field(default=0.005, gt=0)
+    still_wait_s: float = Field(default=10.0, gt=0, description="longest wait for a standstill")
+    still_s: float = Field(default=1.0, gt=0, description="time at a standstill before the start")
+    still_m: float = Field(default=0.003, gt=0, description="largest motion that counts as standstill (m)")
+    still_rad: float = Field(default=0.005, gt=0, description="largest turn that counts as standstill (rad)")
     pose: PoseUse = "auto"
-    pose_wait_s: float = Field(default=10.0, gt=0, description="for the first external pose, if required")
+    pose_wait_s: float = Field(
+        default=10.0, gt=0, description="longest wait for the first external pose, if required"
+    )
     pose_age_s: float = Field(
-        default=3.0, gt=0, description="of motion without an external pose, if required"
+        default=3.0, gt=0, description="longest motion without an external pose, if required"
     )
     start_m: float = Field(
-        default=0.2, gt=0, description="how far from the course's start it may begin, in x and y"
+        default=0.2, gt=0, description="largest distance from the course's start, per axis (m)"
     )
-    start_rad: float = Field(default=0.35, gt=0, description="how far from the start's heading it may begin")
+    start_rad: float = Field(default=0.35, gt=0, description="largest turn from the start's heading (rad)")
     require_certainty: bool = Field(default=False, description="whether 'parked, uncertain' is a failure")
     place: Place | None = Field(default=None, description="where to dock, in place of a course")
     undock: bool = Field(default=False, description="whether to leave the place")
     pose_frame: str = Field(default=COURSE_FRAME, description="frame_id of the external poses")
     estimator: EstimatorSettings = EstimatorSettings()
-    rover: RoverProfile | None = Field(default=None, description="what was measured of this robot")
-    described: RobotDescription | None = Field(default=None, description="what is known of its model")
+    rover: RoverProfile | None = Field(default=None, description="robot profile")
+    described: RobotDescription | None = Field(default=None, description="robot description")
 
 
 def config_for(
@@ -83,29 +88,32 @@ def config_for(
 
 
 def settings_for(rover: RoverProfile | None, described: RobotDescription | None = None) -> EstimatorSettings:
-    """Return the estimator's settings for a robot, from what was measured and described of its odometry.
+    """Return the estimator's settings for a robot, from its profile and its description.
 
-    A measured value and that of an unmeasured robot are weighted by their variances; a value without a
-    standard deviation is taken as it is, with that of an unmeasured robot.
+    The prior is that of an unmeasured robot. The measured value and the prior are averaged with
+    inverse-variance weights. Without a standard deviation the measured value is used and the prior's standard
+    deviation kept.
     """
     default = EstimatorSettings() if described is None else _described(described)
     if rover is None:
         return default
-    measured = {
-        "wheel_mismatch_rad_m": (rover.imbalance_rad_m, rover.std.get("imbalance_rad_m")),
+    measured: dict[str, tuple[float | None, float | None]] = {
+        "wheel_mismatch_rad_m": (rover.wheel_mismatch_rad_m, rover.std.get("wheel_mismatch_rad_m")),
         "rotation_center_m": (rover.rotation_center_m, rover.std.get("rotation_center_m")),
         "rotation_center_left_m": (rover.rotation_center_left_m, rover.std.get("rotation_center_left_m")),
     }
     # A profile has odometry's motion over the true one, the estimator the inverse.
     for name, ratio in (("distance_gain", "odometry_distance"), ("turn_gain", "odometry_heading")):
         value, std = getattr(rover, ratio), rover.std.get(ratio)
-        measured[name] = (value and 1.0 / value, value and std and std / value**2)
+        if value is not None:
+            measured[name] = 1.0 / value, None if std is None else std / value**2
     known: dict[str, float] = {
         "position_m": max(default.position_m, rover.noise_m or 0.0),
         "heading_rad": max(default.heading_rad, rover.noise_rad or 0.0),
+        # A profile has the slipped share per true rad/s, the estimator per rad/s of odometry.
         "slip_s": (rover.slip_s or 0.0) / (rover.odometry_heading or 1.0),
     }
-    # Taken as measured: an unmeasured robot's values are those of level ground.
+    # Not averaged: the prior is level ground.
     known |= {name: getattr(rover, name) or 0.0 for name in OF_THE_GROUND}
     slides = [std for name, std in rover.std.items() if name in SLIDES and getattr(rover, name) is not None]
     if slides:
@@ -124,7 +132,7 @@ def settings_for(rover: RoverProfile | None, described: RobotDescription | None 
 def _described(robot: RobotDescription) -> EstimatorSettings:
     """Return the settings for an unmeasured robot, whose errors are uniform in the described ranges.
 
-    The process noise lets its speed change by what it can change by between two reports.
+    Process noise lets the speed change by the maximum acceleration times one report interval.
     """
     default, motion, odometry = EstimatorSettings(), robot.motion, robot.odometry
     changed = {
@@ -138,16 +146,21 @@ def _described(robot: RobotDescription) -> EstimatorSettings:
         "acceleration": max(motion.accel, motion.decel) ** 2 / odometry.rate_hz,
         "angular_acceleration": max(motion.alpha, motion.alpha_decel) ** 2 / odometry.rate_hz,
         "rejected_in_a_row": max(default.rejected_in_a_row, math.ceil(REJECTED_S * odometry.rate_hz)),
-        # Tyres and their air change distances by 6 %, whatever the model.
+        # The default, ±4 %, is for tyres, their air and slopes, whatever the model.
         "distance_gain_std": max(default.distance_gain_std, odometry.distance_error / math.sqrt(3.0)),
+        # The default is for skid steering: a differential drive's turns are truer.
         "turn_gain_std": odometry.turn_error / math.sqrt(3.0),
     }
     if robot.gyro is not None:
-        # Its readings are averaged over the time of a turn, and are read at other moments than odometry.
+        # The gyro's readings in GYRO_S are added, with independent noise. The default is a minimum, as the
+        # gyro is read at other moments than odometry.
         noise_rad = robot.gyro.noise_rad_s * math.sqrt(GYRO_S / robot.gyro.rate_hz)
         changed["gyro_rad"] = max(default.gyro_rad, noise_rad)
     if robot.drive.kind == "differential":  # it turns about the middle of its axle, and does not slide
-        names = "rotation_center_std_m", "rotation_center_left_std_m", "downhill_std_m"
-        changed |= dict.fromkeys(names, AXLE_STD_M)
-        changed |= {"turn_gain_walk": AXLE_GAIN_WALK, "wander_m": CASTER_M}
+        changed |= dict.fromkeys(("rotation_center_std_m", "rotation_center_left_std_m"), AXLE_STD_M)
+        changed |= {
+            "downhill_std_m": AXLE_SLIDE_STD_M,
+            "turn_gain_walk": AXLE_GAIN_WALK,
+            "wander_m": CASTER_M,
+        }
     return default.model_copy(update=changed)

@@ -1,8 +1,9 @@
 """Messages that a drive publishes and records for each tick. Nothing here decides anything.
 
-Foxglove, Lichtblick and Rerun draw transforms, poses, paths and single numbers. They know neither a course's
-frame nor the neuron of an array element. So the recording also holds topics for viewers alone: the course's
-frame, the pose, the path, each neuron by name. They are neither sent over the wire nor read back.
+Foxglove, Lichtblick and Rerun draw transforms, poses, paths and single numbers. Viewers show neither the
+course frame nor which neuron an array element is. So the recording also holds topics for viewers alone: the
+course frame, the pose, the path, each neuron by name. These topics are recorded only: nothing sends them over
+the wire or reads them back.
 """
 
 import struct
@@ -33,7 +34,7 @@ from rover_ncp.wire.protocol import DriverStatus, dump_json
 FRAMES_TOPIC = "deploy/frames"
 POSE_TOPIC = "deploy/pose"
 PATH_TOPIC = "deploy/path"
-NEURON_TOPICS = "neurons/"
+NEURON_TOPIC_PREFIX = "neurons/"
 _VALUE = struct.Struct("<d")
 
 
@@ -49,15 +50,16 @@ class Publisher:
         self, link: Link, record: Callable[[Recorded], None], neuron_names: Sequence[str], clock: Clock = time
     ) -> None:
         self._link, self._record, self._names, self._clock = link, record, neuron_names, clock
-        # An array of one, as that is what all viewers draw; its value is its last eight bytes.
+        # An array of one element, which all viewers draw. Encoded once with a zero; each tick replaces the
+        # last eight bytes (float64).
         self._neurons = [
-            (NEURON_TOPICS + name, neurons([0.0], [name])[: -_VALUE.size]) for name in neuron_names
+            (NEURON_TOPIC_PREFIX + name, neurons([0.0], [name])[: -_VALUE.size]) for name in neuron_names
         ]
         self._began_ns = 0
         self._path: list[Pose] = []
 
     def start(self, record: StartRecord, odometry: Pose) -> None:
-        """Record the start of the drive, where odometry stood at ``odometry``."""
+        """Record the start; ``odometry`` is the odometry pose at it."""
         self._began_ns = wall_ns = self._clock.time_ns()
         self._record_json(START_TOPIC, dump_json(record), wall_ns)
         odom = compose(Pose(*record.pose), inverse(odometry))
@@ -65,7 +67,7 @@ class Publisher:
         self._view(FRAMES_TOPIC, "tf2_msgs/msg/TFMessage", transforms([transform], wall_ns), wall_ns)
 
     def tick(self, record: TickRecord, estimate: Estimate, tick: Tick | None) -> None:
-        """Publish the estimate, and the potentials if the circuit ran."""
+        """Record the tick and the pose; publish the estimate, and the potentials if the circuit ran."""
         wall_ns = record.wall_ns
         self._record_json(TICKS_TOPIC, dump_json(record), wall_ns)
         self._link.publish("rover/estimate", estimate_message(estimate, wall_ns), wall_ns)
@@ -75,8 +77,8 @@ class Publisher:
         data = pose_stamped(estimate.pose, wall_ns, COURSE_FRAME)
         self._view(POSE_TOPIC, "geometry_msgs/msg/PoseStamped", data, wall_ns)
         if tick is not None:
-            for (topic, before), potential in zip(self._neurons, tick.potentials.tolist(), strict=True):
-                self._view(topic, "std_msgs/msg/Float64MultiArray", before + _VALUE.pack(potential), wall_ns)
+            for (topic, prefix), potential in zip(self._neurons, tick.potentials.tolist(), strict=True):
+                self._view(topic, "std_msgs/msg/Float64MultiArray", prefix + _VALUE.pack(potential), wall_ns)
 
     def dock(self, result: DockResult) -> None:
         """Record how a docking ended."""
@@ -93,9 +95,10 @@ class Publisher:
         self._link.publish("rover/status", text(dump_json(status).decode()), self._clock.time_ns())
 
     def _record_json(self, topic: str, json: bytes, wall_ns: int) -> None:
+        """Record JSON that describes the moment ``wall_ns``, logged now as the link's messages are."""
         data = text(json.decode())
         self._record(Recorded(topic, "std_msgs/msg/String", data, self._clock.time_ns(), wall_ns))
 
     def _view(self, topic: str, ros_type: str, data: bytes, wall_ns: int) -> None:
-        """Record a message for viewers alone."""
+        """Record a message for viewers alone, which draw it at its log time: the moment that it describes."""
         self._record(Recorded(topic, ros_type, data, wall_ns, wall_ns))

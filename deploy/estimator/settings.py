@@ -25,7 +25,7 @@ class EstimatorSettings(StrictModel):
     rejected_in_a_row: int = Field(default=3, ge=1, description="rejections in a row that are a fault")
 
     distance_gain: float = Field(default=1.0, gt=0, description="true distance over odometry's")
-    distance_gain_std: float = Field(default=0.025, gt=0, description="±3 %, and slip on slopes")
+    distance_gain_std: float = Field(default=0.025, gt=0, description="±4 %: tyres, and slip on slopes")
     turn_gain: float = Field(default=1.0, gt=0, description="true turn over odometry's")
     turn_gain_std: float = Field(default=0.25, gt=0, description="weight off the middle: up to 1.5")
     slip_s: float = Field(default=0.0, ge=0, description="slipped share of a turn, per rad/s of odometry")

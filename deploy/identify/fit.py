@@ -40,7 +40,7 @@ MAX_STD_SHARE = {
 """Largest standard deviation that is kept, as a share of the value."""
 MAX_STD = {
     **dict.fromkeys(("downhill_x_m", "downhill_y_m"), 0.01),
-    **dict.fromkeys(("delay_v_s", "delay_omega_s", "imbalance_rad_m"), 0.03),
+    **dict.fromkeys(("delay_v_s", "delay_omega_s", "wheel_mismatch_rad_m"), 0.03),
     **dict.fromkeys(("rotation_center_m", "rotation_center_left_m"), 0.03),
     "turn_asymmetry": 0.05,
     "slip_s": 0.15,
@@ -75,7 +75,7 @@ def identify(log: MotionLog, name: str) -> RoverProfile:
             found |= _named(("odometry_distance",), way)
             odometry = OdometryErrors(np.append(way.values, 0.0), np.pad(way.covariance, (0, 1))), odometry[1]
         if turn := fit_turns(log, standstills):
-            names = "odometry_heading", "slip_s", "imbalance_rad_m", None, "turn_asymmetry"
+            names = "odometry_heading", "slip_s", "wheel_mismatch_rad_m", None, "turn_asymmetry"
             found |= _named(names, turn)
             odometry = odometry[0], OdometryErrors(turn.values[:2], turn.covariance[:2, :2])
         if center := fit_center(standstills):

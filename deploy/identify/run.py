@@ -41,7 +41,7 @@ _WORDS: dict[str, tuple[str, float, str]] = {
     "noise_rad": ("noise of headings", 1000.0, "mrad"),
     "odometry_distance": ("odometry's distance over the true one", 1.0, ""),
     "odometry_heading": ("odometry's turn over the true one", 1.0, ""),
-    "imbalance_rad_m": ("wheel mismatch", 1000.0, "mrad/m"),
+    "wheel_mismatch_rad_m": ("wheel mismatch", 1000.0, "mrad/m"),
     "rotation_center_m": ("centre of rotation behind the middle", 1000.0, "mm"),
     "rotation_center_left_m": ("centre of rotation to the left of the middle", 1000.0, "mm"),
     "turn_asymmetry": ("asymmetry of turns, on this ground", 1000.0, "mrad/rad"),

@@ -49,7 +49,7 @@ class RoverProfile(StrictModel):
     """Lateral velocity over turn rate: the rover turns about a point so far behind its middle."""
     rotation_center_left_m: float | None = Field(default=None, ge=-0.5, le=0.5)
     """Speed that no encoder measures over turn rate: the rover turns about a point so far to the left."""
-    imbalance_rad_m: float | None = None
+    wheel_mismatch_rad_m: float | None = None
     """Wheel mismatch: turn per distance that no encoder measures, rad/m."""
     turn_asymmetry: float | None = Field(default=None, ge=-0.5, le=0.5)
     """On a slope: turn to the left that no encoder measures, per turned angle."""

@@ -46,7 +46,7 @@ class BaseTrial:
         """Return the motion that encoders and gyro see."""
         errors = self._odometry
         v = errors.distance_scale * motion.v
-        turn = motion.omega * (1.0 + errors.slip * abs(motion.omega)) - errors.imbalance * v
+        turn = motion.omega * (1.0 + errors.slip * abs(motion.omega)) - errors.wheel_mismatch * v
         return Velocity(v, errors.heading_scale * turn + errors.drift)
 
     @property

@@ -16,7 +16,7 @@ class BaseErrors(NamedTuple):
 
     gain_v: float
     gain_omega: float
-    imbalance: float
+    wheel_mismatch: float
     slip: float
     dead_band_v: float = 0.0
     dead_band_omega: float = 0.0
@@ -33,7 +33,7 @@ class OdometryErrors(NamedTuple):
 
     distance_scale: float
     heading_scale: float
-    imbalance: float
+    wheel_mismatch: float
     slip: float
     drift: float
     turn_gain: float = 1.0
@@ -52,7 +52,7 @@ def base_errors(trials: Trials, row: int) -> BaseErrors:
     return BaseErrors(
         gain_v,
         gain_omega,
-        float(trials.imbalance[row]),
+        float(trials.wheel_mismatch[row]),
         float(trials.slip[row]),
         float(motors[0]),
         float(motors[1]),
@@ -68,12 +68,12 @@ def base_errors(trials: Trials, row: int) -> BaseErrors:
 def odometry_errors(trials: Trials, row: int) -> OdometryErrors:
     """Return the errors of the odometry that a trial's sensors make."""
     scale, drift, center = trials.odometry[row, 0], trials.drift[row], trials.turning[row, 1]
-    heading_scale, imbalance, slip, turn_gain = 1.0, 0.0, 0.0, 1.0
+    heading_scale, wheel_mismatch, slip, turn_gain = 1.0, 0.0, 0.0, 1.0
     if not trials.sensors[0]:
         heading_scale, turn_gain = float(trials.odometry[row, 1]), float(trials.turning[row, 0])
-        imbalance, slip = float(trials.imbalance[row]), float(trials.slip[row])
+        wheel_mismatch, slip = float(trials.wheel_mismatch[row]), float(trials.slip[row])
     return OdometryErrors(
-        float(scale), heading_scale, imbalance, slip, float(drift), turn_gain, float(center)
+        float(scale), heading_scale, wheel_mismatch, slip, float(drift), turn_gain, float(center)
     )
 
 
@@ -104,7 +104,7 @@ def apply_base_errors(
     turn = base.gain_omega * omega
     if base.pull != 0.0:
         turn += base.pull * forward
-    return forward, turn * (1.0 - base.slip * abs(turn)) + base.imbalance * forward
+    return forward, turn * (1.0 - base.slip * abs(turn)) + base.wheel_mismatch * forward
 
 
 def dead_reckon(believed: Pose, before: Pose, after: Pose, errors: OdometryErrors) -> Pose:
@@ -125,7 +125,7 @@ def dead_reckon(believed: Pose, before: Pose, after: Pose, errors: OdometryError
     ahead = errors.distance_scale * (cos * dx + sin * dy + 0.5 * errors.rotation_center * turn * turn)
     left = errors.distance_scale * (cos * dy - sin * dx - errors.rotation_center * turn) / errors.turn_gain
     turn /= errors.turn_gain
-    turn = turn * (1.0 + errors.slip * abs(turn) / TICK_S) - errors.imbalance * ahead
+    turn = turn * (1.0 + errors.slip * abs(turn) / TICK_S) - errors.wheel_mismatch * ahead
     cos, sin = math.cos(believed.theta), math.sin(believed.theta)
     return Pose(
         believed.x + cos * ahead - sin * left,

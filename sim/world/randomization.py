@@ -50,7 +50,7 @@ class Randomization(StrictModel):
     noise_rad: float = Field(default=0.0, ge=0, description="standard deviation of an observed heading")
     lost: float = Field(default=0.0, ge=0, lt=1, description="share of commands that do not arrive")
     burst: float = Field(default=1.0, ge=1, description="mean number of commands lost in a row")
-    imbalance_rad_m: float = Field(
+    wheel_mismatch_rad_m: float = Field(
         default=0.0, ge=0, description="wheel mismatch: turn per metre that no encoder measures"
     )
     slip_s: float = Field(default=0.0, ge=0, description="0..: lost share of a turn per rad/s, unseen")
@@ -110,7 +110,7 @@ class Trials(NamedTuple):
     """(N, 2) of v and omega."""
     odometry: FloatArray
     """(N, 2) scales of distance and heading."""
-    imbalance: FloatArray
+    wheel_mismatch: FloatArray
     slip: FloatArray
     drift: FloatArray
     """(N,) each."""
@@ -176,7 +176,7 @@ def draw_trials(
         exact=not (
             ranges.odometry_scale
             or ranges.drift_rad_s
-            or ranges.imbalance_rad_m
+            or ranges.wheel_mismatch_rad_m
             or ranges.slip_s
             or ranges.bump_m
             or ranges.bump_rad
@@ -191,7 +191,7 @@ def draw_trials(
         delay=np.rint(delay_s / SUBSTEP_S).astype(np.int64),
         gain=1.0 + ranges.gain * u[:, 7:9],
         odometry=1.0 + ranges.odometry_scale * u[:, 9:11],
-        imbalance=ranges.imbalance_rad_m * u[:, 11],
+        wheel_mismatch=ranges.wheel_mismatch_rad_m * u[:, 11],
         slip=ranges.slip_s * 0.5 * (1.0 + u[:, 12]),
         drift=ranges.drift_rad_s * u[:, 13],
         # On the way: in the first half of the time there is, which on our courses is spent driving.
@@ -246,7 +246,7 @@ def _of_known(
     others = ranges.model_copy(update={"rover": None, **noises})
     drawn = draw_trials(others, model, seed, count=count, ticks=ticks, first=first)
     odometry = _columns(drawn.odometry, known.odometry_distance, known.odometry_heading)
-    imbalance = _columns(drawn.imbalance[:, None], known.imbalance_rad_m)[:, 0]
+    wheel_mismatch = _columns(drawn.wheel_mismatch[:, None], known.wheel_mismatch_rad_m)[:, 0]
     slip = _columns(drawn.slip[:, None], known.slip_s)[:, 0]
     drift = _columns(drawn.drift[:, None], known.drift_rad_s)[:, 0]
     drawn_delay_s: FloatArray = drawn.delay.astype(np.float64) * SUBSTEP_S
@@ -254,8 +254,8 @@ def _of_known(
     turn_gain = drawn.turning[:, 0]
     if known.odometry_heading is not None:
         odometry[:, 1] *= turn_gain  # known is the share of the true turn, not of the wheels'
-    if known.imbalance_rad_m is not None:
-        imbalance /= turn_gain
+    if known.wheel_mismatch_rad_m is not None:
+        wheel_mismatch /= turn_gain
     if known.slip_s is not None:
         slip *= turn_gain
     shares = _share(known.accel, model.accel), _share(known.alpha, model.alpha)
@@ -265,7 +265,7 @@ def _of_known(
     for column, value in ((1, known.alpha), (3, known.alpha_decel or known.alpha)):
         if value is not None:
             acceleration[:, column] /= turn_gain
-    errs = (odometry - 1.0).any() or imbalance.any() or slip.any() or drift.any()
+    errs = (odometry - 1.0).any() or wheel_mismatch.any() or slip.any() or drift.any()
     return drawn._replace(
         exact=drawn.exact and not errs,
         acceleration=acceleration,
@@ -273,7 +273,7 @@ def _of_known(
         # A profile's gains are measured by odometry.
         gain=_columns(drawn.gain * odometry, known.gain_v, known.gain_omega) / odometry,
         odometry=odometry,
-        imbalance=imbalance,
+        wheel_mismatch=wheel_mismatch,
         slip=slip,
         drift=drift,
         turning=_columns(drawn.turning, None, known.rotation_center_m),

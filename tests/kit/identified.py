@@ -123,7 +123,7 @@ def truth(ranges: Randomization, trials: Trials) -> dict[str, float]:
         "odometry_heading": float(odometry[1]) / turn_gain,
         "rotation_center_m": rotation_center_m,
         "rotation_center_left_m": 0.0,
-        "imbalance_rad_m": float(trials.imbalance[0]) * turn_gain,
+        "wheel_mismatch_rad_m": float(trials.wheel_mismatch[0]) * turn_gain,
         "slip_s": float(trials.slip[0]) / turn_gain,
         **dict.fromkeys(OF_THE_GROUND, 0.0),  # level
     }

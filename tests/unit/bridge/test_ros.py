@@ -167,6 +167,15 @@ def test_the_pose_becomes_less_sure_with_the_way(name):
 
 
 @EACH_ROBOT
+def test_wheels_that_differ_turn_the_heading_by_the_track_of_the_odometry(name):
+    pose, _ = driven(name, [BaseReport(x=0.1 * k, v=0.1) for k in range(101)])
+    robot = load_description(name)
+    track_m = robot.drive.effective_track_m or robot.wheels.track_m
+    expected = robot.odometry.noise_rad**2 + (robot.odometry.distance_error * 10.0 / track_m) ** 2 / 3
+    assert pose[2] == pytest.approx(expected, rel=0.01)
+
+
+@EACH_ROBOT
 def test_the_heading_becomes_less_sure_with_each_turn(name):
     pose, _ = driven(name, [BaseReport(theta=0.1 * k) for k in range(63)])
     error = load_description(name).odometry.turn_error

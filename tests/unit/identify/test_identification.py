@@ -55,11 +55,11 @@ def test_random_robots_are_identified_from_their_bytes(number):
 
 def test_external_poses_show_the_errors_of_odometry():
     _, found, off, trials = drive("harsh", outside=True)
-    assert {"odometry_distance", "imbalance_rad_m", "slip_s", "accel", "delay_v_s"} <= set(off)
+    assert {"odometry_distance", "wheel_mismatch_rad_m", "slip_s", "accel", "delay_v_s"} <= set(off)
     assert all(abs(error) < 3.0 * std for error, std in off.values())
     assert abs(off["delay_v_s"].error) < 0.003  # although every report is up to 50 ms late
     assert found.odometry_distance == pytest.approx(trials.odometry[0, 0], abs=0.02)
-    assert found.imbalance_rad_m == pytest.approx(trials.imbalance[0], abs=0.03)
+    assert found.wheel_mismatch_rad_m == pytest.approx(trials.wheel_mismatch[0], abs=0.03)
     assert found.slip_s == pytest.approx(trials.slip[0], abs=0.15)
 
 

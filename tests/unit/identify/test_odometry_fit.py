@@ -19,7 +19,7 @@ NOISE_RAD = 0.0005
 DT = 0.02
 
 
-def record(scale, slip, imbalance, asymmetry):
+def record(scale, slip, mismatch, asymmetry):
     """Return a log of turns to both sides, straight ways between them, and the stands beside."""
     rng = np.random.default_rng(3)
     times, motions, t, own, true = [], [], 0.0, 0.0, 0.0
@@ -36,7 +36,7 @@ def record(scale, slip, imbalance, asymmetry):
     for rate in RATES:
         for v, omega in ((0.0, rate), (0.2, 0.0), (0.0, -rate), (-0.15, 0.0)):
             for _ in range(round(2.5 / DT)):
-                turn = omega * (1.0 - asymmetry * np.sign(omega)) + slip * omega * abs(omega) - imbalance * v
+                turn = omega * (1.0 - asymmetry * np.sign(omega)) + slip * omega * abs(omega) - mismatch * v
                 motions.append((v, scale * turn))
                 times.append(t)
                 t, own, true = t + DT, own + scale * turn * DT, true + omega * DT

@@ -176,7 +176,7 @@ def test_encoders_see_what_odometry_in_the_simulator_sees():
     base, motion = BaseTrial(trials), Velocity(0.12, -0.15)
     seen = base.measured(motion)
     distance_scale, heading_scale = trials.odometry[0]
-    turn = motion.omega * (1 + trials.slip[0] * abs(motion.omega)) - trials.imbalance[0] * seen.v
+    turn = motion.omega * (1 + trials.slip[0] * abs(motion.omega)) - trials.wheel_mismatch[0] * seen.v
     assert seen.v == pytest.approx(distance_scale * motion.v)
     assert seen.omega == pytest.approx(heading_scale * turn + trials.drift[0])
 

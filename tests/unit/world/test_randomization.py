@@ -110,7 +110,7 @@ def test_sensors_see_through_the_skid(sensors, sees):
 
 def test_known_odometry_holds_whatever_the_turn_gain():
     known = RoverProfile(
-        name="mine", odometry_heading=0.8, gain_omega=0.9, alpha=1.0, imbalance_rad_m=-0.03, slip_s=0.3
+        name="mine", odometry_heading=0.8, gain_omega=0.9, alpha=1.0, wheel_mismatch_rad_m=-0.03, slip_s=0.3
     )
     ranges = load_randomization("skid").model_copy(update={"rover": known})
     trials = draw_trials(ranges, MODEL, 1, count=5, ticks=TICKS)
@@ -119,9 +119,9 @@ def test_known_odometry_holds_whatever_the_turn_gain():
     assert trials.odometry[:, 1] / gain == pytest.approx(0.8)
     assert trials.gain[:, 1] * trials.odometry[:, 1] == pytest.approx(0.9)
     assert [trial_model(MODEL, trials, row).alpha * gain[row] for row in range(5)] == pytest.approx([1.0] * 5)
-    # The simulator has slip and imbalance of the wheels' turn, a profile of the true one.
+    # The simulator has slip and wheel mismatch of the wheels' turn, a profile of the true one.
     wheels = 0.4 / gain
-    odometry = trials.odometry[:, 1] * (wheels + trials.slip * wheels**2 - trials.imbalance * 0.2)
+    odometry = trials.odometry[:, 1] * (wheels + trials.slip * wheels**2 - trials.wheel_mismatch * 0.2)
     assert odometry == pytest.approx(0.8 * (0.4 + 0.3 * 0.4**2 + 0.03 * 0.2))
 
 
@@ -201,7 +201,7 @@ CREEPS = {"creep": 0.004, "pull": 0.5}
     ("errors", "command", "moves"),
     [
         ({"gain_v": 1.1, "gain_omega": 0.9}, (0.1, -0.2), (0.11, -0.18)),
-        ({"imbalance": 0.03}, (0.1, 0.0), (0.1, 0.003)),
+        ({"wheel_mismatch": 0.03}, (0.1, 0.0), (0.1, 0.003)),
         ({"slip": 0.3}, (0.0, 0.2), (0.0, 0.2 * (1 - 0.06))),
         (DEAD_BAND, (0.049, 0.2), (0.0, 0.2)),
         (DEAD_BAND, (0.05, -0.099), (0.05, 0.0)),

@@ -105,7 +105,7 @@ def deploy(
     from deploy.zenoh_client import BridgeAddress
     from rover_ncp.circuit.policy_file import load_policy
     from rover_ncp.course.course import TICK_S, load_course
-    from rover_ncp.course.fit import slowed
+    from rover_ncp.course.slowdown import slowed
     from rover_ncp.robot.description import load_description
     from rover_ncp.robot.profile import load_profile
 

@@ -35,9 +35,9 @@ from rover_ncp.circuit.rover_interface import DEFAULT_SIGNALS, FunctionRunner, R
 from rover_ncp.core.errors import RoverNcpError, SafetyStop
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import TICK_S, Course, load_course
-from rover_ncp.course.fit import slowed
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.scoring import due_checkpoints, reward
+from rover_ncp.course.slowdown import slowed
 from rover_ncp.course.spaces import ACTIONS, observation_space
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import load_description

@@ -30,8 +30,8 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import ConfigError, SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, wrap_angle
 from rover_ncp.course.course import TICK_S
-from rover_ncp.course.fit import slowdown
 from rover_ncp.course.scoring import Failure, Parked, Verdict
+from rover_ncp.course.slowdown import slowdown
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample

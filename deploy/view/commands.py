@@ -43,7 +43,7 @@ def course(
     """
     from rover_ncp.course.course import load_course
     from rover_ncp.course.feasibility import CourseResult, check_course
-    from rover_ncp.course.fit import slowed
+    from rover_ncp.course.slowdown import slowed
     from rover_ncp.robot.description import load_description
 
     output, pace = Output(json), ""

@@ -12,9 +12,9 @@ from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.course.course import Course
-from rover_ncp.course.fit import rounded_up, slowed
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.scoring import Failure
+from rover_ncp.course.slowdown import rounded_up, slowed
 from rover_ncp.robot.description import RobotDescription, load_description
 from sim.learn.engine.driver import Driver
 from sim.learn.engine.evaluator import Evaluator

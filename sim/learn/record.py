@@ -23,7 +23,7 @@ from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.config import StrictModel, dump_yaml
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import Course, load_course
-from rover_ncp.course.fit import slowed
+from rover_ncp.course.slowdown import slowed
 from rover_ncp.robot.description import load_description
 from sim.learn.search.strategies import SearchName
 from sim.world.described import default_rover, described_rover

@@ -24,7 +24,7 @@ from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import DEFAULT_ROBOT, require_creatable, write_atomic
 from rover_ncp.course.course import Course, load_course
-from rover_ncp.course.fit import slowed
+from rover_ncp.course.slowdown import slowed
 from rover_ncp.recording.recording import read_recording, rewrite
 from rover_ncp.robot.description import load_description
 from sim.learn.agents import Snapshot

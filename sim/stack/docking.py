@@ -26,7 +26,7 @@ from sim.pioneer.trial import BaseTrial, draw_rover
 from sim.stack.lines import simulated_base
 from sim.stack.tag_camera import DockLocaliser, TagLocaliser
 from sim.stack.trials import drive_whole
-from sim.stack.virtual import SilentPublisher, VirtualBridge, VirtualLink
+from sim.stack.virtual import TicklessPublisher, VirtualBridge, VirtualLink
 from sim.world.randomization import Randomization
 
 DISTANCES_M = 0.5, 2.5
@@ -104,7 +104,7 @@ class DockTrials:
         link = VirtualLink(bridge, None)
         stream = random_stream(self.seed, Domain.CAMERA, number)
         base.observe = self.localiser(rover, self.place, stream, link.localise).observe
-        publisher = SilentPublisher(link, lambda message: None, self.dock.circuit.neurons, bridge)
+        publisher = TicklessPublisher(link, lambda message: None, self.dock.circuit.neurons, bridge)
         docking = copy.deepcopy(self._docking)
         drive = Drive(link, docking, publisher, self._config, lambda: False, clock=bridge)
         drive_whole(drive)

@@ -1,6 +1,6 @@
-"""Simulated robots, and the lines between them and the bridge's base, on a virtual clock.
+"""Simulated robots, and the connections between them and the bridge's base, on a virtual clock.
 
-A line carries the bytes or messages of the real one. Time is that of the last ``advance``.
+A connection carries the bytes or messages of the real one. Time is that of the last ``advance``.
 """
 
 from abc import ABC, abstractmethod
@@ -42,8 +42,8 @@ def simulated_base(
     return Ros2Robot(known, rover, trial=trial, seed=seed)
 
 
-class VirtualLine(ABC):
-    """A robot's line."""
+class VirtualConnection(ABC):
+    """Connection of one robot and its base."""
 
     endpoint = "virtual"
     base: Base
@@ -66,14 +66,14 @@ class VirtualLine(ABC):
         self._collect()
 
     def close(self) -> None:  # noqa: B027
-        """Do nothing: the line stays open."""
+        """Do nothing: the connection stays open."""
 
     @abstractmethod
     def _collect(self) -> None:
         """Bring what the robot has sent to the base."""
 
 
-class ArcosLine(VirtualLine):
+class ArcosConnection(VirtualConnection):
     """The bytes between a Pioneer's firmware and its session, as a `bridge.pioneer.base.Connection`."""
 
     def __init__(self, firmware: Firmware, limits: Limits | None) -> None:
@@ -108,7 +108,7 @@ class ArcosLine(VirtualLine):
         self.arrivals.append(Opened())
 
 
-class Ros2Line(VirtualLine):
+class Ros2Connection(VirtualConnection):
     """The messages between a ROS 2 robot and its base, as a `bridge.ros2.base.Connection`."""
 
     zid = "bridge"

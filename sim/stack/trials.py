@@ -36,7 +36,7 @@ from sim.pioneer.trial import BaseTrial, Drawn, draw_rover
 from sim.stack.camera import Camera, Localiser
 from sim.stack.estimates import Belief, belief_of
 from sim.stack.lines import simulated_base
-from sim.stack.virtual import SilentPublisher, VirtualBridge, VirtualLink
+from sim.stack.virtual import TicklessPublisher, VirtualBridge, VirtualLink
 from sim.world.described import described_rover
 from sim.world.randomization import Randomization
 from sim.world.rover import Rover, RoverModel
@@ -162,7 +162,7 @@ class Stack:
         )
         changed = config.estimator.model_copy(update=dict(self.estimator))
         config = config.model_copy(update={"estimator": changed})
-        publisher = SilentPublisher(link, lambda message: None, self.driver.neurons, bridge)
+        publisher = TicklessPublisher(link, lambda message: None, self.driver.neurons, bridge)
         drive = Drive(link, self._controller(number, config), publisher, config, lambda: False, clock=bridge)
         drive_whole(drive)
         report = drive.keeper.report()
@@ -175,8 +175,8 @@ class Stack:
             rover.pose,
             report.ticks,
             report.overruns,
-            bridge.line.bytes_to_base,
-            bridge.line.bytes_from_base,
+            bridge.connection.bytes_to_base,
+            bridge.connection.bytes_from_base,
             belief_of(drive, rover.pose),
         )
 

@@ -1,9 +1,9 @@
 """Stack simulation: base, bridge and network on a virtual clock, without sockets, Zenoh and waiting.
 
-Robot and bridge loop are those of the processes, and exchange the same bytes. The driver uses
-`VirtualLink` in place of its Zenoh session. Time passes only while the driver waits, in the order of events:
-bytes reach the bridge when the base sends them, and the bridge's loop turns when something arrives or its
-timer expires. A delay of a millisecond in a live run is zero here.
+The simulated robot and the bridge's loop are those of the real processes and exchange the same bytes. The
+driver uses `VirtualLink` in place of its Zenoh session. Time passes only while the driver waits, in the order
+of events: bytes reach the bridge when the base sends them, and the bridge's loop runs when something arrives
+or its timer expires. The latencies of a live run, about a millisecond, do not exist here.
 """
 
 import math
@@ -32,28 +32,34 @@ from rover_ncp.wire.protocol import (
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.ros2_robot import Ros2Robot
 from sim.stack.camera import start_pose
-from sim.stack.lines import NS, WALL_NS, ArcosLine, Ros2Line
+from sim.stack.lines import NS, WALL_NS, ArcosConnection, Ros2Connection
 
-_LATE_NS = 1000
-"""Delay of each wake-up of a loop: rounding never makes it too early."""
+_WAKE_MARGIN_NS = 1000
+"""Delay of each timed event, so that rounding to whole ns never makes it too early."""
 
 
 class VirtualBridge:
-    """A robot with its bridge. The robot's clock must begin at 0."""
+    """A robot with its bridge. The robot's clock must begin at 0.
+
+    This object is the inbox, the Zenoh session and the clock of the bridge's loop (`Node`), and the clock of
+    the driver.
+    """
 
     def __init__(
         self, robot: Firmware | Ros2Robot, limits: Limits | None = None, *, accept_ros: bool = False
     ) -> None:
-        self.line = ArcosLine(robot, limits) if isinstance(robot, Firmware) else Ros2Line(robot, limits)
+        self.connection = (
+            ArcosConnection(robot, limits) if isinstance(robot, Firmware) else Ros2Connection(robot, limits)
+        )
         self.now_ns = 0
         self.deliver: Callable[[str, bytes], None] = lambda name, data: None
-        """Called with all that the bridge publishes: its key and the CDR bytes."""
+        """Called with all that the bridge publishes: topic and CDR bytes."""
         self._inbox: list[object] = []
         self._node = Node(
-            self.line.base,
+            self.connection.base,
             self,
             self,
-            limits=self.line.limits,
+            limits=self.connection.limits,
             accept_ros=accept_ros,
             ready=lambda: None,
             clock=self,
@@ -83,19 +89,20 @@ class VirtualBridge:
         self.wait(seconds, lambda: False)
 
     def wait(self, seconds: float, condition: Callable[[], bool]) -> None:
-        """Let time pass until ``condition`` holds, for so long at most."""
+        """Let time pass until ``condition`` holds, at most ``seconds``."""
         until_ns = self.now_ns + max(math.ceil(seconds * NS), 0)
         self._run_node()
         while not condition() and self.now_ns < until_ns:
-            due_s = min(self.line.due_s, self._node.due_s)
-            due_ns = until_ns if math.isinf(due_s) else math.ceil(due_s * NS) + _LATE_NS
+            due_s = min(self.connection.due_s, self._node.due_s)
+            due_ns = until_ns if math.isinf(due_s) else math.ceil(due_s * NS) + _WAKE_MARGIN_NS
             self.now_ns = min(max(due_ns, self.now_ns), until_ns)
-            self.line.advance(self.monotonic())
+            self.connection.advance(self.monotonic())
             self._run_node()
 
     def _run_node(self) -> None:
-        while self.line.arrivals or self._inbox or self._node.due_s * NS + _LATE_NS <= self.now_ns:
-            self._node.run_once()
+        connection, node = self.connection, self._node
+        while connection.arrivals or self._inbox or node.due_s * NS + _WAKE_MARGIN_NS <= self.now_ns:
+            node.run_once()
 
     # What the driver sends.
 
@@ -104,26 +111,26 @@ class VirtualBridge:
         self._inbox.append(CommandMessage(data, attachment))
 
     def query(self, name: str, payload: bytes, attachment: bytes | None = None) -> bytes:
-        """Return the bridge's reply to a query. Raises RuntimeError when it cannot read the query."""
+        """Return the bridge's reply to a query. Raises RuntimeError if the bridge rejects the query."""
         replies: list[bytes] = []
         refusals: list[str] = []
         self._inbox.append(Query(name, payload, attachment, replies.append, refusals.append))
         self._run_node()
         if not replies:
-            raise RuntimeError(f"the bridge does not answer {name}: {refusals}")
+            raise RuntimeError(f"the bridge rejected the query {name}: {', '.join(refusals)}")
         return replies[0]
 
     # What the bridge's loop calls: its inbox and its Zenoh session.
 
     def take(self, timeout_s: float) -> list[tuple[float, object]]:
-        """Return what arrived; time passes elsewhere."""
-        arrived = [*self.line.arrivals, *self._inbox]
-        self.line.arrivals.clear()
+        """Return what arrived. ``timeout_s`` is ignored: only `wait` advances time."""
+        arrived = [*self.connection.arrivals, *self._inbox]
+        self.connection.arrivals.clear()
         self._inbox.clear()
         return [(self.monotonic(), arrival) for arrival in arrived]
 
     def key(self, name: str) -> str:
-        """Return the key expression of a message; there is no namespace."""
+        """Return the key expression of a topic: the topic itself, without a namespace."""
         return name
 
     def publish(self, name: str, data: bytes) -> None:
@@ -143,8 +150,11 @@ class _OdometryInbox(Inbox):
         return super().take()
 
 
-class SilentPublisher(Publisher):
-    """The publisher of a driver without subscribers and without a recording: it encodes no ticks."""
+class TicklessPublisher(Publisher):
+    """A publisher that drops ticks, for drives without subscribers and without a recording.
+
+    It still publishes the status, and records start and dock.
+    """
 
     def tick(self, record: TickRecord, estimate: Estimate, tick: Tick | None) -> None:
         """Do nothing."""
@@ -153,9 +163,8 @@ class SilentPublisher(Publisher):
 class VirtualLink(Link):
     """A driver's link on the virtual clock.
 
-    Until the driver requests the lease, external localisation reports that the rover stands at ``start``, if
-    that is not None.
-    Received messages go to ``record``.
+    Until the driver requests the lease, each odometry message also brings an external pose ``start`` (unless
+    None). Received messages go to ``record``.
     """
 
     robot, where = "virtual", ""
@@ -180,7 +189,10 @@ class VirtualLink(Link):
         return True
 
     def request_motors(self, name: str, unchecked: bool = False) -> MotorsReply:
-        """Request the lease. Raises SafetyStop when it is refused."""
+        """Request the lease. Raises SafetyStop if it is refused.
+
+        ``unchecked`` also requests a robot that is not known to halt when the bridge dies.
+        """
         self._requested = True
         reply = self._motors(MotorsRequest(enable=True, unchecked=unchecked, name=name))
         if not reply.granted:
@@ -189,7 +201,7 @@ class VirtualLink(Link):
         return reply
 
     def release(self) -> None:
-        """Stop and release the lease, if we hold it."""
+        """Stop and release the lease, if this driver holds it."""
         if self.lease.number:
             self.command(STANDSTILL)
             self._motors(MotorsRequest(enable=False))
@@ -222,8 +234,8 @@ class VirtualLink(Link):
         if name == "odom" and self._start is not None and not self._requested:
             self.poses.put(Arrival(start_pose(self._start, wall_ns), self._bridge.now_ns))
 
-    def localise(self, data: bytes, now_ns: int) -> None:
-        """Deliver an external pose that arrives now."""
-        wall_ns = WALL_NS + now_ns
+    def localise(self, data: bytes, arrival_ns: int) -> None:
+        """Deliver an external pose that arrived at ``arrival_ns``, shortly before the bridge's time."""
+        wall_ns = WALL_NS + arrival_ns
         self._record(Recorded("pose", spec("pose").type, data, wall_ns, wall_ns))
-        self.poses.put(Arrival(data, now_ns))
+        self.poses.put(Arrival(data, arrival_ns))

@@ -36,7 +36,7 @@ class Bridge(VirtualRig):
         self._decoder = Decoder()
         super().__init__(load_description("p3at-sh"), limits=limits)
         self.driver = VirtualDriver(self)
-        self.line.write, self._write = self.write, self.line.write
+        self.connection.write, self._write = self.write, self.connection.write
         self.sleep(3.0)
         assert abs(self.stamps[-1]) < SECOND_NS / 10
 

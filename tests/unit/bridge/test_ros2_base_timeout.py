@@ -214,4 +214,4 @@ def test_a_check_that_renews_its_lease_measures_to_the_end():
         assert measured.speed == pytest.approx(0.1, abs=0.01)
     measured.bridge.sleep(0.7)
     assert measured.speed == pytest.approx(0.0, abs=0.01)
-    assert measured.bridge.line.base.base_timeout.state == "none"
+    assert measured.bridge.connection.base.base_timeout.state == "none"

@@ -81,7 +81,7 @@ def test_a_fifth_robot_is_evaluated_from_its_file(fifth, capsys):
     fields = json.loads(capsys.readouterr().out)
     assert fields["success_rate"] == 1.0
     assert fields["randomize"] == "fifth"
-    assert "1.6 times as long for fifth: it reaches 0.15 m/s" in fields["scaled"][0]
+    assert "1.6 times as long for fifth: fifth reaches 0.15 m/s" in fields["scaled"][0]
     assert run(["course", "check", BRIEF, "--model", fifth]) == 0
     assert "1.6 times as long for fifth" in capsys.readouterr().out
 

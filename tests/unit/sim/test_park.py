@@ -8,7 +8,7 @@ import pytest
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
 from rover_ncp.course.course import load_course
-from rover_ncp.course.fit import slowed
+from rover_ncp.course.slowdown import slowed
 from rover_ncp.robot.description import load_description
 from sim.learn.record import course_of
 from sim.park import park

@@ -10,8 +10,8 @@ from rover_ncp.robot.description import RobotDescription
 def slowed(course: Course, robot: RobotDescription) -> tuple[Course, str]:
     """Return a course slowed down for a robot, and a line that reports it; "" if nothing changed.
 
-    The robot must reach `COMMAND_MAX` (0.24 m/s, 0.36 rad/s), the fastest command of a circuit, so that it can
-    catch up. The reference itself is within the limits of the paper's motors (0.16 m/s, 0.18 rad/s). Raises
+    The robot must reach `COMMAND_MAX` (0.24 m/s, 0.36 rad/s), the fastest command of a circuit, so that it
+    can catch up. The reference itself keeps the limits of the paper's motors (0.16 m/s, 0.18 rad/s). Raises
     ConfigError for a robot that would take more than an hour.
     """
     motion, slower = robot.motion, slowdown(robot)

@@ -38,6 +38,7 @@ class Route:
             parts = [text.replace("/", "§") for text in (self.key, self.ros_type)]
             token = "/".join([self.relay.token, kind, *parts, self.qos])
             self.token = self.relay.session.liveliness().declare_token(token)
+            print(f"announced {self.key} {self.ros_type}", flush=True)
         elif not self.local and self.token is not None:
             self.token.undeclare()
             self.token = None

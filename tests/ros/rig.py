@@ -21,6 +21,8 @@ PYTHON = VENV / "bin" / "python"
 ROS2DDS_BRIDGE = shutil.which("zenoh-bridge-ros2dds")
 """The real one, which is used where it is present; else the stand-in."""
 STARTED_S = 30.0
+TOPICS = 4
+"""Odometry, gyro, battery and commands of `robot.py`."""
 # Each worker of xdist has 30 domains. Those above 101 have ports that Linux gives to others.
 _FIRST = 1 + 30 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
 _domains = itertools.cycle(range(_FIRST, _FIRST + 30))
@@ -64,6 +66,10 @@ class RosProcess(ClosedAtExit):
         if self._child.poll():
             raise ProcessError(self.name, self._child.returncode, "\n".join(self.lines[-20:]))
         return self.lines
+
+    def announced(self):
+        """Return the topics of DDS that the relay has announced on Zenoh."""
+        return {line for line in self.read() if line.startswith("announced")}
 
     def objects(self):
         """Return the JSON objects that it printed."""
@@ -118,7 +124,7 @@ class RunWithRos(LiveRun):
 
     def __init__(self, *arguments, **options):
         super().__init__(*arguments, **options)
-        self.domain = next(_domains)
+        self.domain, self.relay = next(_domains), None
 
     def ros(self, name, *command):
         """Start a ROS process that ends with the run."""
@@ -129,9 +135,9 @@ class RunWithRos(LiveRun):
         arguments = ["-l", f"tcp/{address}", *arguments]
         if ROS2DDS_BRIDGE:
             return self.ros("ros2dds", ROS2DDS_BRIDGE, *arguments)
-        relay = self.ros("ros2dds", "relay.py", *arguments)
-        relay.wait_for_line("ready")
-        return relay
+        self.relay = self.ros("ros2dds", "relay.py", *arguments)
+        self.relay.wait_for_line("ready")
+        return self.relay
 
 
 class RosRun(RunWithRos):
@@ -158,6 +164,11 @@ class RosRun(RunWithRos):
             self._router, locator = open_router()
             self.base = locator.removeprefix("tcp/")
         self.body = self.start_robot()
+        if self.relay is not None:
+            # A route has the type that is seen first: else it could be that of our bridge.
+            wait_for(
+                lambda: len(self.relay.announced()) >= TOPICS, STARTED_S, "the robot's topics in the relay"
+            )
 
     def start_robot(self, *arguments, name="robot"):
         address = ["--router", self.base, "--name", name]

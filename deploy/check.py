@@ -12,9 +12,9 @@ from datetime import date
 from pydantic import BaseModel, Field
 
 from deploy.drive.dead_zone import DeadZone
-from deploy.drive.lease import ACCEPTED_S, NOT_ACCEPTED
 from deploy.drive.measurements import NS, Measurement, Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
+from deploy.drive.signed_lease import ACCEPTED_S, NOT_ACCEPTED
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.identify.excitation import ramps
 from deploy.zenoh_client import BridgeAddress

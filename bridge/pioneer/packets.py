@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, fields
 from enum import IntEnum, IntFlag
 from typing import Any, Self, TypeAlias
 
-from bridge.pioneer.frames import Packet
+from bridge.pioneer.framing import Packet
 
 
 class Kind(IntEnum):

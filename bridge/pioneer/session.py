@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from bridge.base import BaseEvent, BaseReport, Failed, Lost, Notice, Ready, Recovered, TurnRate
-from bridge.pioneer.frames import HOSTBAUD_RATES, Command, Decoder, Packet, encode_command
+from bridge.pioneer.framing import HOSTBAUD_RATES, Command, Decoder, Packet, encode_command
 from bridge.pioneer.odometry import ROBOTS, Odometer
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, GyroPac, Kind, Sip, decode_names
 from bridge.pioneer.setpoints import MotionLimits, Setpoints

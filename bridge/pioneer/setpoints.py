@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bridge.base import BaseReport
-from bridge.pioneer.frames import Command
+from bridge.pioneer.framing import Command
 from rover_ncp.core.geometry import STANDSTILL, Velocity
 
 PULSE_S, REFRESH_S = 0.5, 0.2

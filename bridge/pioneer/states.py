@@ -13,7 +13,7 @@ import math
 from enum import Enum
 from typing import TypeAlias
 
-from bridge.pioneer.frames import Command
+from bridge.pioneer.framing import Command
 
 
 class SessionState(Enum):

@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from typing import NamedTuple
 
-from deploy.drive.lease import DriverLease
+from deploy.drive.signed_lease import DriverLease
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.wire.messages import read_battery, read_bumpers, read_text

@@ -24,7 +24,7 @@ from pydantic import BaseModel, Field
 
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import create, write_atomic
-from rover_ncp.recording.mcap_records import Damaged, read_records
+from rover_ncp.recording.mcap_format import Damaged, read_records
 from rover_ncp.recording.recorded import Layout, Recorded, header_stamp_ns, steady
 from rover_ncp.wire.cdr import definition
 from rover_ncp.wire.key_table import KEYS

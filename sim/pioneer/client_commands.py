@@ -6,7 +6,7 @@ Sources: ARIA's ArCommands (facts only); the Adept Pioneer 3 manual p. 37, 38; r
 import struct
 from enum import IntEnum
 
-from bridge.pioneer.frames import NEGATIVE, POSITIVE, Command
+from bridge.pioneer.framing import NEGATIVE, POSITIVE, Command
 
 STRING = 0x2B
 """Type byte of a string."""

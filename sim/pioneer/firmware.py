@@ -20,7 +20,7 @@ from collections import Counter
 from collections.abc import Callable
 from enum import Enum
 
-from bridge.pioneer.frames import HOSTBAUD_RATES, Command, Decoder, Packet, encode_frame
+from bridge.pioneer.framing import HOSTBAUD_RATES, Command, Decoder, Packet, encode_frame
 from bridge.pioneer.packets import ConfigPac, Kind, encode_names
 from rover_ncp.core.geometry import Pose
 from rover_ncp.robot.description import RobotDescription, load_description

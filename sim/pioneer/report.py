@@ -8,7 +8,7 @@ import math
 import struct
 from dataclasses import dataclass, replace
 
-from bridge.pioneer.frames import Packet
+from bridge.pioneer.framing import Packet
 from bridge.pioneer.odometry import COUNTER_BITS, HEADING_BITS, WHEEL_SPEED_M_S, counter_difference
 from bridge.pioneer.packets import ConfigPac, Flag, Sip
 from rover_ncp.core.geometry import ORIGIN

@@ -6,7 +6,7 @@ the order). A reading is the distance along the sonar's axis; a real cone has mo
 
 import random
 
-from bridge.pioneer.frames import Packet
+from bridge.pioneer.framing import Packet
 from bridge.pioneer.packets import GYRO_RAD_S, GYRO_REST, NO_ECHO_MM, Flag, GyroPac
 from rover_ncp.core.geometry import compose
 from rover_ncp.robot.description import RobotDescription

@@ -6,7 +6,7 @@ recorded sessions show and its source says (EmulatePioneer.cc; facts only).
 
 from dataclasses import replace
 
-from bridge.pioneer.frames import Decoder
+from bridge.pioneer.framing import Decoder
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Kind, Sip
 from kit.arcos_captures import CAPTURES
 from sim.pioneer.firmware import Firmware

@@ -2,7 +2,7 @@
 
 from typing import Self
 
-from bridge.pioneer.frames import Command, Decoder, Packet, encode_frame
+from bridge.pioneer.framing import Command, Decoder, Packet, encode_frame
 from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.packets import ConfigPac, Sip, encode_names
 from bridge.pioneer.session import Session, SessionEvent

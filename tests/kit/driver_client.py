@@ -1,6 +1,6 @@
 """A driver that a test leads step by step, at a bridge on a virtual clock or in a process of its own."""
 
-from deploy.drive.lease import DriverLease
+from deploy.drive.signed_lease import DriverLease
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.wire.messages import read_odometry, read_text, read_twist, twist_stamped
 from rover_ncp.wire.protocol import (

@@ -16,7 +16,7 @@ import numpy as np
 from bridge.base import BaseReport, Setpoint
 from bridge.gate.limits import Limits
 from bridge.inbox import RobotMessage
-from bridge.pioneer.frames import Command, Decoder, Packet, encode_command, encode_frame
+from bridge.pioneer.framing import Command, Decoder, Packet, encode_command, encode_frame
 from bridge.pioneer.packets import ConfigPac, GyroPac, Sip, decode_names, encode_names
 from bridge.pioneer.session import Session
 from bridge.ros2.address import parse_ros_address

@@ -3,7 +3,7 @@
 import math
 import struct
 
-from bridge.pioneer.frames import Command, Decoder, Packet, encode_command, encode_frame
+from bridge.pioneer.framing import Command, Decoder, Packet, encode_command, encode_frame
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Sip
 from rover_ncp.course.course import Obstacle
 from rover_ncp.robot.description import load_description

@@ -13,7 +13,7 @@ from contextlib import closing, contextmanager, suppress
 import pytest
 
 from bridge.pioneer import transport
-from bridge.pioneer.frames import Command, encode_command
+from bridge.pioneer.framing import Command, encode_command
 from bridge.pioneer.transport import BACKLOG_S, DEFAULT_PORT, open_transport
 from rover_ncp.core.errors import NoRobot, UsageError
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from kit.pioneer_bench import Pioneer
 
-from bridge.pioneer.frames import Command, Decoder, encode_command, encode_frame
+from bridge.pioneer.framing import Command, Decoder, encode_command, encode_frame
 from bridge.pioneer.packets import Kind, decode_names
 from bridge.pioneer.transport import open_transport
 from rover_ncp.cli import run

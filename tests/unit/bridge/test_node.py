@@ -9,7 +9,7 @@ from kit.ros2_world import BURGER
 from kit.virtual_bench import VirtualDriver, VirtualRig
 
 from bridge.gate.limits import Fence, Limits
-from bridge.pioneer.frames import Command, Decoder
+from bridge.pioneer.framing import Command, Decoder
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.course.course import Obstacle
 from rover_ncp.robot.description import load_description

@@ -9,7 +9,7 @@ from bridge.base import BaseReport, BaseTimeout, Failed, LinkHealth, Lost, Ready
 from bridge.gate.limits import Fence, Limits
 from bridge.inbox import CommandMessage, Query
 from bridge.node import Node
-from deploy.drive.lease import DriverLease
+from deploy.drive.signed_lease import DriverLease
 from rover_ncp.core.errors import NoRobot
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import load_description

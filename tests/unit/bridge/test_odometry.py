@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kit.arcos_captures import ARIA_LINE, CAPTURES, PLAYER_LINE
 
-from bridge.pioneer.frames import Command, Decoder
+from bridge.pioneer.framing import Command, Decoder
 from bridge.pioneer.odometry import ROBOTS, Odometer
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Sip
 from sim.pioneer.client_commands import MockCommand

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kit.arcos_captures import CAPTURES, VECTORS
 
-from bridge.pioneer.frames import Decoder, Packet
+from bridge.pioneer.framing import Decoder, Packet
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, GyroPac, Kind, Sip, decode_names, encode_names
 
 

@@ -11,7 +11,7 @@ from kit.arcos_bench import BYTES, CONFIG, ECHO0, ECHO1, NAMES, STRANGER, Bench,
 from kit.arcos_captures import CAPTURES
 
 from bridge.base import BaseReport, Failed, Lost, Notice, Ready, Recovered
-from bridge.pioneer.frames import Command, encode_frame
+from bridge.pioneer.framing import Command, encode_frame
 from bridge.pioneer.packets import ConfigPac, Flag, GyroPac, Kind
 from bridge.pioneer.session import CONFIG_S, Session
 from bridge.pioneer.setpoints import MotionLimits

@@ -4,7 +4,7 @@ import pytest
 from kit.arcos_bench import CONFIG, ECHO0, ECHO1, FAST_CONFIG, NAMES, RESET, Bench, frame, sip
 
 from bridge.base import BaseReport, Failed
-from bridge.pioneer.frames import HOSTBAUD_RATES, Command, encode_frame
+from bridge.pioneer.framing import HOSTBAUD_RATES, Command, encode_frame
 from bridge.pioneer.packets import ConfigPac, Kind
 from bridge.pioneer.session import BaudChanged
 from bridge.pioneer.states import PATIENCE_S, SessionState

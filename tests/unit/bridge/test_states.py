@@ -4,7 +4,7 @@ import pytest
 from kit.arcos_bench import Bench
 
 from bridge.base import BaseReport, Failed, Lost, Ready, Recovered
-from bridge.pioneer.frames import Command
+from bridge.pioneer.framing import Command
 from bridge.pioneer.session import BaudChanged, Session
 from bridge.pioneer.states import PATIENCE_S, TABLE, Input, SessionState
 

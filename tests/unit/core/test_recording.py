@@ -15,8 +15,8 @@ from rosbags.highlevel import AnyReader
 
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.recording import mcap_records, recording
-from rover_ncp.recording.mcap_records import MAGIC, RECORD_LIMIT
+from rover_ncp.recording import recording
+from rover_ncp.recording.mcap_format import MAGIC, RECORD_LIMIT
 from rover_ncp.recording.recording import (
     Recorded,
     RecordingWriter,

@@ -10,9 +10,9 @@ from kit.virtual_drive import ChangedLink
 
 from bridge.gate.limits import Limits
 from deploy.check import Battery, Preflight
-from deploy.drive.lease import NOT_ACCEPTED
 from deploy.drive.measurements import NS, Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
+from deploy.drive.signed_lease import NOT_ACCEPTED
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.robot.description import DeadBand, load_description
 from rover_ncp.wire.protocol import BaseReply, GateStatus

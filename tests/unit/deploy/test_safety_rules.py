@@ -8,9 +8,9 @@ from kit.virtual_drive import AHEAD
 from pydantic import ValidationError
 
 from deploy.drive.controller import Controller
-from deploy.drive.lease import DriverLease
 from deploy.drive.measurements import NS
 from deploy.drive.safety_monitor import ResponseCheck, SafetyMonitor, Timeouts, revoked
+from deploy.drive.signed_lease import DriverLease
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import NoBridge, NoRobot, NotAuthorised, SafetyStop

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from kit.arcos_captures import CAPTURES, Capture
 from kit.pioneer_bench import Pioneer
 
-from bridge.pioneer.frames import Command, Decoder, Packet, encode_command, encode_frame
+from bridge.pioneer.framing import Command, Decoder, Packet, encode_command, encode_frame
 from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.packets import decode_names
 from sim.pioneer.client_commands import MockCommand, decode_argument

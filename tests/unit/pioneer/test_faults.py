@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from kit.pioneer_bench import Pioneer
 from kit.ros_cdr import twist
 
-from bridge.pioneer.frames import Command, Decoder, Packet, encode_frame
+from bridge.pioneer.framing import Command, Decoder, Packet, encode_frame
 from bridge.pioneer.packets import Flag
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Velocity

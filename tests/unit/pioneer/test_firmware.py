@@ -6,7 +6,7 @@ import struct
 import pytest
 from kit.pioneer_bench import Pioneer
 
-from bridge.pioneer.frames import Command, Packet, encode_command, encode_frame
+from bridge.pioneer.framing import Command, Packet, encode_command, encode_frame
 from bridge.pioneer.odometry import ROBOTS, Odometer
 from bridge.pioneer.packets import ConfigPac, Flag, decode_names
 from sim.pioneer.client_commands import MockCommand

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from kit.pioneer_bench import Pioneer
 
 from bridge.base import BaseReport, Failed, Lost, Ready, Recovered, TurnRate
-from bridge.pioneer.frames import HOSTBAUD_RATES, Command, encode_command
+from bridge.pioneer.framing import HOSTBAUD_RATES, Command, encode_command
 from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.session import FAST_RATE, BaudChanged, Session, SessionEvent
 from bridge.pioneer.states import SessionState

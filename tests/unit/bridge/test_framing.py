@@ -7,7 +7,7 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from kit.arcos_captures import CAPTURES, VECTORS
 
-from bridge.pioneer.frames import Command, Decoder, Packet, checksum, encode_command, encode_frame
+from bridge.pioneer.framing import Command, Decoder, Packet, checksum, encode_command, encode_frame
 
 CLEAN = [capture for capture in CAPTURES if not capture.name.startswith("fault")]
 PACKETS = st.builds(Packet, st.integers(0, 255), st.binary(max_size=249))

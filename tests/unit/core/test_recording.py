@@ -273,7 +273,7 @@ def test_unpacked_size_has_a_limit_that_is_named(tmp_path, compression, pack):
 
 
 def test_many_chunks_that_unpack_to_more_than_memory_are_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(mcap_records, "UNPACKED_LIMIT", 10_000_000)
+    monkeypatch.setattr(mcap_format, "UNPACKED_LIMIT", 10_000_000)
     one = 1_000_000, "zstd", zstandard.compress(b"\x80" + struct.pack("<Q", 999_991) + bytes(999_991))
     with pytest.raises(FileError, match="more than 10000000 bytes, unpacked"):
         read_recording(chunked(tmp_path / "many.mcap", *[one] * 20))

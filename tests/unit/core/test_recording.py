@@ -15,7 +15,7 @@ from rosbags.highlevel import AnyReader
 
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.recording import recording
+from rover_ncp.recording import mcap_format, recording
 from rover_ncp.recording.mcap_format import MAGIC, RECORD_LIMIT
 from rover_ncp.recording.recording import (
     Recorded,

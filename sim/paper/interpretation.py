@@ -31,7 +31,7 @@ _MOVING = 1e-4
 
 
 def best_circuit(store: ResultStore, task: str) -> Result | None:
-    """Return the best run of the circuit by the default search."""
+    """Return the best run of the circuit by the published search."""
     return max(store.results(task, "circuit"), key=lambda result: (result.success, result.mean), default=None)
 
 
@@ -44,7 +44,7 @@ def trained(result: Result) -> Policy:
 
 @lru_cache(maxsize=1)
 def drives(store: ResultStore) -> tuple[tuple[Policy, Rollout], ...]:
-    """Return the successful parking circuits, the highest return first, each with its drive."""
+    """Return the published search's parking circuits that succeed, the best first, each with its drive."""
     results = [result for result in store.results("parking", "circuit") if result.success]
     policies = [trained(result) for result in sorted(results, key=lambda result: -result.mean)]
     return tuple((policy, rollout(policy, load_course("parking"))) for policy in policies)

@@ -98,11 +98,6 @@ class Judged(Statement):
     figure: str = Field(description="what was measured")
     why: str = Field(description="the reason of the verdict, or a deviation")
 
-    @property
-    def text(self) -> str:
-        """Verdict, with its reason where there is one."""
-        return f"{self.verdict} ({self.why})" if self.why else str(self.verdict)
-
 
 def load_claims() -> ClaimsFile:
     """Return the claims."""

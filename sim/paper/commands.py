@@ -130,7 +130,7 @@ def replay_experiments(
 ) -> int:
     """Score the parameters of stored runs again; exit 1 if a verdict or a return differs.
 
-        rover-ncp paper replay --task mountain-car
+    rover-ncp paper replay --task mountain-car
     """
     from sim.paper.results import DifferentRun, ReplayResult, ResultStore
     from sim.paper.runs import agrees, replay

@@ -66,7 +66,9 @@ def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Judged])
 def claims_table(judged: Sequence[Judged]) -> str:
     """Return all claims with their verdicts."""
     rows: list[Row] = [("name", "claim", "where", "verdict", "ours against the paper's")]
-    rows += [(claim.name, claim.words, claim.where, claim.text, claim.figure) for claim in judged]
+    for claim in judged:
+        verdict = f"{claim.verdict} ({claim.why})" if claim.why else claim.verdict
+        rows.append((claim.name, claim.words, claim.where, verdict, claim.figure))
     return markdown(rows)
 
 

@@ -22,8 +22,7 @@ from sim.paper import BudgetName
 from sim.paper.agents import GRADIENTS, NETWORKS, build_agent
 from sim.paper.evaluator import Evaluator
 from sim.paper.results import Packed, Result, ResultStore, RunName, Score
-from sim.paper.search.estimate import Budget, ParkingEvaluator
-from sim.paper.search.loop import Checkpoint, run_search
+from sim.paper.search.loop import Budget, Checkpoint, ParkingEvaluator, run_search
 from sim.paper.tasks import Benchmark, Task, find_task
 
 _FINAL = 99

@@ -13,7 +13,7 @@ from rover_ncp.core.errors import UsageError
 from sim.paper import BudgetName
 from sim.paper.results import ResultStore, RunName
 from sim.paper.runs import budget_for, replay, train_run
-from sim.paper.search.estimate import Budget
+from sim.paper.search.loop import Budget
 from sim.paper.selection import select
 from sim.paper.tasks import TASKS
 

@@ -5,7 +5,6 @@ would wait for it one by one.
 """
 
 import ctypes
-from functools import cache
 from pathlib import Path
 
 import gymnasium
@@ -21,15 +20,10 @@ from sim.paper.plants.lanes import MujocoLanes
 mujoco.set_mju_user_warning(lambda _: None)
 
 
-@cache
-def _library() -> ctypes.CDLL:
-    """Return the library that the bindings have loaded already."""
-    [path] = Path(mujoco.__file__).parent.glob("libmujoco.*")
-    return ctypes.CDLL(str(path))
-
-
 def _address(name: str) -> int:
-    found = ctypes.cast(getattr(_library(), name), ctypes.c_void_p).value
+    """Return a function's address in the library that the bindings have loaded already."""
+    [path] = Path(mujoco.__file__).parent.glob("libmujoco.*")
+    found = ctypes.cast(getattr(ctypes.CDLL(str(path)), name), ctypes.c_void_p).value
     assert found is not None
     return found
 

@@ -1,1 +1,1 @@
-"""The paper's searches, their loop and estimates, and the training of PPO and A2C."""
+"""The paper's searches, and the training of PPO and A2C."""

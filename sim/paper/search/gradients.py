@@ -22,8 +22,6 @@ Training = tuple[int, int, dict[str, Any]]
 CELLS = 11
 # stable_baselines3.common.vec_env.VecNormalize
 _VARIANCE_EPSILON, _CLIP = 1e-8, 10.0
-
-
 _BY_STATE = {"use_sde": True, "sde_sample_freq": 16}
 _PENDULUM: dict[str, Training] = {
     "ppo": (60_000, 8, {"n_steps": 128, "batch_size": 128, "learning_rate": 1e-3}),
@@ -106,15 +104,17 @@ def train_actor(task: Benchmark, agent: str, seed: int) -> tuple[Found, dict[str
 def score_actor(task: Benchmark, vector: Vector, seeds: NDArray[np.uint64]) -> tuple[FloatArray, FloatArray]:
     """Return an actor's returns with bonus, and Gymnasium's, (n,) each, in episodes of seeds (n,)."""
     world = WithBonus(task)
-    [observations], [actions] = world.observation_space.shape, world.action_space.shape
-    low, high = world.action_space.low, world.action_space.high
-    actor = Actor.of(vector, observations, actions)
+    observed: Any = world.observation_space
+    acted: Any = world.action_space
+    actor = Actor.of(vector, *observed.shape, *acted.shape)
     returns = np.zeros((len(seeds), 2))
     for number, seed in enumerate(seeds):
         seen, _ = world.reset(seed=int(seed))
         over = False
         while not over:
-            action = np.clip(actor.act(np.asarray(seen, np.float64)), low, high).astype(np.float64)
+            action = np.clip(actor.act(np.asarray(seen, np.float64)), acted.low, acted.high).astype(
+                np.float64
+            )
             seen, reward, terminated, truncated, info = world.step(action)
             over = terminated or truncated
             returns[number] += reward, reward - info["bonus"]

@@ -10,7 +10,7 @@ from sim.paper.evaluator import Evaluator, make_plants
 from sim.paper.plants.lanes import observe, reset_plant, step_plant
 from sim.paper.tasks import TASKS
 
-LANES, LANE = 3, 1
+LANE = 1
 
 
 class Plant:
@@ -18,9 +18,9 @@ class Plant:
 
     def __init__(self, name, *, for_search=False):
         self.task = TASKS[name]
-        self.plants, self.pool = make_plants(self.task, LANES, for_search=for_search)
+        self.plants, self.pool = make_plants(self.task, for_search=for_search)
         inputs = self.task.policy(self.task.circuit()).sensing.inputs
-        self._seen = np.full((len(inputs), LANES), np.nan)
+        self._seen = np.full((len(inputs), self.plants.state.shape[1]), np.nan)
 
     @property
     def state(self):
@@ -34,7 +34,7 @@ class Plant:
         return self._seen[:, LANE].tolist()
 
     def step(self, *commands):
-        column = np.zeros((len(commands), LANES))
+        column = np.zeros((len(commands), self.plants.state.shape[1]))
         column[:, LANE] = commands
         return step_plant(self.plants, LANE, column)
 

@@ -17,8 +17,7 @@ from sim.paper import BudgetName
 from sim.paper.agents import build_agent
 from sim.paper.evaluator import Evaluator
 from sim.paper.runs import budget_for
-from sim.paper.search.estimate import BenchmarkEstimator, ParkingEvaluator
-from sim.paper.search.loop import Checkpoint, run_search
+from sim.paper.search.loop import BenchmarkEstimator, Checkpoint, ParkingEvaluator, run_search
 from sim.paper.search.published import SEARCHES
 from sim.paper.tasks import TASKS, Benchmark
 

@@ -111,10 +111,7 @@ def make_plants(task: Benchmark, *, for_search: bool = False) -> tuple[Plants, A
 
 
 class Evaluator:
-    """Scores parameter vectors of one agent by episodes of a benchmark. One thread at a time.
-
-    ``for_search``: see ``make_plants``.
-    """
+    """Scores parameter vectors of one agent by episodes of a benchmark. One thread at a time."""
 
     def __init__(
         self, task: Benchmark, agent: Policy | Net, *, for_search: bool = False, warm_up: int = 0

@@ -22,7 +22,6 @@ from sim.paper.results import Result, ResultStore
 from sim.paper.tasks import Benchmark, find_task
 
 FloatArray = NDArray[np.float64]
-Range = tuple[float, float]
 
 THRESHOLDS = (1.0, 1.5, 2.0)
 """One count must exceed the other by this factor; the paper's words allow several readings."""
@@ -78,7 +77,7 @@ def clear_signs(found: Iterable[Counter[Sign]]) -> list[Sign]:
     return [sign for sign in signs if sign is not Sign.NONE]
 
 
-def time_constants(store: ResultStore, task: str) -> dict[str, Range]:
+def time_constants(store: ResultStore, task: str) -> dict[str, tuple[float, float]]:
     """Return the time constants in s of the best circuit over one episode, by neuron; empty without a run."""
     result = best_circuit(store, task)
     if result is None:

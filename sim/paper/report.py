@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -113,9 +114,8 @@ def paper_table(store: ResultStore, file: ClaimsFile, name: str) -> str:
 def _score(runs: Sequence[Result]) -> str:
     if not runs:
         return "not tested"
-    share = np.mean([run.success for run in runs])
-    mean, std, _ = summary(np.array([run.mean for run in runs]))
-    return f"{mean_text(mean, std)} ({share:.0%})"
+    mean, std, count = summary(np.array([run.mean for run in runs]))
+    return f"{mean_text(mean, std)} ({sum(run.success for run in runs) / count:.0%})"
 
 
 def iqm_table(store: ResultStore) -> str:
@@ -183,12 +183,15 @@ def coverage(store: ResultStore) -> list[GroupRow]:
 
 
 def runs_table(store: ResultStore) -> str:
-    """Return how many runs of each group exist, how long they took, and the commits that made them."""
-    rows: list[Row] = [("search", "task", "agent", "runs", "core s a run", "of commit")]
-    for row in coverage(store):
-        core_s = f"{row.cpu_s / row.made:.0f}" if row.made else ""
-        made = f"{row.made} of {row.runs}"
-        rows.append((row.budget, row.task, row.agent, made, core_s, _counts(row.commits)))
+    """Return how many runs of each search and task exist, their mean CPU time, and their commits."""
+    rows: list[Row] = [("search", "task", "runs", "core s a run", "of commit")]
+    for key, found in groupby(coverage(store), lambda row: (row.budget, row.task)):
+        groups = list(found)
+        made = sum(row.made for row in groups)
+        runs = ", ".join(f"{row.agent} {row.made} of {row.runs}" for row in groups)
+        core_s = f"{sum(row.cpu_s for row in groups) / made:.0f}" if made else ""
+        commits = sum((Counter(row.commits) for row in groups), Counter[str]())
+        rows.append((*key, runs, core_s, _counts(commits)))
     return markdown(rows)
 
 

@@ -1,7 +1,6 @@
 """MuJoCo's model and data for a kernel, which calls ``mj_step``, a plain C function, by its address.
 
-From Python a step of the inverted pendulum costs more in calls than in physics, and all lanes' controllers
-would wait for it one by one.
+From Python a step of the inverted pendulum costs more in calls than in physics.
 """
 
 import ctypes

@@ -30,7 +30,7 @@ _FINAL = 99
 _EPISODES = 100
 _NETWORK_SETTINGS = (10, 5, "published-network", 20_000)
 """Rollouts, worst rollouts and iterations of the published search of MLP and LSTM."""
-_QUICK_ITERATIONS = 100
+_QUICK_ITERATIONS = 30
 TOLERANCE = 1e-9
 """Difference in a return that another machine may make. A half-cheetah's contacts amplify a last bit, so its
 replay is compared by its verdict."""

@@ -111,10 +111,6 @@ paper-quick: $(STAMP) ## A short run of every task of the paper, checked by a re
 	$(BIN)/rover-ncp paper run --budget quick --again --agent circuit --agent mlp --seed 0 --results runs/paper-quick
 	$(BIN)/rover-ncp paper replay --budget quick --agent circuit --agent mlp --seed 0 --results runs/paper-quick
 
-.PHONY: paper
-paper: $(STAMP) ## The paper's missing runs, without PPO and A2C: hours, can be continued.
-	$(BIN)/rover-ncp paper run
-
 .PHONY: paper-docs
 paper-docs: $(STAMP) ## Write the tables of the stored runs into docs/paper.md.
 	$(BIN)/python tests/tools/paper_tables.py
@@ -122,7 +118,7 @@ paper-docs: $(STAMP) ## Write the tables of the stored runs into docs/paper.md.
 .PHONY: paper-gradients
 paper-gradients: $(GRADIENTS_STAMP) ## PPO and A2C: installs stable-baselines3, which needs torch.
 	$(BIN)/python docs/examples/ppo_parking.py
-	$(BIN)/rover-ncp paper run --agent ppo --agent a2c
+	$(BIN)/rover-ncp paper run --budget gradients
 
 .PHONY: test-torch
 test-torch: $(GRADIENTS_STAMP) ## CfC and LTC against the library ncps, whose cells need torch.

@@ -93,16 +93,15 @@ def on_files(files: Any, config: Any) -> Any:
     from mkdocs.structure.files import File
 
     from sim.paper.claims import judge_claims, load_claims
-    from sim.paper.report import long_report
+    from sim.paper.report import claims_table
     from sim.paper.results import ResultStore
 
     text = front_page((DOCS.parent / "README.md").read_text())
     files.append(File.generated(config, "index.md", content=text))
     for name, page in reference_pages().items():
         files.append(File.generated(config, f"reference/{name}", content=page))
-    store = ResultStore(DOCS.parent / "results")
-    tables = long_report(store, judge_claims(store, load_claims().claims))
-    files.append(File.generated(config, "paper_tables.md", content=f"# All claims and runs\n\n{tables}\n"))
+    table = claims_table(judge_claims(ResultStore(DOCS.parent / "results"), load_claims().claims))
+    files.append(File.generated(config, "paper_tables.md", content=f"# All claims\n\n{table}\n"))
     return files
 
 

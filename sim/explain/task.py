@@ -43,7 +43,7 @@ def explain_task(
     on_progress: Progress = lambda _: None,
     runs: Path = RUNS,
 ) -> Explanation:
-    """Explain a policy (name or file) on a task; without one, the best stored circuit of the paper's.
+    """Explain a policy (name or file) on a task; without one, the best circuit of the published search.
 
     Raises UsageError, FileError and ConfigError.
     """
@@ -88,7 +88,8 @@ def stored_policy(task: Task, runs: Path = RUNS) -> tuple[str, Policy]:
     best = best_circuit(ResultStore(runs), task.name)
     if best is None:
         raise UsageError(
-            f"{runs}: no circuit is stored for {task.name}: rover-ncp paper run --task {task.name}"
+            f"{runs}: no circuit is stored for {task.name}; make one: "
+            f"rover-ncp paper run --task {task.name} --agent circuit --seed 0"
         )
     return f"paper run {best.name}", trained(best)
 

@@ -15,7 +15,8 @@ from pydantic import Field
 
 from rover_ncp.core.config import StrictModel, parse_yaml
 from rover_ncp.core.files import read_text
-from sim.paper.agents import build_agent
+from sim.learn.engine.networks import NetKind, net_for
+from sim.paper.agents import NETWORKS
 from sim.paper.interpretation import clear_signs, drives, readings, time_constants
 from sim.paper.results import ResultStore
 from sim.paper.statistics import (
@@ -96,11 +97,6 @@ class Judged(Statement):
     verdict: Verdict = Field(description="reproduced, differs, inconclusive or not tested")
     figure: str = Field(description="what was measured")
     why: str = Field(description="the reason of the verdict, or a deviation")
-
-    @property
-    def text(self) -> str:
-        """Verdict, with its reason where there is one."""
-        return f"{self.verdict} ({self.why})" if self.why else str(self.verdict)
 
 
 def load_claims() -> ClaimsFile:
@@ -235,8 +231,9 @@ def fact(store: ResultStore, of: str, expected: Any, **arguments: Any) -> Outcom
 
 
 def _fewest_parameters(_: ResultStore, task: str) -> str:
-    agents = ("circuit", "mlp", "lstm")
-    sizes = {agent: build_agent(TASKS[task], agent, 0).layout().size for agent in agents}
+    circuit = TASKS[task].policy(TASKS[task].circuit())
+    sizes = {"circuit": circuit.layout().size}
+    sizes |= {agent: net_for(circuit, NetKind(agent)).layout().size for agent in NETWORKS}
     fewest = min(sizes, key=sizes.__getitem__)
     return f"the {fewest} has the fewest, {sizes[fewest]}"
 

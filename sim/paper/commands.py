@@ -42,10 +42,10 @@ def run_experiments(
     budget: Annotated[
         BudgetName,
         typer.Option(
-            help="quick: seconds a run. default: minutes. published: the paper's iterations with the search "
-            "of its code. algorithm1: the same with the search as printed."
+            help="published: the paper's iterations with the search of its code. algorithm1: the same with "
+            "the search as printed. gradients: PPO and A2C. quick: published, but seconds a run."
         ),
-    ] = BudgetName.DEFAULT,
+    ] = BudgetName.PUBLISHED,
     results: Results = RESULTS,
     again: Annotated[bool, typer.Option("--again", help="Repeat runs that exist already.")] = False,
     processes: Annotated[
@@ -61,7 +61,7 @@ def run_experiments(
         float | None,
         typer.Option(
             min=0.0,
-            help="Minutes between checkpoints of runs of the paper's own searches.",
+            help="Minutes between checkpoints of a search.",
             show_default="5",
         ),
     ] = None,
@@ -77,13 +77,12 @@ def run_experiments(
     """Make the runs that do not exist yet.
 
     A run is one line of RESULTS/BUDGET/TASK.jsonl: settings, versions, learning curve, trained parameters.
-    An interrupted run of the paper's own searches continues from its last checkpoint when the command is
-    repeated.
+    An interrupted search continues from its last checkpoint when the command is repeated.
 
+        rover-ncp paper run --task parking
         rover-ncp paper run --task mountain-car --agent circuit --seed 3 --again
-        rover-ncp paper run --task cart-pole --circuit mine.bnn
+        rover-ncp paper run --task cart-pole --circuit mine.bnn --seed 0
         rover-ncp paper run --cluster tcp://192.168.1.5:8786
-        rover-ncp paper run --budget published --task parking
     """
     from rover_ncp.core.files import require_writable
     from sim.paper.results import MadeResult, MadeRun, ResultStore, RunSummary
@@ -104,7 +103,7 @@ def run_experiments(
         outcome = "" if result.success else ", no success"
         output.say(
             f"{len(made)} of {len(left)}: {result.name}: {result.mean:.4g} ± {result.std:.3g}{outcome} "
-            f"({result.cpu_s:.0f} s of a core, ended by {result.ended})"
+            f"({result.cpu_s:.0f} s of a core)"
         )
 
     if left:
@@ -131,9 +130,7 @@ def replay_experiments(
 ) -> int:
     """Score the parameters of stored runs again; exit 1 if a verdict or a return differs.
 
-    Each run's parameters drive its episodes again, and the score is compared to the last bit.
-
-        rover-ncp paper replay --task mountain-car
+    rover-ncp paper replay --task mountain-car
     """
     from sim.paper.results import DifferentRun, ReplayResult, ResultStore
     from sim.paper.runs import agrees, replay
@@ -162,7 +159,7 @@ def replay_experiments(
 def report_experiments(
     *,
     results: Results = RESULTS,
-    long: Annotated[bool, typer.Option("--long", help="The tables of all claims and runs.")] = False,
+    long: Annotated[bool, typer.Option("--long", help="The table of all claims.")] = False,
     curves: Annotated[
         Path | None,
         typer.Option(help="Write the published search's curves to this PNG.", show_default=False),
@@ -179,7 +176,7 @@ def report_experiments(
     from rover_ncp.core.files import require_writable, write_atomic
     from sim.paper.claims import judge_claims, load_claims
     from sim.paper.curves import curves_png
-    from sim.paper.report import ReportResult, coverage, long_report, short_report
+    from sim.paper.report import ReportResult, claims_table, coverage, short_report
     from sim.paper.results import ResultStore
 
     if curves is not None:
@@ -190,5 +187,5 @@ def report_experiments(
     if curves is not None:
         write_atomic(curves, curves_png(store))
     judged = judge_claims(store, file.claims)
-    text = long_report(store, judged) if long else short_report(store, file, judged)
+    text = claims_table(judged) if long else short_report(store, file, judged)
     Output(json).result(ReportResult(claims=judged, groups=coverage(store)).model_dump(), text)

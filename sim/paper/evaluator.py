@@ -86,18 +86,18 @@ def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
     return run_episodes
 
 
-def make_plants(task: Benchmark, count: int | None = None, *, for_search: bool = False) -> tuple[Plants, Any]:
-    """Return ``count`` plants, and the owner of their memory in MuJoCo, to be kept alive beside them.
+def make_plants(task: Benchmark, *, for_search: bool = False) -> tuple[Plants, Any]:
+    """Return plants, and the owner of their memory in MuJoCo, to be kept alive beside them.
 
     ``for_search`` takes the task's faster plant where it has one.
     """
     plant = task.search_plant if for_search and task.search_plant is not None else task.plant
-    pool = None
+    count, pool = _LANES, None
     if task.model is not None and plant == task.plant:
         from sim.paper.plants.mujoco import MujocoPool  # an extra that the other tasks do without
 
-        pool = MujocoPool(task.model.file, task.model.step_s, count or _MUJOCO_LANES)
-    count = count or (_MUJOCO_LANES if pool else _LANES)
+        count = _MUJOCO_LANES
+        pool = MujocoPool(task.model.file, task.model.step_s, count)
     plants = Plants(
         kind=KINDS[plant],
         bonus=task.bonus,
@@ -111,10 +111,7 @@ def make_plants(task: Benchmark, count: int | None = None, *, for_search: bool =
 
 
 class Evaluator:
-    """Scores parameter vectors of one agent by episodes of a benchmark. One thread at a time.
-
-    ``for_search``: see ``make_plants``.
-    """
+    """Scores parameter vectors of one agent by episodes of a benchmark. One thread at a time."""
 
     def __init__(
         self, task: Benchmark, agent: Policy | Net, *, for_search: bool = False, warm_up: int = 0

@@ -22,7 +22,6 @@ from sim.paper.results import Result, ResultStore
 from sim.paper.tasks import Benchmark, find_task
 
 FloatArray = NDArray[np.float64]
-Range = tuple[float, float]
 
 THRESHOLDS = (1.0, 1.5, 2.0)
 """One count must exceed the other by this factor; the paper's words allow several readings."""
@@ -31,7 +30,7 @@ _MOVING = 1e-4
 
 
 def best_circuit(store: ResultStore, task: str) -> Result | None:
-    """Return the best run of the circuit by the default search."""
+    """Return the best run of the circuit by the published search."""
     return max(store.results(task, "circuit"), key=lambda result: (result.success, result.mean), default=None)
 
 
@@ -44,7 +43,7 @@ def trained(result: Result) -> Policy:
 
 @lru_cache(maxsize=1)
 def drives(store: ResultStore) -> tuple[tuple[Policy, Rollout], ...]:
-    """Return the successful parking circuits, the highest return first, each with its drive."""
+    """Return the published search's parking circuits that succeed, the best first, each with its drive."""
     results = [result for result in store.results("parking", "circuit") if result.success]
     policies = [trained(result) for result in sorted(results, key=lambda result: -result.mean)]
     return tuple((policy, rollout(policy, load_course("parking"))) for policy in policies)
@@ -78,7 +77,7 @@ def clear_signs(found: Iterable[Counter[Sign]]) -> list[Sign]:
     return [sign for sign in signs if sign is not Sign.NONE]
 
 
-def time_constants(store: ResultStore, task: str) -> dict[str, Range]:
+def time_constants(store: ResultStore, task: str) -> dict[str, tuple[float, float]]:
     """Return the time constants in s of the best circuit over one episode, by neuron; empty without a run."""
     result = best_circuit(store, task)
     if result is None:

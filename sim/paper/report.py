@@ -1,22 +1,21 @@
 """The report on the paper's claims, as Markdown: answers, tables, and what the circuits show."""
 
-import json
 from collections import Counter
 from collections.abc import Sequence
+from itertools import groupby
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, Field
 
-from rover_ncp.core.files import read_text
 from sim.learn.search.base import Vector
-from sim.paper import FAITHFUL, BudgetName
-from sim.paper.agents import AGENTS, GRADIENTS, LIQUID
+from sim.paper import BudgetName
+from sim.paper.agents import AGENTS, GRADIENTS
 from sim.paper.claims import ClaimsFile, Judged, Verdict
 from sim.paper.interpretation import clear_signs, drives, readings, time_constants
 from sim.paper.results import Result, ResultStore
 from sim.paper.selection import grid
-from sim.paper.statistics import improvement, interquartile_mean, mean_text, summary, wilson
+from sim.paper.statistics import improvement, interquartile_mean, mean_text, summary
 from sim.paper.tasks import TASKS
 
 Row = Sequence[object]
@@ -26,23 +25,19 @@ LAYOUTS = {
     "Table IV": ("lstm", "mlp", "circuit", "random"),
 }
 """Agents of the paper's tables, in their order."""
+_BUDGETS = (BudgetName.PUBLISHED, BudgetName.ALGORITHM1, BudgetName.GRADIENTS)
 _COLUMNS = ("pendulum", "mountain-car", "half-cheetah")
-_ROBOTS = {"harsh": "robots of `harsh`", "unseen": "robots of `full` on other courses"}
-_TRIALS = 1000
-_COMPARE = "python -m benchmarks.compare AGENT --rollouts 104"
-"""The command that made the results in ``random-robots``."""
 
 
 class GroupRow(BaseModel):
     """The stored runs of a task and an agent."""
 
-    budget: BudgetName = Field(description="how long a run may take: quick, default or published")
+    budget: BudgetName = Field(description="the search and its length")
     task: str = Field(description="its name")
-    agent: str = Field(description="circuit, network or search of the paper")
+    agent: str = Field(description="circuit, network, PPO or A2C")
     made: int = Field(description="finished runs")
     runs: int = Field(description="runs that the grid wants")
     commits: dict[str, int] = Field(description="by commit: number of runs")
-    ended: dict[str, int] = Field(description="by reason: number of runs")
     cpu_s: float = Field(description="CPU time")
 
 
@@ -60,30 +55,22 @@ def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Judged])
         answers(file, judged),
         f"Of {len(judged)} claims: " + ", ".join(f"{counts[each]} {each}" for each in Verdict) + ".",
         *(f"**{name}**\n\n{paper_table(store, file, name)}" for name in LAYOUTS),
-        f"**Interquartile means by the paper's own search**\n\n{iqm_table(store, FAITHFUL)}",
+        f"**Interquartile means**\n\n{iqm_table(store)}",
         f"**Definition 1**\n\n{sign_table(store, file)}",
         f"**Time constants of parking, s**\n\n{time_constant_table(store, file)}",
-        f"**Since the paper: parking random robots** (`{_COMPARE}`)\n\n{robots_table(store)}",
-        f"**The stored runs, by commit**\n\n{commits_table(store)}",
+        f"**Settings and thresholds**\n\n{settings_table()}",
+        f"**The stored runs**\n\n{runs_table(store)}",
     ]
     return "\n\n".join(parts)
 
 
-def long_report(store: ResultStore, judged: Sequence[Judged]) -> str:
-    """Return the tables of all claims, of all interquartile means and of all runs. Raises FileError."""
-    claims: list[Row] = [("name", "claim", "where", "verdict", "ours against the paper's")]
-    claims += [(claim.name, claim.words, claim.where, claim.text, claim.figure) for claim in judged]
-    runs: list[Row] = [("budget", "task", "agent", "runs", "core s", "ended by", "commits")]
-    for row in coverage(store):
-        made, core_s = f"{row.made} of {row.runs}", f"{row.cpu_s:.0f}"
-        runs.append((row.budget, row.task, row.agent, made, core_s, _counts(row.ended), _counts(row.commits)))
-    parts = {
-        "All claims": markdown(claims),
-        "All interquartile means": iqm_table(store, (*FAITHFUL, BudgetName.DEFAULT)),
-        "Settings": settings_table(),
-        "All runs": markdown(runs),
-    }
-    return "\n\n".join(f"## {title}\n\n{table}" for title, table in parts.items())
+def claims_table(judged: Sequence[Judged]) -> str:
+    """Return all claims with their verdicts."""
+    rows: list[Row] = [("name", "claim", "where", "verdict", "ours against the paper's")]
+    for claim in judged:
+        verdict = f"{claim.verdict} ({claim.why})" if claim.why else claim.verdict
+        rows.append((claim.name, claim.words, claim.where, verdict, claim.figure))
+    return markdown(rows)
 
 
 def answers(file: ClaimsFile, judged: Sequence[Judged]) -> str:
@@ -127,17 +114,16 @@ def paper_table(store: ResultStore, file: ClaimsFile, name: str) -> str:
 def _score(runs: Sequence[Result]) -> str:
     if not runs:
         return "not tested"
-    share = np.mean([run.success for run in runs])
-    mean, std, _ = summary(np.array([run.mean for run in runs]))
-    return f"{mean_text(mean, std)} ({share:.0%})"
+    mean, std, count = summary(np.array([run.mean for run in runs]))
+    return f"{mean_text(mean, std)} ({sum(run.success for run in runs) / count:.0%})"
 
 
-def iqm_table(store: ResultStore, budgets: Sequence[BudgetName]) -> str:
+def iqm_table(store: ResultStore) -> str:
     """Return interquartile means, and the probability that a run of the circuit is better."""
     rows: list[Row] = [
         ("search", "task", "agent", "runs", "successes", "interquartile mean (95 %)", "P(circuit better)")
     ]
-    for budget in budgets:
+    for budget in _BUDGETS:
         pairs: dict[str, list[tuple[Vector, Vector]]] = {}
         for task in TASKS:
             own = store.returns(task, "circuit", budget)
@@ -180,48 +166,32 @@ def time_constant_table(store: ResultStore, file: ClaimsFile) -> str:
     return markdown(rows)
 
 
-def robots_table(store: ResultStore) -> str:
-    """Return how often each agent parks random robots, one training of each."""
-    rows: list[Row] = [("agent", *_ROBOTS.values())]
-    for agent in ("circuit", *LIQUID):
-        path = store.folder / "random-robots" / f"{agent}.json"
-        if not path.is_file():
-            continue
-        stored = json.loads(read_text(path))
-        hits = [round(stored[name]["success_rate"] * _TRIALS) for name in _ROBOTS]
-        cells = ["{} of {} ({:.1%} to {:.1%})".format(hit, _TRIALS, *wilson(hit, _TRIALS)) for hit in hits]
-        rows.append((agent, *cells))
-    return markdown(rows)
-
-
 def coverage(store: ResultStore) -> list[GroupRow]:
     """Return each group of the grid: how many of its runs exist, and the commits that made them."""
     rows = []
-    for group in grid(*FAITHFUL, BudgetName.DEFAULT):
+    for group in grid(*_BUDGETS):
         runs = store.results(group.task, group.agent, group.budget)
         rows.append(
             GroupRow(
                 **group._asdict(),
                 made=len(runs),
                 commits=Counter(_short(run.made_with.get("commit", "unknown")) for run in runs),
-                ended=Counter(run.ended for run in runs),
                 cpu_s=sum(run.cpu_s for run in runs),
             )
         )
     return rows
 
 
-def commits_table(store: ResultStore) -> str:
-    """Return how many runs each commit made and how long they took, by budget and task."""
-    found: dict[tuple[str, str], tuple[list[float], Counter[str]]] = {}
-    for group in coverage(store):
-        times, commits = found.setdefault((group.budget, group.task), ([], Counter()))
-        times.append(group.cpu_s)
-        commits.update(group.commits)
+def runs_table(store: ResultStore) -> str:
+    """Return how many runs of each search and task exist, their mean CPU time, and their commits."""
     rows: list[Row] = [("search", "task", "runs", "core s a run", "of commit")]
-    for key, (times, commits) in found.items():
-        if count := commits.total():
-            rows.append((*key, count, f"{sum(times) / count:.0f}", _counts(commits)))
+    for key, found in groupby(coverage(store), lambda row: (row.budget, row.task)):
+        groups = list(found)
+        made = sum(row.made for row in groups)
+        runs = ", ".join(f"{row.agent} {row.made} of {row.runs}" for row in groups)
+        core_s = f"{sum(row.cpu_s for row in groups) / made:.0f}" if made else ""
+        commits = sum((Counter(row.commits) for row in groups), Counter[str]())
+        rows.append((*key, runs, core_s, _counts(commits)))
     return markdown(rows)
 
 

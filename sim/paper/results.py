@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FileError
@@ -20,11 +20,9 @@ class RunName(StrictModel):
     """Coordinates of a run in the grid."""
 
     task: str = Field(description="its name")
-    agent: str = Field(description="circuit, network or search of the paper")
+    agent: str = Field(description="circuit, network, PPO or A2C")
     seed: int = Field(description="of random numbers")
-    budget: BudgetName = Field(
-        default=BudgetName.DEFAULT, description="how long a run may take: quick, default or published"
-    )
+    budget: BudgetName = Field(default=BudgetName.PUBLISHED, description="the search and its length")
 
     def __str__(self) -> str:
         return f"{self.budget} {self.task} {self.agent} {self.seed}"
@@ -61,11 +59,13 @@ class RunSummary(Score):
 
     cpu_s: float = Field(description="CPU time")
     steps: int = Field(description="of the environment, in all episodes")
-    ended: str = Field(description="why the run ended: enough, plateau, steps or evaluations")
 
 
 class Result(RunSummary):
     """A finished run."""
+
+    model_config = ConfigDict(extra="ignore")
+    """Lines of older versions say why a run ended."""
 
     name: RunName
     settings: dict[str, Any]
@@ -141,12 +141,12 @@ class ResultStore:
         """Return a run. Raises FileError."""
         return self._runs(self.path(name.task, name.budget)).get((name.agent, name.seed))
 
-    def results(self, task: str, agent: str, budget: str = BudgetName.DEFAULT) -> list[Result]:
+    def results(self, task: str, agent: str, budget: str = BudgetName.PUBLISHED) -> list[Result]:
         """Return the finished runs of an agent, by seed. Raises FileError."""
         runs = self._runs(self.path(task, budget)).values()
         return sorted((run for run in runs if run.name.agent == agent), key=lambda run: run.name.seed)
 
-    def returns(self, task: str, agent: str, budget: str = BudgetName.DEFAULT) -> Vector:
+    def returns(self, task: str, agent: str, budget: str = BudgetName.PUBLISHED) -> Vector:
         """Return the mean returns (n,) of these runs. Raises FileError."""
         return np.array([run.mean for run in self.results(task, agent, budget)])
 

@@ -4,6 +4,7 @@ import importlib
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import as_completed
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -12,47 +13,38 @@ import numpy as np
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_circuit, policy_from_yaml, policy_to_yaml
-from rover_ncp.core.errors import UsageError
 from sim.learn.cluster import DaskCluster
 from sim.learn.engine.networks import Net
 from sim.learn.record import made_with
 from sim.learn.search.base import Vector, draw_seeds
 from sim.learn.workers import ProcessPool, available_processes
-from sim.paper import FAITHFUL, BudgetName
+from sim.paper import BudgetName
 from sim.paper.agents import GRADIENTS, NETWORKS, build_agent
 from sim.paper.evaluator import Evaluator
 from sim.paper.results import Packed, Result, ResultStore, RunName, Score
-from sim.paper.search.estimate import BenchmarkEstimator, Budget, Found, ParkingEvaluator
-from sim.paper.search.loop import Checkpoint, search_from_one, search_parking
-from sim.paper.search.published import SEARCHES
+from sim.paper.search.loop import Budget, Checkpoint, ParkingEvaluator, run_search
 from sim.paper.tasks import Benchmark, Task, find_task
 
 _FINAL = 99
 """Stream of the fresh episodes that a run is judged by."""
-_FINAL_EPISODES, _QUICK_EPISODES = 100, 20
+_EPISODES = 100
 _NETWORK_SETTINGS = (10, 5, "published-network", 20_000)
 """Rollouts, worst rollouts and iterations of the published search of MLP and LSTM."""
-_QUICK_STEPS = 400_000
-"""Steps of a quick run: a few seconds."""
+_QUICK_ITERATIONS = 30
 TOLERANCE = 1e-9
 """Difference in a return that another machine may make. A half-cheetah's contacts amplify a last bit, so its
 replay is compared by its verdict."""
 
 
 def budget_for(task: Task, name: BudgetName, agent: str = "circuit") -> Budget:
-    """Return a budget: the paper's, one of some core-minutes at most, or one of seconds."""
-    (iterations, rollouts, worst), default = task.settings, task.default
-    if name is BudgetName.PUBLISHED and agent in NETWORKS:
-        return Budget(*_NETWORK_SETTINGS)
-    if name in FAITHFUL:
-        strategy = task.published_search if name is BudgetName.PUBLISHED else "algorithm1"
-        return Budget(rollouts, worst, strategy, iterations, warm_up=task.warm_up)
-    strategy = task.published_search if isinstance(task, Benchmark) else "gauss-newton"
-    if name is BudgetName.QUICK:
-        starts = min(default.untuned, 300 if task.horizon < 1000 else 100)
-        limits = {"steps": _QUICK_STEPS, "starts": starts}
-        return Budget(min(rollouts, 3), min(worst, 3), strategy, **limits, prunes=True)
-    return Budget(rollouts, worst, strategy, steps=default.steps, starts=default.untuned, prunes=True)
+    """Return the budget of a search: the paper's, or one of seconds."""
+    if agent in NETWORKS:
+        budget = Budget(*_NETWORK_SETTINGS)
+    else:
+        iterations, rollouts, worst = task.settings
+        strategy = "algorithm1" if name is BudgetName.ALGORITHM1 else task.published_search
+        budget = Budget(rollouts, worst, strategy, iterations, task.warm_up)
+    return replace(budget, iterations=_QUICK_ITERATIONS) if name is BudgetName.QUICK else budget
 
 
 def train_run(
@@ -60,26 +52,28 @@ def train_run(
 ) -> Result:
     """Make one run. The same name gives the same parameters and returns, to the last bit.
 
-    ``state`` is the file in which the paper's own searches save their state, to continue from there.
-    Raises UsageError, FileError or ConfigError for a run that is not possible.
+    ``state`` is the file in which a search saves its state, to continue from there. Raises UsageError,
+    FileError or ConfigError for a run that is not possible.
     """
     task = find_task(name.task)
-    budget = budget_for(task, name.budget, name.agent)
-    checkpoint = Checkpoint(state if name.budget in FAITHFUL else None, vars(budget), every_s)
     agent: Policy | Net | None = None
+    settings: dict[str, Any]
     libraries: list[str] = []
     if name.agent in GRADIENTS:
-        found, steps, settings = _train_by_gradients(task, name)
+        from sim.paper.search.gradients import train_actor  # needs the extra gradients
+
+        assert isinstance(task, Benchmark)
+        checkpoint = Checkpoint(None, {})
+        found, settings = train_actor(task, name.agent, name.seed)
         libraries = ["stable-baselines3", "torch"]
     else:
-        agent = (
-            _own_agent(task, circuit) if circuit else build_agent(task, name.agent, name.seed, name.budget)
-        )
-        found, steps = _search(task, agent, name.seed, budget, checkpoint)
+        agent = _own_agent(task, circuit) if circuit else build_agent(task, name.agent, name.seed)
+        budget = budget_for(task, name.budget, name.agent)
         settings = vars(budget)
+        checkpoint = Checkpoint(state, settings, every_s)
+        found = run_search(task, agent, name.seed, budget, checkpoint)
     if isinstance(task, Benchmark):
         libraries += ["gymnasium", "mujoco"] if task.model else ["gymnasium"]
-    episodes = _QUICK_EPISODES if name.budget is BudgetName.QUICK else _FINAL_EPISODES
     wall_s, cpu_s = checkpoint.times()
     return Result(
         name=name,
@@ -88,14 +82,11 @@ def train_run(
         wall_s=wall_s,
         cpu_s=cpu_s,
         evaluations=found.evaluations,
-        steps=steps,
-        ended=found.ended,
+        steps=found.steps,
         curve=found.curve,
         policy=policy_to_yaml(agent) if circuit and isinstance(agent, Policy) else None,
         parameters=Packed.of(found.vector),
-        **score(
-            task, agent, found.vector, name.seed, episodes=episodes, warm_up=settings.get("warm_up", 0)
-        ).model_dump(),
+        **score(task, agent, found.vector, name.seed, settings.get("warm_up", 0)).model_dump(),
     )
 
 
@@ -103,59 +94,29 @@ def _own_agent(task: Task, circuit: Path) -> Policy:
     return task.policy(load_circuit(circuit))
 
 
-def _agent(task: Task, name: RunName) -> Policy | Net:
-    return build_agent(task, name.agent, name.seed, name.budget)
-
-
-def _search(
-    task: Task, agent: Policy | Net, seed: int, budget: Budget, checkpoint: Checkpoint
-) -> tuple[Found, int]:
-    """Return what the search found, and the steps it took."""
-    if isinstance(task, Benchmark):
-        benchmark = BenchmarkEstimator(task, agent, seed, budget)
-        return search_from_one(benchmark, agent, seed, budget, checkpoint), benchmark.steps
-    parking = ParkingEvaluator(task, agent)
-    if budget.strategy in SEARCHES:
-        return search_from_one(parking, agent, seed, budget, checkpoint), parking.steps
-    return search_parking(parking, agent, seed, budget), parking.steps
-
-
-def _train_by_gradients(task: Task, name: RunName) -> tuple[Found, int, dict[str, Any]]:
-    from sim.paper.search.gradients import train_actor  # needs the extra gradients
-
-    if name.budget in FAITHFUL:
-        raise UsageError(f"the paper states no budget for {name.agent}")
-    if not isinstance(task, Benchmark):
-        raise UsageError(f"{name.agent} is not trained on {task.name}")
-    actor, steps, settings = train_actor(task, name.agent, name.seed, quick=name.budget is BudgetName.QUICK)
-    return Found(actor.vector(), 0, (), "steps"), steps, settings
-
-
-def score(
-    task: Task, agent: Policy | Net | None, vector: Vector, seed: int, *, episodes: int, warm_up: int = 0
-) -> Score:
+def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int, warm_up: int) -> Score:
     """Return the score of parameters (P,) in fresh episodes.
 
     Without an agent, the parameters are those of an actor (``search/gradients.py``). Parking is
     deterministic: one episode is enough.
     """
     if not isinstance(task, Benchmark):
-        assert agent is not None
+        assert isinstance(agent, Policy)
         total, parked = ParkingEvaluator(task, agent).outcome(vector)
         success = parked and total >= task.success
         return Score(episodes=1, mean=total, std=0.0, plain_mean=total, success=success)
-    seeds = draw_seeds(seed, (_FINAL,), episodes)
+    seeds = draw_seeds(seed, (_FINAL,), _EPISODES)
     if agent is None:
         from sim.paper.search.gradients import score_actor
 
         returns, plain = score_actor(task, vector, seeds)
     else:
         evaluator = Evaluator(task, agent, warm_up=warm_up)
-        found = evaluator.run(np.tile(vector, (episodes, 1)), seeds)
+        found = evaluator.run(np.tile(vector, (_EPISODES, 1)), seeds)
         returns, plain = found[:, :2].sum(axis=1), found[:, 0]
     plain_mean = float(plain.mean())
     return Score(
-        episodes=episodes,
+        episodes=_EPISODES,
         mean=float(returns.mean()),
         std=float(returns.std()),
         plain_mean=plain_mean,
@@ -171,9 +132,8 @@ def replay(result: Result) -> Score:
     if result.policy is not None:
         agent = policy_from_yaml(result.policy, str(name))
     elif name.agent not in GRADIENTS:
-        agent = _agent(task, name)
-    vector, warm_up = result.parameters.array(), int(result.settings.get("warm_up", 0))
-    return score(task, agent, vector, name.seed, episodes=result.episodes, warm_up=warm_up)
+        agent = build_agent(task, name.agent, name.seed)
+    return score(task, agent, result.parameters.array(), name.seed, result.settings.get("warm_up", 0))
 
 
 def is_stored(store: ResultStore, name: RunName, circuit: Path | None) -> bool:
@@ -186,12 +146,9 @@ def is_stored(store: ResultStore, name: RunName, circuit: Path | None) -> bool:
 
 def agrees(result: Result, replayed: Score) -> bool:
     """Whether a replay has the stored verdict, and returns within ``TOLERANCE`` except a half-cheetah's."""
-    if (replayed.success, replayed.episodes) != (result.success, result.episodes):
-        return False
-    pairs = zip(replayed, result.score, strict=True)
-    return result.name.task == "half-cheetah" or all(
-        math.isclose(now, stored, rel_tol=TOLERANCE, abs_tol=TOLERANCE) for (_, now), (_, stored) in pairs
-    )
+    pairs = ((now, getattr(result, field)) for field, now in replayed)
+    close = all(math.isclose(now, stored, rel_tol=TOLERANCE, abs_tol=TOLERANCE) for now, stored in pairs)
+    return replayed.success == result.success and (close or result.name.task == "half-cheetah")
 
 
 def make_runs(
@@ -206,8 +163,8 @@ def make_runs(
 ) -> None:
     """Make runs, as many at once as there are processes, or on a Dask cluster; save each as it ends.
 
-    After an interruption, runs of the paper's own searches continue from their last checkpoint when they are
-    requested again. Raises UsageError, FileError or ConfigError before the first run begins, and WorkerDied.
+    After an interruption, a search continues from its last checkpoint when it is requested again. Raises
+    UsageError, FileError or ConfigError before the first run begins, and WorkerDied.
     """
     _require(names, circuit)
     count = min(processes or available_processes(), len(names))
@@ -234,7 +191,5 @@ def _require(names: Sequence[RunName], circuit: Path | None) -> None:
             _own_agent(task, circuit)
         elif agent in GRADIENTS:
             importlib.import_module("stable_baselines3")
-        else:
-            build_agent(task, agent, 0)
         if isinstance(task, Benchmark) and task.model:
             importlib.import_module("mujoco")

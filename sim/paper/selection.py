@@ -6,13 +6,12 @@ from typing import NamedTuple
 
 from rover_ncp.core.errors import UsageError
 from sim.paper import BudgetName
-from sim.paper.agents import AGENTS, GRADIENTS, LIQUID, PAPERS
+from sim.paper.agents import AGENTS, GRADIENTS, PAPERS
 from sim.paper.results import RunName
-from sim.paper.tasks import TASKS, Benchmark, find_task
+from sim.paper.tasks import TASKS, Benchmark, Task, find_task
 
-_GRADIENT_TASKS = ("pendulum", "roboschool", "mountain-car")
+_GRADIENT_TASKS = ("pendulum", "mountain-car")
 """The tasks of the paper's table of reinforcement learning."""
-_LIQUID_TASKS = ("mountain-car", "parking")
 _ALGORITHM1_TASKS = ("parking", "pendulum", "mountain-car", "cart-pole")
 _SEEDS = 10
 _PARKING_SEEDS = 48
@@ -39,16 +38,16 @@ def grid(*budgets: BudgetName) -> Iterator[Group]:
     """Yield all groups of some budgets."""
     for budget in budgets:
         for name, task in TASKS.items():
-            seeds = _SEEDS
-            if budget is BudgetName.ALGORITHM1:
-                agents: Sequence[str] = ("circuit",) if name in _ALGORITHM1_TASKS else ()
-            elif budget is BudgetName.PUBLISHED:
-                agents = PAPERS if isinstance(task, Benchmark) else ("circuit",)
-                seeds = _PARKING_SEEDS if name == "parking" else _SEEDS
-            else:
-                liquid = LIQUID if name in _LIQUID_TASKS else ()
-                agents = (*PAPERS, *liquid, *(GRADIENTS if name in _GRADIENT_TASKS else ()))
-            yield from (Group(name, agent, budget, seeds) for agent in agents)
+            seeds = _PARKING_SEEDS if (name, budget) == ("parking", BudgetName.PUBLISHED) else _SEEDS
+            yield from (Group(name, agent, budget, seeds) for agent in _agents(task, budget))
+
+
+def _agents(task: Task, budget: BudgetName) -> Sequence[str]:
+    if budget is BudgetName.GRADIENTS:
+        return GRADIENTS if task.name in _GRADIENT_TASKS else ()
+    if budget is BudgetName.ALGORITHM1:
+        return ("circuit",) if task.name in _ALGORITHM1_TASKS else ()
+    return PAPERS if isinstance(task, Benchmark) else ("circuit",)
 
 
 def select(
@@ -56,27 +55,31 @@ def select(
     agents: Sequence[str] | None,
     seeds: Sequence[int] | None,
     circuit: Path | None,
-    budget: BudgetName = BudgetName.DEFAULT,
+    budget: BudgetName = BudgetName.PUBLISHED,
 ) -> list[RunName]:
     """Return the selected runs of a budget, circuits first: of the grid, or of any seeds given.
 
-    Without ``agents``, those that need torch are left out. Raises UsageError for an unknown task or agent,
-    and where nothing is left.
+    Raises UsageError for an unknown task or agent, and where nothing is left.
     """
     for task in tasks or ():
         find_task(task)
     if circuit is not None:
-        if agents or not tasks:
-            raise UsageError("--circuit FILE is an agent of its own: give --task and no --agent")
+        if agents or not tasks or budget is BudgetName.GRADIENTS:
+            raise UsageError("--circuit FILE needs --task, and neither --agent nor --budget gradients")
         if circuit.stem in AGENTS:
             raise UsageError(f"--circuit {circuit}: {circuit.stem} is an agent of the paper; rename the file")
         return [name for task in tasks for name in Group(task, circuit.stem, budget).names(seeds)]
     for agent in agents or ():
         if agent not in AGENTS:
             raise UsageError(f"no agent {agent!r}; expected one of {', '.join(AGENTS)}")
-    wanted = agents or [agent for agent in AGENTS if agent not in GRADIENTS]
-    groups = [group for group in grid(budget) if group.agent in wanted and (not tasks or group.task in tasks)]
+    groups = [
+        group
+        for group in grid(budget)
+        if (not agents or group.agent in agents) and (not tasks or group.task in tasks)
+    ]
     groups.sort(key=lambda group: AGENTS.index(group.agent))
     if not groups:
-        raise UsageError("the grid has no such runs; rover-ncp paper report --long lists it")
+        raise UsageError(
+            f"the budget {budget} has no such runs; rover-ncp paper report lists those of each budget"
+        )
     return [name for group in groups for name in group.names(seeds)]

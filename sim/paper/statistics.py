@@ -64,14 +64,12 @@ def _difference(a: FloatArray, b: FloatArray, axis: int = -1) -> Any:
 
 
 def interquartile_mean(values: FloatArray) -> Estimate:
-    """Return the mean of the middle half of values (n,) and its bootstrap interval (Agarwal et al. 2021)."""
+    """Return the mean of the middle half of values (n,), n > 1, with a bootstrap interval (Agarwal 2021)."""
     middle = partial(stats.trim_mean, proportiontocut=0.25)
-    value = float(middle(values))
-    if len(values) < 2 or np.ptp(values) == 0.0:
-        return Estimate(value, value, value)
     rng = np.random.default_rng(_SEED)
     found = stats.bootstrap((values,), middle, n_resamples=_RESAMPLES, rng=rng, method="percentile")
-    return Estimate(value, float(found.confidence_interval.low), float(found.confidence_interval.high))
+    low, high = found.confidence_interval
+    return Estimate(float(middle(values)), float(low), float(high))
 
 
 def improvement(pairs: Sequence[tuple[FloatArray, FloatArray]]) -> Estimate:

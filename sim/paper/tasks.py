@@ -3,11 +3,10 @@
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import model_validator
 
 from rover_ncp.circuit.circuit import Circuit
 from rover_ncp.circuit.motors import Motors
@@ -22,7 +21,6 @@ Plant = Literal["mountain-car", "cart-pole", "written-pendulum", "pendulum", "ha
 
 _STARTS: Mapping[str, Callable[[np.random.Generator], FloatArray]] = {
     "pendulum": lambda rng: rng.uniform(-0.01, 0.01, 4),
-    "roboschool": lambda rng: np.array([0.0, rng.uniform(-0.1, 0.1), 0.0, 0.0]),
     "mountain-car": lambda rng: np.array([rng.uniform(-0.6, -0.4), 0.0]),
     "half-cheetah": lambda rng: np.concatenate([rng.uniform(-0.1, 0.1, 9), 0.1 * rng.standard_normal(9)]),
     "cart-pole": lambda rng: rng.uniform(-0.05, 0.05, 4),
@@ -35,15 +33,6 @@ class Settings(NamedTuple):
     iterations: int
     rollouts: int
     worst: int
-
-
-class Default(NamedTuple):
-    """The default budget: most steps of the environment, untuned agents to try first, and an end."""
-
-    steps: int
-    untuned: int
-    enough: float
-    """A search may stop when it has confirmed this return, with bonus."""
 
 
 class MujocoModel(NamedTuple):
@@ -67,7 +56,6 @@ class Task(StrictModel):
     """Origin of ``success``; the paper states no threshold."""
     margin: float
     """Difference of returns that counts as none."""
-    default: Default
     wiring: str = "tap_withdrawal"
     """Name of the tap-withdrawal circuit with the task's motor neurons."""
     published_search: str = "published-parking"
@@ -115,24 +103,12 @@ class Benchmark(Task):
 
 
 class _File(StrictModel):
-    benchmarks: dict[str, Benchmark]
-    parking: dict[str, Task]
-
-    @model_validator(mode="before")
-    @classmethod
-    def _named(cls, data: dict[str, Any]) -> dict[str, Any]:
-        return {
-            kind: {name: {"name": name, **task} for name, task in tasks.items()}
-            for kind, tasks in data.items()
-        }
+    benchmarks: tuple[Benchmark, ...]
+    parking: tuple[Task, ...]
 
 
-def _load() -> dict[str, Task]:
-    file = load_yaml(Path(__file__).with_suffix(".yaml"), _File)
-    return {**file.benchmarks, **file.parking}
-
-
-TASKS = _load()
+_FILE = load_yaml(Path(__file__).with_suffix(".yaml"), _File)
+TASKS: Mapping[str, Task] = {task.name: task for task in (*_FILE.benchmarks, *_FILE.parking)}
 
 
 def find_task(name: str) -> Task:

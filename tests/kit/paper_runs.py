@@ -16,7 +16,6 @@ def result(task, agent, seed, mean, success=True, budget=BudgetName.PUBLISHED, *
         "cpu_s": 1.0,
         "evaluations": 51,
         "steps": 100,
-        "ended": "evaluations",
         "curve": ((0, 10, mean - 1.0), (40, 50, mean)),
         "episodes": 1,
         "mean": mean,

@@ -1,11 +1,9 @@
 """MuJoCo's model and data for a kernel, which calls ``mj_step``, a plain C function, by its address.
 
-From Python a step of the inverted pendulum costs more in calls than in physics, and all lanes' controllers
-would wait for it one by one.
+From Python a step of the inverted pendulum costs more in calls than in physics.
 """
 
 import ctypes
-from functools import cache
 from pathlib import Path
 
 import gymnasium
@@ -21,15 +19,10 @@ from sim.paper.plants.lanes import MujocoLanes
 mujoco.set_mju_user_warning(lambda _: None)
 
 
-@cache
-def _library() -> ctypes.CDLL:
-    """Return the library that the bindings have loaded already."""
-    [path] = Path(mujoco.__file__).parent.glob("libmujoco.*")
-    return ctypes.CDLL(str(path))
-
-
 def _address(name: str) -> int:
-    found = ctypes.cast(getattr(_library(), name), ctypes.c_void_p).value
+    """Return a function's address in the library that the bindings have loaded already."""
+    [path] = Path(mujoco.__file__).parent.glob("libmujoco.*")
+    found = ctypes.cast(getattr(ctypes.CDLL(str(path)), name), ctypes.c_void_p).value
     assert found is not None
     return found
 

@@ -1,7 +1,6 @@
 """Gymnasium's inverted pendulum written out: MuJoCo's motion in less than a twentieth of the time.
 
-A step with its circuit takes 0.6 µs here and 16 µs with MuJoCo, a factor of 28. The paper's budget of 500
-million steps a run needs it.
+The paper's budget of 500 million steps a run needs it.
 
 The pole turns on a hinge (positive about y) on a cart on a slider (along x), from ``inverted_pendulum.xml``:
 capsules of MuJoCo's default density that touch nothing, friction in both joints, Runge-Kutta steps of fourth

@@ -1,1 +1,1 @@
-"""Searches of the paper's tasks: the paper's own, and the faster default ones."""
+"""The paper's searches, and the training of PPO and A2C."""

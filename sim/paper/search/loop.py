@@ -1,38 +1,114 @@
-"""The loops of the searches, and the checkpoint of an unfinished one.
-
-The default budget of benchmarks takes the published search too, and needs less time for the same end: it
-starts from the best of many untuned agents, as some tasks reward nothing before the goal, prunes candidates
-that trail, and stops at a plateau or a return that is confirmed as enough. That of parking is the project's
-own Gauss-Newton search, alike for all agents.
-"""
+"""The loop of the paper's searches, the estimate of their candidates, and the checkpoint of a search."""
 
 import json
+import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from rover_ncp.circuit.compiled import dead_parameters
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.files import write_atomic
+from rover_ncp.course.course import load_course
+from sim.learn.engine import evaluator as engine
 from sim.learn.engine.networks import Net
 from sim.learn.run_folder import dump_checked, load_checked
 from sim.learn.search.base import Vector, draw_seeds
-from sim.learn.search.strategies import start_search
-from sim.paper.agents import first_vector, untuned
-from sim.paper.search.estimate import BenchmarkEstimator, Budget, Estimator, Found, ParkingEvaluator, Point
+from sim.paper.evaluator import Evaluator
 from sim.paper.search.published import SEARCHES
+from sim.paper.tasks import Benchmark, Task
 
-# Streams of random numbers; another one is that of ``estimate.py``.
-_SEARCH, _, _STARTS, _CONFIRM = range(4)
-_START_ROUNDS = (1, 2, 4, 8, 16)
-"""Episodes of each start in a round; a quarter of the starts goes on to the next round."""
-_CONFIRMATIONS = 100
-_PATIENCE = 15_000
-"""Iterations without a gain of a hundredth that are a plateau."""
+_SEARCH, _ROLLOUTS = 0, 1
+"""Streams of random numbers."""
+_STOPS = (1, 3, 9)
+"""Rollouts after which a candidate may be stopped."""
 _MIN_AHEAD, _MAX_AHEAD = 3, 48
+
+
+@dataclass(frozen=True)
+class Budget:
+    """A search (a name of ``SEARCHES`` in ``published.py``), its iterations, and its estimate's settings."""
+
+    rollouts: int
+    worst: int
+    strategy: str
+    iterations: int
+    warm_up: int = 0
+    """Ticks of the agent on the first observation before an episode's first step."""
+
+
+class Point(NamedTuple):
+    """A change of the incumbent's estimate, and the iterations and environment steps before it."""
+
+    iterations: int
+    steps: int
+    value: float
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Result of a search: parameters (P,), evaluations, environment steps, and the learning curve."""
+
+    vector: Vector
+    evaluations: int
+    steps: int
+    curve: tuple[Point, ...] = ()
+
+
+class BenchmarkEstimator(Evaluator):
+    """The paper's estimate on a benchmark: the mean of the worst k of N rollouts."""
+
+    def __init__(self, task: Benchmark, agent: Policy | Net, seed: int, budget: Budget) -> None:
+        super().__init__(task, agent, for_search=True, warm_up=budget.warm_up)
+        self._seed, self._rollouts, self._worst = seed, budget.rollouts, budget.worst
+
+    def estimate(self, vectors: Vector, number: int, to_beat: Vector) -> Vector:
+        """Return the estimates (k,) of vectors (k, P); ``number`` is that of the first among all evaluations.
+
+        A candidate takes no more rollouts once it cannot exceed ``to_beat`` (k,), as if all others returned
+        the most.
+        """
+        count, rollouts, most = len(vectors), self._rollouts, self.task.most
+        seeds = np.array(
+            [draw_seeds(self._seed, (_ROLLOUTS, number + place), rollouts) for place in range(count)]
+        )
+        returns = np.full((count, rollouts), most)
+        estimates = np.full(count, np.inf)
+        left, done = np.arange(count), 0
+        early = [stop for stop in _STOPS if stop < rollouts] if most < math.inf else []
+        for stop in (*early, rollouts):
+            found = self.run(np.repeat(vectors[left], stop - done, axis=0), seeds[left, done:stop].ravel())
+            returns[left, done:stop] = found[:, :2].sum(axis=1).reshape(len(left), -1)
+            lowest = np.sort(returns[left], axis=1)[:, : self._worst]
+            estimates[left] = [math.fsum(row) / self._worst for row in lowest]
+            left, done = left[estimates[left] > to_beat[left]], stop
+            if not len(left):
+                break
+        return estimates
+
+
+class ParkingEvaluator:
+    """Scores parameter vectors of a circuit by the course, without chance. One thread at a time."""
+
+    def __init__(self, task: Task, policy: Policy) -> None:
+        self.task, self.steps = task, 0
+        self._engine = engine.Evaluator(policy, load_course("parking"))
+
+    def outcome(self, vector: Vector) -> tuple[float, bool]:
+        """Return the return of parameters (P,) and whether they park."""
+        found = self._engine.outcomes(vector)
+        return float(found.total[0, 0]), bool(found.parked[0, 0])
+
+    def estimate(self, vectors: Vector, number: int, to_beat: Vector) -> Vector:
+        """Return the returns (k,) of vectors (k, P), exact only above ``to_beat`` (k,).
+
+        Without chance, the ``number`` of an evaluation does not matter.
+        """
+        self.steps += len(vectors) * self.task.horizon
+        return self._engine.returns(vectors, to_beat)
 
 
 class Checkpoint:
@@ -66,21 +142,22 @@ class Checkpoint:
         self._saved = time.monotonic()
 
 
-def search_from_one(
-    estimator: Estimator, agent: Policy | Net, seed: int, budget: Budget, checkpoint: Checkpoint
-) -> Found:
+def run_search(task: Task, agent: Policy | Net, seed: int, budget: Budget, checkpoint: Checkpoint) -> Found:
     """Search an agent's parameters from one incumbent. The same arguments give the same bits.
 
     Raises FileError if the state of an interrupted run does not fit.
     """
-    generator, kind = _generator(seed), SEARCHES[budget.strategy]
-    if isinstance(estimator, BenchmarkEstimator) and budget.starts > 1:
-        starts = untuned(agent, generator, budget.starts)
-        search = kind(agent.layout(), best_start(estimator, starts, seed), generator)
+    estimator: BenchmarkEstimator | ParkingEvaluator
+    if isinstance(task, Benchmark):
+        estimator = BenchmarkEstimator(task, agent, seed, budget)
     else:
-        search = kind.begin(agent.layout(), first_vector(agent, generator), generator)
+        assert isinstance(agent, Policy)
+        estimator = ParkingEvaluator(task, agent)
+    generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_SEARCH,))))
+    first = agent.parameters() if isinstance(agent, Policy) else agent.start(generator)
+    search = SEARCHES[budget.strategy].begin(agent.layout(), first, generator)
     curve: list[Point] = []
-    ahead, ended = _MIN_AHEAD, ""
+    ahead = _MIN_AHEAD
     if saved := checkpoint.load():
         search.restore(saved["search"])
         curve = [Point(*point) for point in saved["curve"]]
@@ -89,83 +166,13 @@ def search_from_one(
     def state() -> dict[str, Any]:
         return {"search": search.state(), "curve": curve, "ahead": ahead, "steps": estimator.steps}
 
-    while not ended:
+    while search.iterations < budget.iterations:
         number, before = search.evaluations, search.value
-        vectors = search.ask(min(ahead, budget.evaluations - search.iterations))
+        vectors = search.ask(min(ahead, budget.iterations - search.iterations))
         search.tell(estimator.estimate(vectors, number, search.to_beat))
         assert search.value is not None
-        if budget.prunes and search.value >= estimator.task.default.enough:
-            assert isinstance(estimator, BenchmarkEstimator)
-            search.value = confirmed(estimator, search.incumbent, seed, search.evaluations)
         if search.value != before:
             curve.append(Point(search.iterations, estimator.steps, search.value))
         ahead = min(2 * ahead, _MAX_AHEAD) if search.value == before else _MIN_AHEAD
         checkpoint.save(state)
-        ended = _spent(budget, search.iterations, estimator.steps)
-        if budget.prunes and search.value >= estimator.task.default.enough:
-            ended = "enough"
-        elif budget.prunes and not ended and _is_flat(curve, search.iterations):
-            ended = "plateau"
-    return Found(search.incumbent, search.evaluations, tuple(curve), ended)
-
-
-def _spent(budget: Budget, iterations: int, steps: int) -> str:
-    """Return which limit of a budget is reached, or nothing."""
-    if iterations >= budget.evaluations:
-        return "evaluations"
-    return "steps" if steps >= budget.steps else ""
-
-
-def _is_flat(curve: list[Point], iterations: int) -> bool:
-    before = [point.value for point in curve if point.iterations <= iterations - _PATIENCE]
-    return bool(before) and curve[-1].value <= before[-1] + 0.01 * abs(before[-1])
-
-
-def best_start(evaluator: BenchmarkEstimator, starts: Vector, seed: int) -> Vector:
-    """Return the best (P,) of many starts (n, P)."""
-    left, total = np.arange(len(starts)), np.zeros(len(starts))
-    for number, rollouts in enumerate(_START_ROUNDS):
-        seeds = draw_seeds(seed, (_STARTS, number), rollouts)
-        total[left] += evaluator.returns(starts[left], seeds).sum(axis=1)
-        left = left[np.argsort(-total[left], kind="stable")][: -(-len(left) // 4)]
-    best: Vector = starts[left[0]]
-    return best
-
-
-def confirmed(evaluator: BenchmarkEstimator, vector: Vector, seed: int, evaluation: int) -> float:
-    """Return the mean return of many fresh rollouts."""
-    seeds = draw_seeds(seed, (_CONFIRM, evaluation), _CONFIRMATIONS)
-    return float(evaluator.returns(vector[None], seeds).mean())
-
-
-def search_parking(evaluator: ParkingEvaluator, agent: Policy | Net, seed: int, budget: Budget) -> Found:
-    """Search an agent's parameters on the parking course. The same arguments give the same bits.
-
-    A return says little about whether the rover stands at the end. So the result is the best candidate that
-    parks, if any does.
-    """
-    generator = _generator(seed)
-    inert = dead_parameters(agent) if isinstance(agent, Policy) else None
-    first = first_vector(agent, generator)
-    search = start_search("gauss-newton", agent.layout(), first, generator, inert)
-    curve: list[Point] = []
-    ended, parks = "", None
-    while not ended:
-        ahead = min(search.max_ahead, budget.evaluations - search.evaluations)
-        vectors, before = search.ask(ahead), search.value
-        values, counted, residuals = evaluator.traces(vectors)
-        search.tell(counted, residuals)
-        ended = _spent(budget, search.evaluations, evaluator.steps)
-        if search.value == before:
-            continue
-        best = float(values[int(np.argmax(counted))])
-        curve.append(Point(search.evaluations, evaluator.steps, best))
-        if best >= evaluator.task.success and evaluator.outcome(search.incumbent)[1]:
-            parks = search.incumbent
-            if best >= evaluator.task.default.enough:
-                ended = "enough"
-    return Found(search.incumbent if parks is None else parks, search.evaluations, tuple(curve), ended)
-
-
-def _generator(seed: int) -> np.random.Generator:
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_SEARCH,))))
+    return Found(search.incumbent, search.evaluations, estimator.steps, tuple(curve))

@@ -32,6 +32,7 @@ _CAR_RULES: Mapping[ParameterKind, KindRule] = {
     ParameterKind.LEAK: KindRule(4, 8, 0.05, 0.8),
     ParameterKind.CAPACITANCE: KindRule(4, 7, 0.01, 0.3),
 }
+_LAYERS = (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER)
 _MIN_AMPLITUDE, _MAX_AMPLITUDE = 0.01, 1.0
 """Of a network's noise."""
 
@@ -63,11 +64,8 @@ class PublishedOnBenchmarks(Published):
     caps: ClassVar[type[Caps]] = EstimateCaps
 
     def __init__(self, layout: ParameterLayout, start: Vector, generator: np.random.Generator) -> None:
-        blocks = {block.kind: np.arange(layout.size)[block.slice] for block in layout.blocks}
-        layers = [blocks.get(ParameterKind.INPUT_LAYER), blocks.get(ParameterKind.OUTPUT_LAYER)]
-        # A network's parameters are layers too, and nothing else.
-        changed = [each for each in layers if each is not None and ParameterKind.WEIGHT in blocks]
-        self._layered = np.concatenate([np.zeros(0, np.int64), *changed])
+        in_layer = [block.kind in _LAYERS for block in layout.blocks]
+        self._layered = np.flatnonzero(np.repeat(in_layer, [block.size for block in layout.blocks]))
         start = start.copy()
         start[self._layered] = generator.standard_normal(len(self._layered))
         super().__init__(layout, np.clip(start, layout.lower, layout.upper), generator)

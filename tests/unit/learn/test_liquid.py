@@ -5,8 +5,8 @@ import pytest
 
 from sim.learn.engine.commander import CommanderRunner
 from sim.learn.engine.liquid import BACKBONE
-from sim.learn.engine.networks import NetKind, network_commander
-from sim.paper.agents import build_agent, untuned
+from sim.learn.engine.networks import NetKind, net_for, network_commander
+from sim.learn.search.random_search import perturb
 from sim.paper.tasks import TASKS
 
 torch = pytest.importorskip("torch", reason="make test-torch installs torch")
@@ -38,9 +38,10 @@ def library_outputs(net, vector, seen):
 @pytest.mark.parametrize("task", ["mountain-car", "parking"])
 @pytest.mark.parametrize("kind", ["cfc", "ltc"])
 def test_kernel_computes_what_the_library_does(kind, task):
-    net = build_agent(TASKS[task], kind, 0)
+    net = net_for(TASKS[task].policy(TASKS[task].circuit()), NetKind(kind))
     rng, varied = np.random.default_rng(5), 0.0
-    for vector in untuned(net, rng, 6):
+    for _ in range(6):
+        vector = perturb(net.layout(), net.start(rng), rng)
         seen = rng.uniform(-1.2, 1.2, (30, len(net.scale))) * net.scale
         runner = CommanderRunner(network_commander(net), vector)
         got = np.array([runner.tick(row)[: len(net.high)] for row in seen])

@@ -12,11 +12,12 @@ from kit.paper_runs import result
 from deploy.view.interpretation import Sign, sign_of
 from rover_ncp.cli import run
 from sim.paper import BudgetName, claims
+from sim.paper.agents import build_agent
 from sim.paper.claims import Claim, Verdict, judge_claims, load_claims
 from sim.paper.curves import average, curves_png
 from sim.paper.interpretation import counts, readings
-from sim.paper.report import LAYOUTS, long_report, short_report
-from sim.paper.results import ResultStore
+from sim.paper.report import LAYOUTS, claims_table, short_report
+from sim.paper.results import Packed, ResultStore
 from sim.paper.selection import grid
 from sim.paper.tasks import TASKS
 
@@ -156,11 +157,12 @@ def test_report_of_an_empty_folder_says_that_nothing_is_tested(store):
     file = load_claims()
     judged = judge_claims(store, file.claims)
     assert short_report(store, file, judged).count("not tested") > 20
-    assert "| park-all |" in long_report(store, judged)
+    assert "| park-all |" in claims_table(judged)
 
 
 def test_command_reports_runs_and_draws_their_curves(store, tmp_path, capsys):
-    fill(store, "parking", "circuit", [-0.05] * 5)
+    untuned = Packed.of(build_agent(TASKS["parking"], "circuit", 0).parameters())
+    fill(store, "parking", "circuit", [-0.05] * 5, parameters=untuned)
     picture = tmp_path / "curves.png"
     assert run(["paper", "report", "--json", "--results", str(tmp_path), "--curves", str(picture)]) == 0
     assert picture.read_bytes().startswith(b"\x89PNG")

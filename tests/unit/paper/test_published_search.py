@@ -11,13 +11,13 @@ from kit import paper_reference as reference
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.core.errors import FileError
 from sim.learn.search.algorithm1 import ALPHA, ESTIMATE_AFTER, START_SCALE
+from sim.learn.search.base import draw_seeds
 from sim.learn.search.random_search import _START_NOISE
 from sim.paper import BudgetName
 from sim.paper.agents import build_agent
 from sim.paper.evaluator import Evaluator
 from sim.paper.runs import budget_for
-from sim.paper.search.estimate import BenchmarkEstimator, ParkingEvaluator
-from sim.paper.search.loop import Checkpoint, search_from_one
+from sim.paper.search.loop import BenchmarkEstimator, Checkpoint, ParkingEvaluator, run_search
 from sim.paper.search.published import SEARCHES
 from sim.paper.tasks import TASKS, Benchmark
 
@@ -26,13 +26,12 @@ LAYERS = (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER)
 
 
 def budget(name, iterations, which=BudgetName.PUBLISHED, **changes):
-    return replace(budget_for(TASKS[name], which), evaluations=iterations, **changes)
+    return replace(budget_for(TASKS[name], which), iterations=iterations, **changes)
 
 
 def search(name, limits, *, checkpoint=ALONE, most=None):
     task = TASKS[name] if most is None else TASKS[name].model_copy(update={"most": most})
-    agent = build_agent(task, "circuit", 1)
-    return search_from_one(BenchmarkEstimator(task, agent, 1, limits), agent, 1, limits, checkpoint)
+    return run_search(task, build_agent(task, "circuit", 1), 1, limits, checkpoint)
 
 
 def fast(strategy, agent, returns, iterations, ahead=7):
@@ -108,7 +107,7 @@ TASK_CELLS = [
 def test_fast_search_makes_the_decisions_of_the_reference_on_recorded_returns(strategy, task, name):
     # Successes become rare, as in a search, and a new estimate is often lower.
     recorded = np.random.default_rng(2).gumbel(size=10_000) + np.linspace(0.0, 9.0, 10_000)
-    agent = build_agent(TASKS[task], name, 0, BudgetName.PUBLISHED)
+    agent = build_agent(TASKS[task], name, 0)
     assert_same(strategy, agent, lambda number, vectors: recorded[number : number + len(vectors)])
 
 
@@ -127,6 +126,22 @@ def test_fast_search_makes_the_decisions_of_the_reference_on_a_task(strategy, na
         return place.estimate(vectors, number, np.full(len(vectors), -math.inf))
 
     assert_same(strategy, agent, returns)
+
+
+def test_estimate_is_the_mean_of_the_worst_and_stops_below_what_it_must_beat():
+    task, limits = TASKS["cart-pole"], budget("cart-pole", 1)
+    policy = build_agent(task, "circuit", 0)
+    place = BenchmarkEstimator(task, policy, 5, limits)
+    vectors = np.tile(policy.parameters(), (3, 1))
+    full = place.estimate(vectors, 7, np.full(3, -np.inf))
+    steps = place.steps
+    returns = place.returns(vectors[:1], draw_seeds(5, (1, 7), 20))[0]
+    assert full[0] == pytest.approx(np.sort(returns)[:10].mean())
+    assert place.estimate(vectors, 7, full - 1e-9).tolist() == full.tolist()
+    place.steps = 0
+    bound = place.estimate(vectors, 7, np.full(3, 400.0))
+    assert np.all((full <= bound) & (bound <= 400.0))
+    assert place.steps < steps
 
 
 @pytest.mark.parametrize("worst", [3, 6])
@@ -174,7 +189,7 @@ def test_interrupted_search_continues_with_the_same_bits(which, tmp_path):
 
 
 def test_published_network_takes_raw_inputs_and_ends_at_one():
-    net = build_agent(TASKS["pendulum"], "mlp", 0, BudgetName.PUBLISHED)
+    net = build_agent(TASKS["pendulum"], "mlp", 0)
     assert (net.cells, net.scale, net.low, net.high) == (12, (1.0, 1.0), (-1.0,), (1.0,))
     assert set(net.most) == {math.inf}
 

@@ -1,5 +1,7 @@
 """Stored runs: one line each, the last one of a name counts, and they replay."""
 
+import json
+
 import pytest
 from kit.paper_runs import result
 from kit.paths import ROOT
@@ -16,7 +18,8 @@ RESULTS = ROOT / "results"
 STORED = [
     run
     for path in sorted(RESULTS.glob("*/*.jsonl"))
-    for run in ResultStore(RESULTS).results(path.stem, "circuit", BudgetName(path.parent.name))[:1]
+    for agent in ("circuit", "ppo", "a2c")
+    for run in ResultStore(RESULTS).results(path.stem, agent, BudgetName(path.parent.name))[:1]
 ]
 
 
@@ -26,11 +29,20 @@ def test_last_line_of_a_name_counts(tmp_path):
         store.save(result("cart-pole", "mlp", 3, mean))
     store.save(result("cart-pole", "mlp", 1, 5.0))
     store.save(result("cart-pole", "mlp-wide", 1, 6.0))
-    assert [run.mean for run in store.results("cart-pole", "mlp", BudgetName.PUBLISHED)] == [5.0, 2.0]
-    assert store.results("cart-pole", "mlp") == []
+    assert [run.mean for run in store.results("cart-pole", "mlp")] == [5.0, 2.0]
+    assert store.results("cart-pole", "mlp", BudgetName.ALGORITHM1) == []
     assert len(list(store.every())) == 3
     again = ResultStore(tmp_path)
     assert again.find(result("cart-pole", "mlp", 3, 0.0).name) == result("cart-pole", "mlp", 3, 2.0)
+
+
+def test_line_of_an_older_version_is_read(tmp_path):
+    store, saved = ResultStore(tmp_path), result("parking", "circuit", 0, -0.05)
+    settings = {"rollouts": 1, "evaluations": 20_000, "starts": 1, "warm_up": 0, "prunes": False}
+    store.save(saved.model_copy(update={"settings": settings}))
+    path = store.path("parking", BudgetName.PUBLISHED)
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"ended": "evaluations"}) + "\n")
+    assert ResultStore(tmp_path).find(saved.name).settings == settings
 
 
 def test_damaged_line_is_named(tmp_path):
@@ -76,5 +88,5 @@ def test_replay_may_differ_by_a_billionth_but_not_in_its_verdict():
 @pytest.mark.long
 def test_shipped_run_of_each_budget_and_task_replays(stored):
     name = stored.name
-    selected = ["--task", name.task, "--agent", "circuit", "--seed", str(name.seed), "--budget", name.budget]
+    selected = ["--task", name.task, "--agent", name.agent, "--seed", str(name.seed), "--budget", name.budget]
     assert run(["paper", "replay", *selected, "--results", str(RESULTS)]) == 0

@@ -9,17 +9,16 @@ from kit.paths import ROOT
 
 from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
 from rover_ncp.cli import run
-from sim.paper.agents import build_agent
+from sim.paper.interpretation import best_circuit
+from sim.paper.interpretation import trained as trained_policy
 from sim.paper.results import ResultStore
-from sim.paper.tasks import TASKS
 
 
 @pytest.fixture(scope="module")
 def trained():
-    """Return the shipped mountain-car run of seed 0 and its circuit."""
-    result = ResultStore(ROOT / "results").results("mountain-car", "circuit")[0]
-    policy = build_agent(TASKS["mountain-car"], "circuit", 0)
-    return result, policy.with_parameters(result.parameters.array()).circuit
+    """Return the best shipped mountain-car run and its circuit."""
+    result = best_circuit(ResultStore(ROOT / "results"), "mountain-car")
+    return result, trained_policy(result).circuit
 
 
 def evaluate(capsys, *arguments):

@@ -7,8 +7,8 @@ from typing import Annotated
 from pydantic import Field
 
 from deploy.place.outcome import PoseErrors
-from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml
-from rover_ncp.core.geometry import Pose, compose, distance, relative, wrap_angle
+from rover_ncp.core.config import StrictModel, load_yaml
+from rover_ncp.core.geometry import Pose, compose, near, relative
 from rover_ncp.course.course import Angle, Coordinate, Name, Obstacle
 
 SUFFIXES = {".yaml", ".yml"}
@@ -96,8 +96,7 @@ class Place(StrictModel):
 
     def holds(self, pose: Pose) -> bool:
         """Whether a pose is within the tolerances."""
-        turned = abs(wrap_angle(pose.theta - self.pose.theta))
-        return distance(pose, self.goal) <= self.position_m and turned <= self.heading_rad
+        return near(pose, self.goal, self.position_m, self.heading_rad)
 
 
 def place_path(name: str) -> Path:
@@ -109,8 +108,3 @@ def place_path(name: str) -> Path:
 def load_place(name: str) -> Place:
     """Load a place by the name or path of its file. Raises FileError and ConfigError."""
     return load_yaml(place_path(name), Place)
-
-
-def place_yaml(place: Place) -> str:
-    """Return a place as its file."""
-    return dump_yaml(place.model_dump(mode="json", exclude_none=True))

@@ -2,8 +2,8 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -11,8 +11,8 @@ from scipy.optimize import least_squares
 
 from deploy.tag.detector import Detection
 from deploy.tag.locate import MAX_PIXELS, PIXEL, Located, Locator
-from deploy.tag.sheet import Board
-from deploy.tag.tag_map import CameraFile, Floats, Intrinsics, Mount, TagMap
+from deploy.tag.sheet import BOARD, BOARD_TAG_M
+from deploy.tag.tag_map import MOUNT_FIELDS, CameraFile, Floats, Intrinsics, Mount, TagMap
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Pose, compose, relative
 
@@ -25,11 +25,9 @@ GAIN_PRIOR = np.array([0.05, 0.2])
 MIN_SAMPLES = 20
 MIN_TURN = 0.5
 """Least range of headings in the drive, rad: without a turn the camera's place on the rover is not seen."""
-MOUNT_FIELDS = ("x", "y", "z", "yaw", "pitch", "roll")
 
 
-@dataclass(frozen=True)
-class IntrinsicsFound:
+class IntrinsicsFound(NamedTuple):
     """Intrinsics, the root mean square of the corners' errors in pixels, and the pictures that were used."""
 
     intrinsics: Intrinsics
@@ -38,19 +36,19 @@ class IntrinsicsFound:
 
 
 def find_intrinsics(
-    pictures: Sequence[Sequence[Detection]], size: tuple[int, int], board: Board
+    pictures: Sequence[Sequence[Detection]], size: tuple[int, int]
 ) -> IntrinsicsFound:
-    """Return the intrinsics from the tags found in pictures of a board; ``size`` is width and height, px.
+    """Return the intrinsics from the tags found in pictures of the board; ``size`` is width and height, px.
 
     Raises UsageError when too few pictures show enough of the board.
     """
-    centres, h = board.centres(), 0.5 * board.size
+    h = 0.5 * BOARD_TAG_M
     square = np.array([[-h, -h], [h, -h], [h, h], [-h, h]])
     points, pixels = [], []
     for found in pictures:
-        seen = [each for each in found if each.id < len(centres)]
+        seen = [each for each in found if each.id < len(BOARD)]
         if len(seen) >= MIN_TAGS:
-            flat = np.concatenate([square + centres[each.id] for each in seen])
+            flat = np.concatenate([square + BOARD[each.id] for each in seen])
             points.append(np.column_stack([flat, np.zeros(len(flat))]).astype(np.float32))
             pixels.append(np.concatenate([each.corners for each in seen]).astype(np.float32))
     if len(points) < MIN_PICTURES:
@@ -71,8 +69,7 @@ def find_intrinsics(
     return IntrinsicsFound(intrinsics, float(rms), len(points))
 
 
-@dataclass(frozen=True)
-class MountFound:
+class MountFound(NamedTuple):
     """A mount, the standard deviation of each number of it, and the corners' root mean square in pixels."""
 
     mount: Mount
@@ -135,8 +132,8 @@ def find_mount(
     covariance = max(1.0, (rms / PIXEL) ** 2) * np.linalg.pinv(fit.jac.T @ fit.jac)
     deviations = np.sqrt(np.diag(covariance))[:6]
     return MountFound(
-        Mount(**{name: float(value) for name, value in zip(MOUNT_FIELDS, fit.x, strict=False)}),
-        {name: float(value) for name, value in zip(MOUNT_FIELDS, deviations, strict=True)},
+        Mount(**dict(zip(MOUNT_FIELDS, fit.x[:6].tolist(), strict=True))),
+        dict(zip(MOUNT_FIELDS, deviations.tolist(), strict=True)),
         rms,
     )
 

@@ -36,6 +36,10 @@ BEHIND = 1e3
 class Rejection(StrEnum):
     """Why a picture gives no pose."""
 
+    FROZEN = "the camera repeats one picture"
+    OLD = "the picture is too old"
+    DARK = "the picture is dark: is the lens covered?"
+    BRIGHT = "the picture is over-exposed"
     NO_TAG = "no tag of the map in the picture"
     DISAGREE = "tags disagree: the size, place or id of one is wrong, or the calibration"
     MISFIT = "the tag does not fit: its size, place or id is wrong, or the calibration"
@@ -139,15 +143,13 @@ class Locator:
 
     def _base_of(self, rotation: Floats, position: Floats) -> Floats:
         """Return the base's pose in the plane from the camera's in the tags' parent frame."""
-        # Between the frames of map and base: from the camera's pose in both.
-        turn = self._camera_rotation @ rotation.T  # the tags' parent → the camera's parent
-        if self._on_rover:
-            theta = math.atan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
-            x, y = (self._camera_position - turn @ position)[:2]
-            return np.array([x, y, theta])
-        theta = math.atan2(turn[0, 1] - turn[1, 0], turn[0, 0] + turn[1, 1])
-        x, y = (position - turn.T @ self._camera_position)[:2]
-        return np.array([x, y, theta])
+        # The pose of the tags' parent in the camera's parent: of the base in the map, or the inverse.
+        turn = self._camera_rotation @ rotation.T
+        shift = self._camera_position - turn @ position
+        if not self._on_rover:
+            turn, shift = turn.T, -turn.T @ shift
+        theta = math.atan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
+        return np.array([shift[0], shift[1], theta])
 
 
 def _rms(errors: Floats) -> float:

@@ -1,5 +1,6 @@
 """A camera of a ROS 2 robot: images, camera_info and tf_static from the robot's Zenoh router."""
 
+import contextlib
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -14,13 +15,14 @@ from scipy.spatial.transform import Rotation
 
 from deploy.tag.camera import LiveCamera, Picture, compressed
 from deploy.tag.locate import OPTICAL
-from deploy.tag.ros_source import RosSource
-from deploy.tag.tag_map import CameraFile, Floats, Mount, camera_info
+from deploy.tag.ros_source import Frames, RosSource
+from deploy.tag.tag_map import MOUNT_FIELDS, CameraFile, camera_info
 from rover_ncp.core.clock_offset import StampClock
+from rover_ncp.core.config import validated
 from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.recording.recorded import header_stamp_ns
 from rover_ncp.wire.cdr import decode
-from rover_ncp.wire.messages import BASE_FRAME, TF
+from rover_ncp.wire.messages import BASE_FRAME
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
@@ -30,8 +32,6 @@ MAX_BYTES = 1 << 26
 """Largest message: a picture of 20 megapixels."""
 WAIT_S, POLL_S = 5.0, 0.05
 """Longest wait for camera_info and tf_static."""
-
-
 IMAGE_TOPIC = "camera/image_raw"
 
 
@@ -93,50 +93,38 @@ def ros_camera_file(source: str) -> CameraFile:
     folder, _, _ = where.topic.removesuffix("/compressed").rpartition("/")
     about = f"{folder}/camera_info" if folder else "camera_info"
     infos, statics = list[zenoh.Sample](), list[zenoh.Sample]()
-    session, missing = where.open(), f"no camera_info on '{about}' within {WAIT_S:g} s"
-    try:
-        history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
+    missing = f"no camera_info on '{about}' within {WAIT_S:g} s"
+    history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
+    with contextlib.closing(where.open()) as session:
         held: list[Any] = [
             zenoh.ext.declare_advanced_subscriber(session, where.key(topic), statics.append, history=history)
             for topic in {"tf_static", f"{where.namespace}/tf_static".lstrip("/")}
         ]
         held.append(session.declare_subscriber(where.key(about), infos.append))
-        until, mount = time.monotonic() + WAIT_S, None
-        while mount is None and time.monotonic() < until:
+        until = time.monotonic() + WAIT_S
+        while time.monotonic() < until:
             time.sleep(POLL_S)
             if infos:
-                info = decode(CAMERA_INFO, infos[-1].payload.to_bytes())
-                mount, missing = mount_of(info.header.frame_id, [each.payload.to_bytes() for each in statics])
-    except (FormatError, ValueError) as error:  # also a quaternion that is no rotation
-        raise UsageError(f"camera {source}: {error}; give --camera-file") from error
-    finally:
-        session.close()  # type: ignore[no-untyped-call]
-    if mount is None:
-        raise UsageError(f"camera {source}: {missing}; give --camera-file, with what is missing")
-    size, model = (int(info.width), int(info.height)), str(info.distortion_model)
-    intrinsics = camera_info(size, info.k.tolist(), model, info.d.tolist(), f"camera_info of {about}")
-    return CameraFile(intrinsics=intrinsics, mount=mount)
+                transforms = [each.payload.to_bytes() for each in statics]
+                try:
+                    return camera_file_of(infos[-1].payload.to_bytes(), transforms)
+                except FormatError as error:
+                    missing = str(error)
+    raise UsageError(f"camera {source}: {missing}; give --camera-file, with what is missing")
 
 
-def mount_of(optical: str, statics: Sequence[bytes]) -> tuple[Mount | None, str]:
-    """Return the mount of a camera with this optical frame, or None and what its transforms lack."""
-    frames: dict[str, tuple[str, Floats]] = {}
-    """The parent of each frame, and the frame's pose in it (4 × 4)."""
+def camera_file_of(info: bytes, statics: Sequence[bytes]) -> CameraFile:
+    """Return a camera from its CameraInfo and the transforms of tf_static.
+
+    Raises FormatError if they are no messages of these types, or lead from the base to no camera, and
+    ConfigError for intrinsics that cannot be used.
+    """
+    message, frames = decode(CAMERA_INFO, info), Frames()
     for data in statics:
-        for each in decode(TF, data).transforms:
-            shift, turn, pose = each.transform.translation, each.transform.rotation, np.eye(4)
-            pose[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
-            pose[:3, 3] = shift.x, shift.y, shift.z
-            frames[each.child_frame_id.lstrip("/")] = each.header.frame_id.lstrip("/"), pose
-    frame, pose = optical.lstrip("/"), np.eye(4)
-    while frame != BASE_FRAME and frame in frames:
-        frame, step = frames.pop(frame)
-        pose = step @ pose
-    if frame != BASE_FRAME:
-        words = (
-            f"tf_static has no way from {BASE_FRAME} to the camera's frame {optical!r}: it ends at {frame!r}"
-        )
-        return None, words
-    yaw, pitch, roll = Rotation.from_matrix(pose[:3, :3] @ OPTICAL.T).as_euler("ZYX").tolist()
-    x, y, z = pose[:3, 3].tolist()
-    return Mount(x=x, y=y, z=z, yaw=yaw, pitch=pitch, roll=roll), ""
+        frames.take(data)
+    size, model = (int(message.width), int(message.height)), str(message.distortion_model)
+    intrinsics = camera_info(size, message.k.tolist(), model, message.d.tolist(), "camera_info")
+    pose = frames.pose(BASE_FRAME, message.header.frame_id.lstrip("/"))
+    turns = Rotation.from_matrix(pose[:3, :3] @ OPTICAL.T).as_euler("ZYX")
+    mount = dict(zip(MOUNT_FIELDS, [*pose[:3, 3].tolist(), *turns.tolist()], strict=True))
+    return validated({"intrinsics": intrinsics, "mount": mount}, CameraFile, "tf_static")

@@ -14,6 +14,7 @@ from multiprocessing.sharedctypes import RawArray
 from pathlib import Path
 from typing import Any
 
+from rover_ncp.core.config import load_yaml
 from rover_ncp.core.errors import PortInUse
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.process import ClosedAtExit
@@ -29,9 +30,9 @@ class MockCamera(ClosedAtExit):
     """Starts the camera's process; ``address`` is the stream's. Raises UsageError and FileError."""
 
     def __init__(self, camera: Path, tags: Path, listen: tuple[str, int], hz: float, seed: int) -> None:
-        from deploy.tag.tag_map import load_camera, load_tag_map
+        from deploy.tag.tag_map import CameraFile, TagMap
 
-        settings = load_camera(camera), load_tag_map(tags)
+        settings = load_yaml(camera, CameraFile), load_yaml(tags, TagMap)
         self._pose: Any = RawArray(ctypes.c_double, 3)
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()

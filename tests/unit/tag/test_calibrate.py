@@ -11,21 +11,20 @@ from deploy.tag.calibrate import find_intrinsics, find_mount
 from deploy.tag.detector import Detection, Detector
 from deploy.tag.locate import Locator
 from deploy.tag.run import _Odometry
-from deploy.tag.sheet import Board, board_page, pattern, tag_pages
+from deploy.tag.sheet import BOARD, BOARD_TAG_M, board_page, pattern, tag_pages
 from deploy.tag.tag_map import CameraFile, Intrinsics, Mount, Tag, TagMap, load_camera_info
 from rover_ncp.core.errors import ConfigError, UsageError
 from rover_ncp.core.geometry import Pose, compose, relative
 from sim.camera.render import Renderer
 
 TRUE = Intrinsics(width=640, height=480, fx=520.0, fy=520.0, cx=325.0, cy=236.0)
-BOARD = Board()
 
 
 def board_pictures(count):
     """Pictures of a board that hangs at x = 0, seen from tilted places."""
     tags = tuple(
-        Tag(id=tag, size=BOARD.size, x=0.0, y=x - 0.066, z=0.088 + y, yaw=0.0)
-        for tag, (x, y) in enumerate(BOARD.centres())
+        Tag(id=tag, size=BOARD_TAG_M, x=0.0, y=x - 0.066, z=0.088 + y, yaw=0.0)
+        for tag, (x, y) in enumerate(BOARD)
     )
     stream = np.random.default_rng(3)
     for index in range(count):
@@ -47,7 +46,7 @@ def board_pictures(count):
 
 
 def test_intrinsics_come_back_from_pictures_of_the_board():
-    found = find_intrinsics(list(board_pictures(12)), (640, 480), BOARD)
+    found = find_intrinsics(list(board_pictures(12)), (640, 480))
     assert found.pictures == 12
     assert found.rms < 0.3
     assert found.intrinsics.fx == pytest.approx(TRUE.fx, rel=0.01)
@@ -58,7 +57,7 @@ def test_intrinsics_come_back_from_pictures_of_the_board():
 
 def test_too_few_pictures_of_the_board_are_refused():
     with pytest.raises(UsageError, match="seen well in 2 of 3 pictures"):
-        find_intrinsics([*board_pictures(2), []], (640, 480), BOARD)
+        find_intrinsics([*board_pictures(2), []], (640, 480))
 
 
 WALL = TagMap(
@@ -122,7 +121,7 @@ def test_printed_tags_are_true_to_size(monkeypatch):
         "matplotlib.backends.backend_pdf.PdfPages.savefig", lambda self, figure: drawn.append(figure)
     )
     tag_pages([5, 17], 0.14, "a4")
-    board_page(BOARD, "a4")
+    board_page("letter")
     edges = []
     for figure in drawn:
         for found in Detector().detect(grey(figure, 150)):
@@ -132,8 +131,8 @@ def test_printed_tags_are_true_to_size(monkeypatch):
         (17, pytest.approx(0.14, abs=3e-4)),
     ]
     on_board = [edge for _, edge in edges if edge < 0.1]
-    assert len(on_board) == BOARD.columns * BOARD.rows
-    assert np.mean(on_board) == pytest.approx(BOARD.size, abs=2e-4)
+    assert len(on_board) == len(BOARD)
+    assert np.mean(on_board) == pytest.approx(BOARD_TAG_M, abs=2e-4)
 
 
 def grey(figure: Figure, dpi: int):

@@ -11,7 +11,7 @@ import pytest
 from kit.tags import CAMERA, WALL, picture_of
 
 from deploy.tag.camera import Picture, pictures_of
-from deploy.tag.localiser import FROZEN, OLD, TOO_BRIGHT, TOO_DARK, Localiser, drawn
+from deploy.tag.localiser import Localiser, drawn
 from deploy.tag.locate import Rejection
 from deploy.tag.run import until
 from rover_ncp.core.errors import FileError, UsageError
@@ -35,7 +35,13 @@ def test_pose_of_a_good_picture(localiser):
 
 
 @pytest.mark.parametrize(
-    ("gain", "reason"), [(0.0, TOO_DARK), (0.05, TOO_DARK), (12.0, TOO_BRIGHT), (1.0, str(Rejection.NO_TAG))]
+    ("gain", "reason"),
+    [
+        (0.0, Rejection.DARK),
+        (0.05, Rejection.DARK),
+        (12.0, Rejection.BRIGHT),
+        (1.0, Rejection.NO_TAG),
+    ],
 )
 def test_picture_without_tags_says_why(localiser, gain, reason):
     away = Pose(0.9, 0.0, 3.0) if gain == 1.0 else POSE
@@ -48,13 +54,13 @@ def test_frozen_camera_gives_no_more_poses(localiser):
     image = picture_of(POSE)
     got = [localiser.take(Picture(image, index * SECOND_NS // 4)) is not None for index in range(1, 9)]
     assert got == [True] + [False] * 7
-    assert localiser.rejected == {FROZEN: 7}
+    assert localiser.rejected == {Rejection.FROZEN: 7}
     assert localiser.take(Picture(picture_of(POSE, seed=2), 3 * SECOND_NS)) is not None
 
 
 def test_picture_of_two_seconds_ago_gives_no_pose(localiser):
     assert localiser.take(Picture(picture_of(POSE), SECOND_NS), 3 * SECOND_NS) is None
-    assert localiser.rejected == {OLD: 1}
+    assert localiser.rejected == {Rejection.OLD: 1}
 
 
 def test_other_resolution_than_the_calibrations_is_an_error(localiser):

@@ -298,7 +298,7 @@ def _dock(options: EvalOptions, name: str) -> int:
     from rover_ncp.robot.description import load_description
     from sim.evaluate.docking_runs import docking_words, evaluate_docking
     from sim.stack.docking import DockTrials
-    from sim.stack.tag_camera import DockLocaliser, TagLocaliser
+    from sim.stack.tag_camera import TagLocaliser
     from sim.world.described import ranges_for
 
     given = {"course": options.course, "identify": options.identify, "profile": options.profile}
@@ -307,7 +307,7 @@ def _dock(options: EvalOptions, name: str) -> int:
     ranges = ranges_for(options.randomization, None, options.body, robot)
     gyro, _ = _sensors(options.sensors or (None if robot else Sensors.GYRO), robot)
     place, output = load_place(name), Output(options.json)
-    localiser: type[DockLocaliser] = TagLocaliser
+    localiser = TagLocaliser
     if options.images:
         from sim.stack.rendered_camera import RenderedLocaliser
 

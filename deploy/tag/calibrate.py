@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from deploy.tag.detector import Detection
-from deploy.tag.locate import MAX_PIXELS, PIXEL, Located, Locator
+from deploy.tag.locate import MAX_PIXELS, PIXEL, Located, Locator, corner_rms
 from deploy.tag.sheet import BOARD, BOARD_TAG_M
 from deploy.tag.tag_map import MOUNT_FIELDS, CameraFile, Floats, Intrinsics, Mount, TagMap
 from rover_ncp.core.errors import UsageError
@@ -35,9 +35,7 @@ class IntrinsicsFound(NamedTuple):
     pictures: int
 
 
-def find_intrinsics(
-    pictures: Sequence[Sequence[Detection]], size: tuple[int, int]
-) -> IntrinsicsFound:
+def find_intrinsics(pictures: Sequence[Sequence[Detection]], size: tuple[int, int]) -> IntrinsicsFound:
     """Return the intrinsics from the tags found in pictures of the board; ``size`` is width and height, px.
 
     Raises UsageError when too few pictures show enough of the board.
@@ -85,8 +83,8 @@ def find_mount(
     ``camera.mount`` is the start, measured by hand. Odometry's gains are found, too. Raises UsageError when
     the drive does not determine it.
     """
-    known = {tag.id: tag for tag in tag_map.tags}
-    visible = [[each for each in found if each.id in known] for _, found in samples]
+    first = Locator(camera, tag_map)
+    visible = [first.known(found) for _, found in samples]
     shown = [index for index, found in enumerate(visible) if found]
     seen = [(samples[index][0], visible[index]) for index in shown]
     if len(seen) < MIN_SAMPLES:
@@ -97,36 +95,24 @@ def find_mount(
             f"the drive turns by {math.degrees(float(np.ptp(headings))):.0f}°, expected "
             f"{math.degrees(MIN_TURN):.0f}° or more with a tag in view"
         )
-    first = Locator(camera, tag_map)
-    starts = [(odom, where) for odom, found in seen if isinstance(where := first.fit(found), Located)] or None
-    if starts is None:
+    starts = [(odom, where) for odom, found in seen if isinstance(where := first.fit(found), Located)]
+    if not starts:
         raise UsageError("the tags fit no pose: is the mount far off, or a tag's size or place wrong?")
     odom, where = min(starts, key=lambda each: each[1].rms)
     first_odom, steps = samples[0][0], [relative(a, b) for (a, _), (b, _) in pairwise(samples)]
     start = compose(where.pose, relative(odom, first_odom))  # where the drive begins in the map
-    matrix, distortion = camera.intrinsics.matrix, np.array(camera.intrinsics.distortion)
-    focal = 0.5 * (camera.intrinsics.fx + camera.intrinsics.fy)
-    corners = [np.concatenate([known[each.id].corners for each in found]) for _, found in seen]
-    flats = [
-        cv2.undistortPoints(np.concatenate([each.corners for each in found])[:, None, :], matrix, distortion)[
-            :, 0, :
-        ]
-        for _, found in seen
-    ]
+    observed = [first.observed(found) for _, found in seen]
     by_hand = np.array([getattr(camera.mount, name) for name in MOUNT_FIELDS])
 
     def errors(values: Floats) -> Floats:
         mount = Mount.model_construct(**dict(zip(MOUNT_FIELDS, values[:6], strict=True)))
         locator = Locator(camera.model_copy(update={"mount": mount}), tag_map)
         path = _path(values[6:9], np.array(steps), *values[9:])[shown]
-        parts = [
-            (focal / PIXEL * (locator.project(pose, points) - flat)).ravel()
-            for pose, points, flat in zip(path, corners, flats, strict=True)
-        ]
+        parts = [locator.errors(pose, *corners) / PIXEL for pose, corners in zip(path, observed, strict=True)]
         return np.concatenate([*parts, (values[:6] - by_hand) / PRIOR, (values[9:] - 1.0) / GAIN_PRIOR])
 
     fit = least_squares(errors, np.array([*by_hand, *start, 1.0, 1.0]), loss="soft_l1", x_scale="jac")
-    rms = PIXEL * float(np.sqrt(2.0 * np.mean(np.square(errors(fit.x)[:-8]))))
+    rms = PIXEL * corner_rms(fit.fun[:-8])
     if rms > MAX_PIXELS:
         raise UsageError(f"the drive does not fit the tags ({rms:.1f} px): is the map right, do wheels slip?")
     covariance = max(1.0, (rms / PIXEL) ** 2) * np.linalg.pinv(fit.jac.T @ fit.jac)

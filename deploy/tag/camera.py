@@ -20,7 +20,7 @@ TIMEOUT_S = 3.0
 """A stream that sends nothing for so long is lost; also the limit of the wait for its first picture."""
 MAX_JPEG = 8 << 20
 """Most bytes of a picture in a stream."""
-STAMP = "X-Timestamp"
+STAMP = "x-timestamp"
 """Header of a picture in a stream: s since the epoch at its exposure, as mjpg-streamer sends it."""
 
 
@@ -64,13 +64,17 @@ def _video(path: Path) -> Iterator[Picture]:
     if not capture.isOpened():
         raise FileError(f"{path}: not a video that OpenCV reads")
     began_ns = path.stat().st_mtime_ns
+    for grey in _read(capture):
+        yield Picture(grey, began_ns + round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6))
+
+
+def _read(capture: cv2.VideoCapture) -> Iterator[NDArray[np.uint8]]:
+    """Yield the grey levels of all pictures."""
     while True:
         more, frame = capture.read()
         if not more:
             return
-        yield Picture(
-            _grey(np.asarray(frame, np.uint8)), began_ns + round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
-        )
+        yield np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame, np.uint8)
 
 
 class LiveCamera(ClosedAtExit):
@@ -139,12 +143,8 @@ class ReadCamera(LiveCamera):
         if not capture.isOpened():
             raise ValueError("no such camera, or another program uses it")
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-        while True:
-            more, frame = capture.read()
-            wall_ns = time.time_ns() - self._delay_ns
-            if not more:
-                return
-            yield partial(Picture, _grey(np.asarray(frame, np.uint8)), wall_ns)
+        for grey in _read(capture):
+            yield partial(Picture, grey, time.time_ns() - self._delay_ns)
 
     def _stream(self) -> Iterator[Callable[[], Picture]]:
         with urllib.request.urlopen(self._source, timeout=TIMEOUT_S) as stream:
@@ -154,8 +154,8 @@ class ReadCamera(LiveCamera):
             while (part := _part(stream)) is not None:
                 headers, data = part
                 wall_ns = time.time_ns() - self._delay_ns
-                if STAMP.lower() in headers:
-                    wall_ns = round(float(headers[STAMP.lower()]) * 1e9)
+                if STAMP in headers:
+                    wall_ns = round(float(headers[STAMP]) * 1e9)
                 yield partial(compressed, np.frombuffer(data, np.uint8), wall_ns)
 
 
@@ -182,7 +182,3 @@ def _part(stream: IO[bytes]) -> tuple[dict[str, str], bytes] | None:
             data = stream.read(length)
             return (headers, data) if len(data) == length else None
     return None
-
-
-def _grey(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    return np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame, np.uint8)

@@ -34,9 +34,7 @@ class TagPose(BaseModel):
     y_std: float = Field(description="m, standard deviation")
     theta_std: float = Field(description="rad, standard deviation")
     tags: tuple[int, ...] = Field(description="ids of the tags that it is from")
-    rms_px: float = Field(
-        description="root mean square of the corners' errors in the picture, pixels"
-    )
+    rms_px: float = Field(description="root mean square of the corners' errors in the picture, pixels")
 
 
 class TagRunResult(BaseModel):

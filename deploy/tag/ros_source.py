@@ -68,6 +68,8 @@ class Frames:
             read_yaw(turn)  # raises FormatError for what is no rotation
             pose[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
             pose[:3, 3] = shift.x, shift.y, shift.z
+            if not np.isfinite(pose).all():
+                raise FormatError(f"the transform to {each.child_frame_id!r} is not finite")
             parent, stamp = each.header.frame_id.lstrip("/"), each.header.stamp
             self.links[each.child_frame_id.lstrip("/")] = parent, pose, stamp.sec * 10**9 + stamp.nanosec
             parents.add(parent)

@@ -12,7 +12,6 @@ from deploy.tag.detector import Detection, Detector
 from deploy.tag.localiser import Localiser, TagCalibration, TagRunResult, drawn, tag_pose
 from deploy.tag.pose_link import PoseLink
 from deploy.tag.ros_camera import RosCamera, ros_camera_file
-from deploy.tag.sheet import Board
 from deploy.tag.tag_map import CameraFile, Mount, TagMap, load_camera_info
 from deploy.zenoh_client import BridgeAddress, ZenohClient
 from rover_ncp.core.clock_offset import StampClock
@@ -88,7 +87,7 @@ def run_localiser(
 def calibrate_intrinsics(
     source: str, camera_file: Path, camera_info: Path | None, *, seconds: float, output: Output
 ) -> None:
-    """Write a camera's intrinsics, from ROS's file or from pictures of the board; keep a file's other keys."""
+    """Write a camera's intrinsics, from ROS's file or pictures of the board; keep a file's other keys."""
     require_writable(camera_file)
     origin = Mount(x=0.0, y=0.0, z=0.0)
     known = load_yaml(camera_file, CameraFile) if camera_file.exists() else None
@@ -147,9 +146,7 @@ def calibrate_mount(
         deviations=deviations,
     )
     values = ", ".join(f"{name} {getattr(mount, name):.4f} ± {std:.4f}" for name, std in deviations.items())
-    output.result(
-        result.model_dump(), f"wrote {camera_file}: {values} (m, rad); corners fit to {rms:.2f} px"
-    )
+    output.result(result.model_dump(), f"wrote {camera_file}: {values} (m, rad); corners fit to {rms:.2f} px")
 
 
 class _Odometry:

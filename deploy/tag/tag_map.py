@@ -52,6 +52,7 @@ class Mount(StrictModel):
 
 MOUNT_FIELDS = tuple(Mount.model_fields)
 
+
 class Tag(Mount):
     """A printed tag: its pose, and the edge of its black square in m."""
 

@@ -1,10 +1,5 @@
 """Pictures of a camera that works, and of cameras that do not."""
 
-import http.server
-import itertools
-import threading
-import time
-
 import cv2
 import numpy as np
 import pytest
@@ -97,77 +92,6 @@ def test_folder_of_pictures_is_read_in_order(tmp_path):
 def test_missing_source_is_one_line(tmp_path):
     with pytest.raises(FileError, match="no such file"):
         pictures_of(str(tmp_path / "nothing.mp4"))
-
-
-class Stream:
-    """An MJPEG server with ``parts``, of which each is bytes to send or seconds to wait."""
-
-    def __init__(self, parts):
-        class Handler(http.server.BaseHTTPRequestHandler):
-            def do_GET(self):
-                self.send_response(200)
-                self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=b")
-                self.end_headers()
-                for part in parts:
-                    if isinstance(part, bytes):
-                        self.wfile.write(part)
-                    else:
-                        time.sleep(part)
-
-            def log_message(self, *arguments):
-                pass
-
-        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self._server.daemon_threads = True
-        threading.Thread(target=self._server.serve_forever, daemon=True).start()
-        self.address = f"http://127.0.0.1:{self._server.server_address[1]}/"
-
-    def close(self):
-        self._server.shutdown()
-        self._server.server_close()
-
-
-def part(level, stamp=None):
-    data = cv2.imencode(".jpg", np.full((48, 64), level, np.uint8))[1].tobytes()
-    header = f"--b\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n"
-    header += f"X-Timestamp: {stamp}\r\n" if stamp else ""
-    return f"{header}\r\n".encode() + data + b"\r\n"
-
-
-@pytest.fixture
-def stream():
-    servers = []
-
-    def serve(*parts):
-        servers.append(Stream(parts))
-        return pictures_of(servers[-1].address, delay_s=0.25)
-
-    yield serve
-    for server in servers:
-        server.close()
-
-
-def test_stream_gives_the_newest_picture_with_its_moment(stream):
-    with stream(part(50, "12.5"), 0.4, part(90), 1.0) as camera:
-        pictures = iter(camera)
-        first, second = next(pictures), next(pictures)
-    assert (first.wall_ns, int(first.grey[0, 0])) == (12_500_000_000, 50)
-    assert int(second.grey[0, 0]) == 90
-    assert 0.2e9 < time.time_ns() - second.wall_ns < 5e9
-
-
-@pytest.mark.parametrize(
-    ("parts", "words"),
-    [
-        ((part(50),), "sends no more pictures"),
-        ((part(50), b"--b\r\nContent-Length: 4\r\n\r\nabcd"), "neither a JPEG nor a PNG"),
-        ((part(50), b"--b\r\nContent-Length: 99999999999\r\n\r\n"), "a picture of 99999999999 bytes"),
-        ((part(50), 3.5), "no picture for 3 s|timed out"),
-    ],
-)
-def test_camera_that_dies_ends_the_command_with_one_line(stream, parts, words):
-    with stream(*parts) as camera, pytest.raises(UsageError, match=words):
-        list(itertools.islice(iter(camera), 10))
 
 
 def test_reading_ends_when_the_user_wants():

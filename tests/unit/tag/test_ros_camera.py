@@ -119,7 +119,7 @@ def test_transforms_give_a_pose_each_time_the_localiser_corrects():
     """As AMCL and a robot publish them: AMCL's is dated ahead."""
     poses = TransformPoses("map")
     odom = Transform("odom", "base_footprint", 1.0, 0.0, 0.0, 0.5)
-    with pytest.raises(FormatError, match=r"from 'map' to 'base_link', only odom → base_footprint"):
+    with pytest.raises(FormatError, match=r"from 'map' to 'base_footprint', only odom → base_footprint"):
         poses.take(transforms([odom], 5))
     found = read_pose(poses.take(transforms([Transform("map", "/odom", 2.0, 3.0, 0.0, math.pi / 2)], 1005)))
     assert found.pose == pytest.approx((2.0, 4.0, math.pi / 2 + 0.5))

@@ -96,18 +96,17 @@ def _look(address: "BridgeAddress", seconds: float) -> "Survey":
     from rover_ncp.wire.key_table import KeySpec
     from rover_ncp.wire.messages import read_pose
 
-    arrived: list[bytes] = []
+    samples, unreadable = [], ""
 
     def receive(row: KeySpec, data: bytes) -> None:
-        if row.name == "pose":
-            arrived.append(data)
-
-    with ZenohClient(address, receive):
-        time.sleep(seconds)
-    samples, unreadable = [], ""
-    for data in arrived:
+        nonlocal unreadable
+        if row.name != "pose":
+            return
         try:
             samples.append(read_pose(data))
         except FormatError as error:
             unreadable = f"others cannot be read: {error}"
+
+    with ZenohClient(address, receive):
+        time.sleep(seconds)
     return survey(samples, seconds, unreadable)

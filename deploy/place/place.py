@@ -2,7 +2,7 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -13,13 +13,6 @@ from rover_ncp.course.course import Angle, Coordinate, Name, Obstacle
 
 SUFFIXES = {".yaml", ".yml"}
 MAX_OBSTACLES = 100
-
-
-class Direction(StrEnum):
-    """Direction in which the rover drives into the place."""
-
-    FORWARD = "forward"
-    BACKWARD = "backward"
 
 
 class Proof(StrEnum):
@@ -59,8 +52,8 @@ class Place(StrictModel):
         default="map", description="frame_id of the external poses"
     )
     pose: PlacePose
-    direction: Direction = Field(
-        default=Direction.FORWARD, description="in which the rover drives in: forward or backward"
+    direction: Literal["forward", "backward"] = Field(
+        default="forward", description="in which the rover drives in: forward or backward"
     )
     staging_m: float = Field(
         default=0.7, ge=0.3, le=2.0, description="m from the place, where the straight approach begins"
@@ -82,7 +75,7 @@ class Place(StrictModel):
     @property
     def backward(self) -> bool:
         """Whether the rover drives in backward."""
-        return self.direction is Direction.BACKWARD
+        return self.direction == "backward"
 
     @property
     def staging(self) -> Pose:

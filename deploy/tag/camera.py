@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.drive.link import Inbox
 from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.core.process import ClosedAtExit
 
@@ -80,39 +81,25 @@ def _read(capture: cv2.VideoCapture) -> Iterator[NDArray[np.uint8]]:
 class LiveCamera(ClosedAtExit):
     """The newest picture of a camera that runs: no picture waits in a queue.
 
-    Iterating ends with UsageError when the camera sends nothing for `TIMEOUT_S`, and after `lose`.
+    Iterating ends with UsageError when the camera sends nothing for `TIMEOUT_S`, and with a picture that
+    cannot be had.
     """
 
     def __init__(self, source: str) -> None:
         self._source = source
-        self._changed = threading.Condition()
-        self._newest: Callable[[], Picture] | None = None
-        self._lost = ""
+        self.newest = Inbox[Callable[[], Picture]](1)
+        """A function that decodes the newest picture, or raises ValueError."""
 
     def __iter__(self) -> Iterator[Picture]:
         while True:
-            with self._changed:
-                arrived = self._changed.wait_for(lambda: self._newest or self._lost, TIMEOUT_S)
-                newest, self._newest = self._newest, None
-                why = self._lost if arrived else f"no picture for {TIMEOUT_S:g} s"
+            arrived = self.newest.take(TIMEOUT_S)
             try:
-                if newest is None:
-                    raise ValueError(why)
-                yield newest()
+                if not arrived:
+                    raise ValueError(f"no picture for {TIMEOUT_S:g} s")
+                picture = arrived[0]()
             except ValueError as error:
                 raise UsageError(f"camera {self._source}: {error}") from error
-
-    def put(self, picture: Callable[[], Picture]) -> None:
-        """Take a picture, which is decoded, or raises ValueError, if no newer one takes its place."""
-        with self._changed:
-            self._newest = picture
-            self._changed.notify_all()
-
-    def lose(self, why: str) -> None:
-        """End the pictures."""
-        with self._changed:
-            self._lost = why
-            self._changed.notify_all()
+            yield picture
 
 
 class ReadCamera(LiveCamera):
@@ -133,10 +120,11 @@ class ReadCamera(LiveCamera):
             for picture in self._stream() if self._source.startswith("http://") else self._device():
                 if self._closing:
                     return
-                self.put(picture)
-            self.lose("it sends no more pictures")
+                self.newest.put(picture)
+            why = "it sends no more pictures"
         except (OSError, ValueError) as error:
-            self.lose(str(error))
+            why = str(error)
+        self.newest.put(partial(_lost, why))
 
     def _device(self) -> Iterator[Callable[[], Picture]]:
         capture = cv2.VideoCapture(int(self._source))
@@ -157,6 +145,10 @@ class ReadCamera(LiveCamera):
                 if STAMP in headers:
                     wall_ns = round(float(headers[STAMP]) * 1e9)
                 yield partial(compressed, np.frombuffer(data, np.uint8), wall_ns)
+
+
+def _lost(why: str) -> Picture:
+    raise ValueError(why)
 
 
 def compressed(data: NDArray[np.uint8], wall_ns: int) -> Picture:

@@ -135,31 +135,20 @@ class Locator:
 
     def _starts(self, detections: Sequence[Detection]) -> list[Floats]:
         """Return the poses that fit the largest tag: from afar two tilts of a square look alike."""
-        detection = max(detections, key=lambda each: float(np.ptp(each.corners, axis=0).prod()))
-        tag = self._tags[detection.id]
-        h = 0.5 * tag.size
-        # OpenCV's own order: top left, top right, bottom right, bottom left; x right, y up.
-        square = np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
-        corners = detection.corners[[3, 2, 1, 0]][:, None, :]
-        count, turns, shifts, _ = cv2.solvePnPGeneric(
-            square, corners, self._matrix, self._distortion, flags=cv2.SOLVEPNP_IPPE_SQUARE
+        largest = max(detections, key=lambda each: float(np.ptp(each.corners, axis=0).prod()))
+        corners, pixels = self._tags[largest.id].corners, largest.corners[:, None, :]
+        _, turns, shifts, _ = cv2.solvePnPGeneric(
+            corners, pixels, self._matrix, self._distortion, flags=cv2.SOLVEPNP_IPPE
         )
-        # The square's axes (right, up, out of the print) in those of the tag's mount.
-        axes = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-        poses = []
-        for index in range(count):
-            turn, _ = cv2.Rodrigues(turns[index])
-            # Pose of the camera in the tag's parent frame.
-            rotation = tag.rotation @ axes @ turn.T
-            position = tag.position - rotation @ shifts[index][:, 0]
-            poses.append(self._base_of(rotation, position))
-        return poses
+        return [
+            self._base(cv2.Rodrigues(turn)[0], shift[:, 0]) for turn, shift in zip(turns, shifts, strict=True)
+        ]
 
-    def _base_of(self, rotation: Floats, position: Floats) -> Floats:
-        """Return the base's pose in the plane from the camera's in the tags' parent frame."""
-        # The pose of the tags' parent in the camera's parent: of the base in the map, or the inverse.
-        turn = self._camera_rotation @ rotation.T
-        shift = self._camera_position - turn @ position
+    def _base(self, turn: Floats, shift: Floats) -> Floats:
+        """Return the base's pose in the plane from that of the tags' parent in the camera (OpenCV's axes)."""
+        # In the camera's parent it is the pose of the base in the map, or the inverse of that.
+        turn = self._camera_rotation @ turn
+        shift = self._camera_position + self._camera_rotation @ shift
         if not self._on_rover:
             turn, shift = turn.T, -turn.T @ shift
         theta = math.atan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])

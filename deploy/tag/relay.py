@@ -60,7 +60,12 @@ class TransformPoses:
 
 def relay(source: str, *, address: BridgeAddress, frame: str, seconds: float | None, output: Output) -> int:
     """See ``commands.relay``; return the exit code."""
-    where, inbox, reasons, poses = RosSource.parse(source, "topic", "amcl_pose"), Inbox(), Counter[str](), 0
+    where, inbox, reasons, poses = (
+        RosSource.parse(source, "topic", "amcl_pose"),
+        Inbox[Arrival](),
+        Counter[str](),
+        0,
+    )
     transforms = TransformPoses(frame) if where.topic.rpartition("/")[2] == "tf" else None
     read = pose_reader(frame)
 

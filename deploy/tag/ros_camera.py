@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import zenoh
 import zenoh.ext
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from deploy.tag.camera import LiveCamera, Picture, compressed
@@ -54,7 +53,7 @@ class RosCamera(LiveCamera):
         stamp_ns = header_stamp_ns(self._type, data)
         measured_ns = self._clock.measured_ns(stamp_ns, now_ns) if stamp_ns else now_ns - self._delay_ns
         if measured_ns is not None:
-            self.put(partial(read_image, self._type, data, wall_ns - now_ns + measured_ns))
+            self.newest.put(partial(read_image, self._type, data, wall_ns - now_ns + measured_ns))
 
 
 def image_type(topic: str) -> str:
@@ -80,10 +79,9 @@ def read_image(ros_type: str, data: bytes, wall_ns: int) -> Picture:
     channels = 1 if conversion is None else 3
     if not height * width or step < width * channels or len(message.data) < step * height:
         raise ValueError(f"an image of {width} × {height} pixels has {len(message.data)} bytes")
-    rows: NDArray[np.uint8] = message.data[: step * height].reshape(height, step)[:, : width * channels]
-    if conversion is None:
-        return Picture(np.ascontiguousarray(rows), wall_ns)
-    grey = cv2.cvtColor(np.ascontiguousarray(rows).reshape(height, width, channels), conversion)
+    rows = message.data[: step * height].reshape(height, step)[:, : width * channels]
+    pixels = np.ascontiguousarray(rows).reshape(height, width, channels)
+    grey = pixels[:, :, 0] if conversion is None else cv2.cvtColor(pixels, conversion)
     return Picture(np.asarray(grey, np.uint8), wall_ns)
 
 

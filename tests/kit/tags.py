@@ -11,7 +11,7 @@ from deploy.tag.ros_camera import CAMERA_INFO, COMPRESSED, IMAGE
 from deploy.tag.tag_map import CameraFile, Intrinsics, Mount, Tag, TagMap
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import TF
-from sim.camera.render import PictureErrors, Renderer
+from sim.camera.render import Renderer
 
 PICTURE = Intrinsics(width=640, height=480, fx=500.0, fy=500.0, cx=319.5, cy=239.5)
 CAMERA = CameraFile(intrinsics=PICTURE, mount=Mount(x=0.1, y=0.02, z=0.3, yaw=0.05, pitch=0.04))
@@ -22,9 +22,9 @@ WALL = TagMap(
 )
 
 
-def picture_of(pose, camera=CAMERA, tag_map=WALL, *, seed=1, errors=None):
+def picture_of(pose, camera=CAMERA, tag_map=WALL, *, seed=1, gain=1.0):
     """Return the picture that is taken from a pose of the base."""
-    return Renderer(camera, tag_map, np.random.default_rng(seed), errors or PictureErrors()).picture(pose)
+    return Renderer(camera, tag_map, np.random.default_rng(seed), gain).picture(pose)
 
 
 HEADER = {"stamp": {"sec": 5, "nanosec": 0}, "frame_id": "camera_optical"}

@@ -11,7 +11,6 @@ from deploy.tag.locate import Rejection
 from deploy.tag.run import until
 from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.core.geometry import Pose
-from sim.camera.render import PictureErrors
 
 POSE = Pose(0.9, 0.05, 0.1)
 SECOND_NS = 1_000_000_000
@@ -40,7 +39,7 @@ def test_pose_of_a_good_picture(localiser):
 )
 def test_picture_without_tags_says_why(localiser, gain, reason):
     away = Pose(0.9, 0.0, 3.0) if gain == 1.0 else POSE
-    image = picture_of(away, errors=PictureErrors(gain=gain))
+    image = picture_of(away, gain=gain)
     assert localiser.take(Picture(image, SECOND_NS)) is None
     assert localiser.rejected == {reason: 1}
 

@@ -72,6 +72,9 @@ class TagCalibration(BaseModel):
     deviations: dict[str, float] | None = Field(
         default=None, description="standard deviation of each number of the mount"
     )
+    late_s: float | None = Field(
+        default=None, description="how late the moments of pictures are against those of odometry"
+    )
 
 
 class Localiser:

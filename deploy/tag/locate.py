@@ -141,7 +141,8 @@ class Locator:
             corners, pixels, self._matrix, self._distortion, flags=cv2.SOLVEPNP_IPPE
         )
         return [
-            self._base(cv2.Rodrigues(turn)[0], shift[:, 0]) for turn, shift in zip(turns, shifts, strict=True)
+            self._base(np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(shift[:, 0], np.float64))
+            for turn, shift in zip(turns, shifts, strict=True)
         ]
 
     def _base(self, turn: Floats, shift: Floats) -> Floats:

@@ -2,7 +2,6 @@
 
 import contextlib
 import time
-from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from rover_ncp.core.config import dump_yaml, load_yaml
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.core.files import require_writable, write_atomic
-from rover_ncp.core.geometry import Pose, wrap_angle
+from rover_ncp.core.geometry import Pose
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
 from rover_ncp.wire.address import ROS2
@@ -129,24 +128,27 @@ def calibrate_mount(
         output.announce("collecting: drive and turn slowly, tags in view; Ctrl-C when done")
         for each in until(pictures, seconds, lambda: interrupts.raised):
             seen.append((each.wall_ns, detector.detect(each.grey)))
-    if not odometry.poses:
+    if not odometry.samples:
         raise UsageError(
             f"no odometry arrived from the bridge at {address.robot}; with certificates, use a driver's: a "
             "localiser's may not read it"
         )
-    samples = [(pose, found) for at, found in seen if (pose := odometry.at(at)) is not None]
-    mount, deviations, rms = find_mount(camera, tag_map, samples)
+    mount, deviations, late_s, pictures_used, rms = find_mount(camera, tag_map, odometry.samples, seen)
     _write(camera_file, camera.model_copy(update={"mount": mount}))
     result = TagCalibration(
         out=str(camera_file),
         rms_px=rms,
-        pictures=len(samples),
+        pictures=pictures_used,
         fx=camera.intrinsics.fx,
         mount=mount.model_dump(),
         deviations=deviations,
+        late_s=late_s,
     )
     values = ", ".join(f"{name} {getattr(mount, name):.4f} ± {std:.4f}" for name, std in deviations.items())
-    output.result(result.model_dump(), f"wrote {camera_file}: {values} (m, rad); corners fit to {rms:.2f} px")
+    output.result(
+        result.model_dump(),
+        f"wrote {camera_file}: {values} (m, rad); corners fit to {rms:.2f} px, pictures {late_s:.3f} s late",
+    )
 
 
 class _Odometry:
@@ -154,8 +156,7 @@ class _Odometry:
 
     def __init__(self) -> None:
         self._clock = StampClock()
-        self.times: list[int] = []
-        self.poses: list[Pose] = []
+        self.samples: list[tuple[int, Pose]] = []
 
     def take(self, row: KeySpec, data: bytes) -> None:
         """Take a message of the bridge; an unreadable one counts as none."""
@@ -165,20 +166,7 @@ class _Odometry:
             sample, now_ns = read_odometry(data), time.monotonic_ns()
             measured_ns = self._clock.measured_ns(sample.stamp_ns, now_ns)
             if measured_ns is not None:
-                self.times.append(time.time_ns() - now_ns + measured_ns)
-                self.poses.append(sample.pose)
-
-    def at(self, wall_ns: int) -> Pose | None:
-        """Return the pose at a moment, between two measured ones; None outside them."""
-        after = bisect_left(self.times, wall_ns)
-        if not 0 < after < len(self.times):
-            return None
-        share = (wall_ns - self.times[after - 1]) / (self.times[after] - self.times[after - 1])
-        a, b = self.poses[after - 1], self.poses[after]
-        turned = wrap_angle(b.theta - a.theta)
-        return Pose(
-            a.x + share * (b.x - a.x), a.y + share * (b.y - a.y), wrap_angle(a.theta + share * turned)
-        )
+                self.samples.append((time.time_ns() - now_ns + measured_ns, sample.pose))
 
 
 @contextlib.contextmanager

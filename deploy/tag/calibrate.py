@@ -18,7 +18,7 @@ from rover_ncp.core.geometry import Pose, compose, relative
 NS = 1_000_000_000
 MIN_PICTURES, MIN_TAGS = 6, 6
 """Fewer pictures, or fewer tags in one, leave the focal length and the distortion undetermined."""
-PRIOR = np.array([0.05, 0.05, 0.03, 0.2, 0.2, 0.05])
+PRIOR = 0.05, 0.05, 0.03, 0.2, 0.2, 0.05
 """Standard deviations of a mount measured by hand: x, y, z in m, yaw, pitch, roll in rad."""
 NO_ERRORS, ERROR_PRIOR = (1.0, 1.0, 0.0), (0.05, 0.2, 0.1)
 """Odometry's gains of distance and turn, and the pictures' delay in s, with their standard deviations.
@@ -116,8 +116,8 @@ def find_mount(
     where, pose = min(located, key=lambda each: each[0].rms)
     start = compose(where.pose, relative(pose, Pose(*poses[0].tolist())))  # where the drive begins in the map
     observed = [by_hand.observed(found) for _, found in seen]
-    guess = np.array([*camera.mount.position, camera.mount.yaw, camera.mount.pitch, camera.mount.roll])
-    expected, priors = np.array([*guess, *NO_ERRORS]), np.array([*PRIOR, *ERROR_PRIOR])
+    expected = np.array([*camera.mount.model_dump().values(), *NO_ERRORS])
+    priors = np.array([*PRIOR, *ERROR_PRIOR])
 
     def errors(values: Floats) -> Floats:
         mount = Mount.model_construct(**dict(zip(MOUNT_FIELDS, values, strict=False)))

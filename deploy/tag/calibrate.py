@@ -25,6 +25,8 @@ NO_ERRORS, ERROR_PRIOR = (1.0, 1.0, 0.0), (0.05, 0.2, 0.1)
 
 A robot with skid steering slips. At 0.1 rad/s, 10 ms of delay move the mount by a centimetre.
 """
+ODOMETRY_STD = 0.002, 0.002, 0.003
+"""Standard deviations of a pose of odometry in m and rad: rounding, and the moment of a report."""
 MIN_SAMPLES = 20
 MIN_TURN = 0.5
 """Least range of headings in the drive, rad: without a turn the camera's place on the rover is not seen."""
@@ -119,19 +121,26 @@ def find_mount(
     expected = np.array([*camera.mount.model_dump().values(), *NO_ERRORS])
     priors = np.array([*PRIOR, *ERROR_PRIOR])
 
-    def errors(values: Floats) -> Floats:
+    path = _at(moments, times, _path(np.array(start), poses, 1.0, 1.0))
+    weights = [_weights(by_hand, pose, corners) for pose, corners in zip(path, observed, strict=True)]
+
+    def corner_errors(values: Floats) -> list[Floats]:
         mount = Mount.model_construct(**dict(zip(MOUNT_FIELDS, values, strict=False)))
         locator = Locator(camera.model_copy(update={"mount": mount}), tag_map)
         distance, turn, late = values[6:9]
         path = _at(moments - late, times, _path(values[9:], poses, distance, turn))
-        parts = [locator.errors(pose, *corners) / PIXEL for pose, corners in zip(path, observed, strict=True)]
-        return np.concatenate([*parts, (values[:9] - expected) / priors])
+        return [locator.errors(pose, *corners) for pose, corners in zip(path, observed, strict=True)]
+
+    def errors(values: Floats) -> Floats:
+        weighted = [weight @ each for weight, each in zip(weights, corner_errors(values), strict=True)]
+        return np.concatenate([*weighted, (values[:9] - expected) / priors])
 
     fit = least_squares(errors, np.array([*expected, *start]), loss="soft_l1", x_scale="jac")
-    rms = PIXEL * corner_rms(fit.fun[: -len(priors)])
+    rms = corner_rms(np.concatenate(corner_errors(fit.x)))
     if rms > MAX_PIXELS:
         raise UsageError(f"the drive does not fit the tags ({rms:.1f} px): is the map right, do wheels slip?")
-    covariance = max(1.0, (rms / PIXEL) ** 2) * np.linalg.pinv(fit.jac.T @ fit.jac)
+    variance = float(np.mean(np.square(fit.fun)))
+    covariance = max(1.0, variance) * np.linalg.pinv(fit.jac.T @ fit.jac)
     deviations = np.sqrt(np.diag(covariance))[:6]
     return MountFound(
         Mount(**dict(zip(MOUNT_FIELDS, fit.x[:6].tolist(), strict=True))),
@@ -140,6 +149,18 @@ def find_mount(
         len(seen),
         rms,
     )
+
+
+def _weights(locator: Locator, pose: Floats, corners: tuple[Floats, Floats]) -> Floats:
+    """Return the matrix (2n × 2n) that makes errors of corners independent, with standard deviation 1.
+
+    An error of odometry moves all corners of a picture together.
+    """
+    exact, step = locator.errors(pose, *corners), 1e-6
+    moved = [locator.errors(pose + step * axis, *corners) - exact for axis in np.eye(3)]
+    common = np.column_stack(moved) / step * ODOMETRY_STD
+    covariance = PIXEL**2 * np.eye(len(exact)) + common @ common.T
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), np.float64)
 
 
 def _at(moments: Floats, times: Floats, poses: Floats) -> Floats:

@@ -79,7 +79,7 @@ def drive(turn, gain=1.0, late_s=0.0, step_rad=1e-6):
     for k in range(240):
         rate = turn * 0.5 * math.cos(0.05 * k)
         path.append(compose(path[-1], Pose(0.003, 0.0, 0.1 * rate)))
-    odometry = [Pose(3.0, -1.0, 2.0)]
+    odometry = [Pose(3.0, -1.0, 3.0)]  # headings wrap
     for step in map(relative, path, path[1:]):
         odometry.append(compose(odometry[-1], step._replace(theta=gain * step.theta)))
     pictures = []

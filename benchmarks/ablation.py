@@ -19,7 +19,6 @@ from rover_ncp.course.scoring import Parked
 from rover_ncp.robot.description import load_description
 from sim.evaluate.commands import Sensors
 from sim.learn.engine.driver import load_driver
-from sim.stack.camera import Camera
 from sim.stack.estimates import summary
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
@@ -66,7 +65,7 @@ def main() -> None:
     robot = load_description(given.model) if given.model else None
     ranges = ranges_for(given.randomize, None, given.body, robot)
     gyro = given.sensors in {Sensors.GYRO, Sensors.BOTH}
-    camera = Camera() if given.sensors in {Sensors.CAMERA, Sensors.BOTH} else None
+    camera = given.sensors in {Sensors.CAMERA, Sensors.BOTH}
     course = (load_course(given.course),)
     stack = Stack(load_driver(given.driver), course, ranges, given.seed, gyro, camera, given.identify, robot)
     pairs = [[change.split("=") for change in text.split(",")] for text in given.set]

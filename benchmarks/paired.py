@@ -16,7 +16,6 @@ from scipy.stats import binomtest
 from rover_ncp.course.course import load_course
 from sim.evaluate.commands import Sensors
 from sim.learn.engine.driver import load_driver
-from sim.stack.camera import Camera
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
 from sim.world.randomization import load_randomization
@@ -66,7 +65,7 @@ def main() -> None:
             ranges,
             given.seed,
             gyro=given.sensors in {Sensors.GYRO, Sensors.BOTH},
-            camera=Camera() if given.sensors in {Sensors.CAMERA, Sensors.BOTH} else None,
+            camera=given.sensors in {Sensors.CAMERA, Sensors.BOTH},
         )
         return np.array([trial.parked for trial in drive_all(stack, given.trials, None)])
 

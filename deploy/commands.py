@@ -117,7 +117,7 @@ def deploy(
     if to is not None or undock is not None:
         from deploy.place.docking import place_config
         from deploy.place.place import load_place
-        from deploy.place.plan import place_course
+        from deploy.place.plan import approach
 
         if to is not None and undock is not None:
             raise UsageError("--to and --undock do not go together")
@@ -135,7 +135,7 @@ def deploy(
             policy=dock.circuit.name,
             dry_run=dry_run,
         )
-        way = place_course(place)
+        way = approach(place).course
         return run(
             address, output, policy=dock, course=way, config=config, recorder=recorder, staging=circuit
         )

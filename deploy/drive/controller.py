@@ -25,7 +25,7 @@ from deploy.estimator.settings import TURN_GAINS, EstimatorSettings
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.circuit.runner import Runner
-from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, Velocity, compose, distance, wrap_angle
+from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, Velocity, compose, near
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.reference import Reference, plan_reference
 from rover_ncp.course.scoring import Verdict, judge
@@ -163,9 +163,8 @@ class Controller:
         return Pose(x, y, theta)
 
     def _is_parked(self, pose: Pose) -> bool:
-        rule, goal = self._course.parked, self._course.goal
-        turned = abs(wrap_angle(pose.theta - goal.theta))
-        return distance(pose, goal) <= rule.position_m and turned <= rule.heading_rad
+        rule = self._course.parked
+        return near(pose, self._course.goal, rule.position_m, rule.heading_rad)
 
     def record_estimate(self, index: int, t: float) -> Estimate:
         """Record the estimate at time ``t`` for the verdict, without a tick of the circuit."""

@@ -7,7 +7,7 @@ import contextlib
 import threading
 from abc import ABC, abstractmethod
 from collections import deque
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 from deploy.drive.signed_lease import DriverLease
 from rover_ncp.core.errors import FormatError
@@ -15,6 +15,7 @@ from rover_ncp.core.geometry import Velocity
 from rover_ncp.wire.messages import read_battery, read_bumpers, read_text
 from rover_ncp.wire.protocol import GateStatus, MotorsReply, parse_json
 
+ItemT = TypeVar("ItemT")
 INBOX_LENGTH = 1000
 OF_BRIDGE = "odom", "imu"
 INPUTS = frozenset({*OF_BRIDGE, "pose"})
@@ -32,30 +33,30 @@ class Arrival(NamedTuple):
     arrival_ns: int
 
 
-class Inbox:
-    """Keeps the newest ``length`` arrivals until they are taken, and wakes the thread that waits for one.
+class Inbox(Generic[ItemT]):
+    """Keeps the newest ``length`` items until they are taken, and wakes the thread that waits for one.
 
     Zenoh's own ring channel cannot be waited for with a limit.
     """
 
     def __init__(self, length: int = INBOX_LENGTH) -> None:
         self._changed = threading.Condition()
-        self._arrivals: deque[Arrival] = deque(maxlen=length)
+        self._items: deque[ItemT] = deque(maxlen=length)
 
-    def put(self, arrival: Arrival) -> None:
-        """Add an arrival; from any thread."""
+    def put(self, item: ItemT) -> None:
+        """Add an item; from any thread."""
         with self._changed:
-            self._arrivals.append(arrival)
+            self._items.append(item)
             self._changed.notify()
 
-    def take(self, timeout_s: float = 0.0) -> list[Arrival]:
-        """Return and remove all arrivals, in order; wait for the first at most ``timeout_s``."""
+    def take(self, timeout_s: float = 0.0) -> list[ItemT]:
+        """Return and remove all items, in order; wait for the first at most ``timeout_s``."""
         with self._changed:
-            if not self._arrivals and timeout_s > 0:
+            if not self._items and timeout_s > 0:
                 self._changed.wait(timeout_s)
-            arrivals = list(self._arrivals)
-            self._arrivals.clear()
-            return arrivals
+            items = list(self._items)
+            self._items.clear()
+            return items
 
 
 class Sources:
@@ -103,7 +104,7 @@ class Link(ABC):
     sources: Sources
 
     def __init__(self) -> None:
-        self.odometry, self.gyro, self.poses = Inbox(1), Inbox(), Inbox()
+        self.odometry, self.gyro, self.poses = Inbox[Arrival](1), Inbox[Arrival](), Inbox[Arrival]()
         self.gate = GateStatus()
         """The newest gate status."""
         self.bumped = 0

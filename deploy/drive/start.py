@@ -15,7 +15,7 @@ from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.estimator.estimator import completed
 from deploy.estimator.history import STILL_SIGMAS
 from rover_ncp.core.errors import AnotherDriver, NoPose, SafetyStop
-from rover_ncp.core.geometry import ORIGIN, Pose, distance, wrap_angle
+from rover_ncp.core.geometry import ORIGIN, Pose, near, wrap_angle
 from rover_ncp.core.process import Clock
 from rover_ncp.wire.messages import OdometrySample, PoseSample
 
@@ -80,7 +80,7 @@ class StartDetector:
         )
 
     def _same_place(self, a: Pose, b: Pose) -> bool:
-        return distance(a, b) <= self._still_m and abs(wrap_angle(a.theta - b.theta)) <= self._still_rad
+        return near(a, b, self._still_m, self._still_rad)
 
     def _collect_poses(self) -> None:
         for seen in self._measurements.poses():

@@ -50,45 +50,41 @@ def place(
 
     Ends with 0, or 1 if check finds the rover outside the place's tolerances, 3 no bridge or no pose.
     """
-    from deploy.place.place import Place, PlacePose, load_place, place_path, place_yaml
+    from deploy.place.place import Place, PlacePose, load_place, place_path
     from deploy.place.survey import PlaceResult, blurred, complaint
     from deploy.zenoh_client import BridgeAddress
-    from rover_ncp.core.config import validated
+    from rover_ncp.core.config import dump_yaml, validated
     from rover_ncp.core.files import require_creatable, write_atomic
 
-    output, path = Output(json), place_path(name)
-    if what == "check":
+    path, checks = place_path(name), what == "check"
+    if checks:
         reject("is for set", direction=direction, overwrite=overwrite)
     else:
         require_creatable(path, overwrite=overwrite)
-    known = load_place(name) if what == "check" or path.exists() else None
+    stored = load_place(name) if checks or path.exists() else None
     seen = _look(BridgeAddress(robot, namespace, zenoh_config), seconds)
-    pose, words, wrong = seen.pose, [], ""
-    if what == "check":
-        assert known is not None
-        wrong = complaint(known, seen)
-        words.append(f"{known.name}: {wrong or f'as stored, {known.errors(pose)}'}")
-        stored = known
+    pose, wrong = seen.pose, ""
+    if stored is not None and checks:
+        wrong = complaint(stored, seen)
+        words = f"{stored.name}: {wrong or f'as stored, {stored.errors(pose)}'}"
     else:
-        fields = known.model_dump() if known else {"name": path.stem}
+        fields = stored.model_dump() if stored else {"name": path.stem}
         fields |= {"pose": PlacePose(**pose._asdict()), "scatter": seen.scatter, "frame": seen.frame}
         stored = validated(fields | ({"direction": direction} if direction else {}), Place, str(path))
-        write_atomic(path, place_yaml(stored))
-        words.append(f"wrote {path}: x {pose.x:.3f} m, y {pose.y:.3f} m, {math.degrees(pose.theta):.1f}°")
+        write_atomic(path, dump_yaml(stored.model_dump(mode="json", exclude_none=True)))
+        words = f"wrote {path}: x {pose.x:.3f} m, y {pose.y:.3f} m, {math.degrees(pose.theta):.1f}°"
     if warning := blurred(stored, seen.scatter):
-        words.append(warning)
+        words += f"\n{warning}"
     result = PlaceResult(
         place=stored.name,
         file=str(path),
         frame=seen.frame,
-        x=pose.x,
-        y=pose.y,
-        theta=pose.theta,
+        **pose._asdict(),
         scatter=seen.scatter,
-        off=known.errors(pose) if what == "check" and known else None,
+        off=stored.errors(pose) if checks else None,
         fits=not wrong,
     )
-    output.result(result.model_dump(), "\n".join(words))
+    Output(json).result(result.model_dump(), words)
     return 1 if wrong else 0
 
 
@@ -100,18 +96,17 @@ def _look(address: "BridgeAddress", seconds: float) -> "Survey":
     from rover_ncp.wire.key_table import KeySpec
     from rover_ncp.wire.messages import read_pose
 
-    arrived: list[bytes] = []
+    samples, unreadable = [], ""
 
     def receive(row: KeySpec, data: bytes) -> None:
-        if row.name == "pose":
-            arrived.append(data)
-
-    with ZenohClient(address, receive):
-        time.sleep(seconds)
-    samples, unreadable = [], ""
-    for data in arrived:
+        nonlocal unreadable
+        if row.name != "pose":
+            return
         try:
             samples.append(read_pose(data))
         except FormatError as error:
             unreadable = f"others cannot be read: {error}"
+
+    with ZenohClient(address, receive):
+        time.sleep(seconds)
     return survey(samples, seconds, unreadable)

@@ -28,7 +28,7 @@ from deploy.place.place import Place, Proof
 from deploy.place.plan import FAR_M, Way, approach, retreat, tail, to_staging
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import ConfigError, SafetyStop
-from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, wrap_angle
+from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, near, wrap_angle
 from rover_ncp.course.course import TICK_S
 from rover_ncp.course.scoring import Failure, Parked, Verdict
 from rover_ncp.course.slowdown import slowdown
@@ -110,9 +110,9 @@ class Docking:
         self._poses: deque[tuple[float, Pose]] = deque(maxlen=KEPT_POSES)
         """Times and values of the newest external poses."""
         self._potentials = self._approach.controller.potentials
-        self._docked, self._error, self._why = False, DockError.UNKNOWN, ""
+        self._error, self._why = DockError.UNKNOWN, ""
         self._estimate: Estimate | None = None
-        self._judged: _Judged | None = None
+        self._judged = _Judged()
 
     def start(
         self, odometry: Pose, t: float, pose: Pose, covariance: NDArray[np.float64] | None = None
@@ -182,18 +182,22 @@ class Docking:
         if self._config.dry_run and ended and self._began >= 0:
             way = self._now.way.course
             words = f"the dry run ends after the first way ({way.name}, {way.horizon_s:.0f} s), not driven"
-            self._end(False, DockError.UNKNOWN, words)
+            self._end(DockError.UNKNOWN, words)
             return
         match self.stage:
             case Stage.NAV_TO_STAGING_POSE if ended:
                 self._staged(index, estimate.pose)
+            case Stage.CONTROLLING if self._undock and ended and self._stands_at_staging(estimate.pose):
+                self._end()
             case Stage.CONTROLLING if self._undock and ended:
-                self._end(self._stands_at_staging(estimate.pose), DockError.FAILED_TO_CONTROL)
+                self._end(DockError.FAILED_TO_CONTROL, "the rover is not at the staging pose")
             case Stage.CONTROLLING if not self._undock and (contact or ended):
                 self._judge(index, t, contact, charging)
-            case Stage.WAIT_FOR_CHARGE if charging or t >= self._charge_until:
-                words = "" if charging else f"no charge within {CHARGE_S:g} s"
-                self._try_ended(index, estimate.pose, DockError.FAILED_TO_CHARGE, words)
+            case Stage.WAIT_FOR_CHARGE if charging:
+                self._end()
+            case Stage.WAIT_FOR_CHARGE if t >= self._charge_until:
+                words = f"no charge within {CHARGE_S:g} s"
+                self._missed(index, estimate.pose, DockError.FAILED_TO_CHARGE, words)
             case Stage.RETRY if ended and self._tries > self.place.retries:
                 self.over = True
             case Stage.RETRY if ended:
@@ -206,12 +210,12 @@ class Docking:
         pose, proof = self.estimator.at(t).pose, self.place.proof
         verdict = leg.verdict()
         off = self.place.errors(pose)
-        self._judged = _Judged(verdict, off, self._by_poses(t, contact))
+        self._judged = _Judged(verdict.probability, off, self._by_poses(t, contact))
         in_line = abs(off.lateral_m) <= self.place.position_m and abs(off.yaw_rad) <= self.place.heading_rad
         where = f"{off} of the place by the estimate"
-        error, why = DockError.FAILED_TO_CONTROL, ""
         at_place = proof is Proof.CONTACT and in_line and abs(off.longitudinal_m) <= CONTACT_M
-        far = distance(pose, self.place.goal) > CHARGER_M or abs(off.yaw_rad) > CHARGER_RAD
+        far = not near(pose, self.place.goal, CHARGER_M, CHARGER_RAD)
+        why = ""
         if proof is Proof.CONTACT and not contact:
             why = f"no contact at the place, {where}"
         elif contact and not (at_place or (proof is Proof.CHARGING and not far)):
@@ -223,16 +227,15 @@ class Docking:
         elif proof is Proof.CHARGING and not charging:
             self.stage, self._charge_until = Stage.WAIT_FOR_CHARGE, t + CHARGE_S
             return
-        self._try_ended(index, pose, error, why)
-
-    def _try_ended(self, index: int, pose: Pose, error: DockError, why: str) -> None:
-        """End the drive docked, if there is no reason ``why`` not; else go back to the staging pose."""
-        self._docked = not why
-        self._error, self._why = (error, why) if why else (DockError.NONE, "")
-        if self._docked:
-            self.over = True
+        if why:
+            self._missed(index, pose, DockError.FAILED_TO_CONTROL, why)
         else:
-            self._begin(Stage.RETRY, self._retreat, index, pose)
+            self._end()
+
+    def _missed(self, index: int, pose: Pose, error: DockError, why: str) -> None:
+        """Go back to the staging pose."""
+        self._error, self._why = error, why
+        self._begin(Stage.RETRY, self._retreat, index, pose)
 
     def _staged(self, index: int, pose: Pose) -> None:
         """Begin an approach, or drive to the staging pose anew if the rover is too far from it."""
@@ -242,7 +245,7 @@ class Docking:
             return
         problem = self._to_staging(index, pose) if self._stagings < MAX_STAGINGS else "too many tries"
         if problem:
-            self._end(False, DockError.FAILED_TO_STAGE, f"the rover is not at the staging pose: {problem}")
+            self._end(DockError.FAILED_TO_STAGE, f"the rover is not at the staging pose: {problem}")
 
     def _to_staging(self, index: int, pose: Pose) -> str:
         """Begin the way to the staging pose, or return why there is none."""
@@ -259,28 +262,21 @@ class Docking:
         self._begin(Stage.NAV_TO_STAGING_POSE, self._leg(self._staging, way), index, pose)
         return ""
 
-    def _end(
-        self, success: bool, error: DockError, why: str = "the rover is not at the staging pose"
-    ) -> None:
-        self.over, self._docked = True, success
-        self._error, self._why = (DockError.NONE, "") if success else (error, why)
+    def _end(self, error: DockError = DockError.NONE, why: str = "") -> None:
+        self.over, self._error, self._why = True, error, why
 
     def _begin(self, stage: Stage, leg: "_Leg", index: int, pose: Pose) -> None:
         self.stage, self._now, self._began = stage, leg, index
         leg.controller.begin(tail(pose) if leg.way.backward else pose)
 
     def _leg(self, policy: Policy, way: Way) -> "_Leg":
-        c = self._config
-        controller = Controller(
-            policy, way.course, c.estimator, c.rover, c.described, reference=way.reference
-        )
+        c, (course, reference) = self._config, way.of_tail() if way.backward else (way.course, way.reference)
+        controller = Controller(policy, course, c.estimator, c.rover, c.described, reference=reference)
         controller.estimator = _TailEstimator(self.estimator) if way.backward else self.estimator
         return _Leg(way, controller)
 
     def _stands_at_staging(self, pose: Pose) -> bool:
-        staging = self.place.staging
-        turned = abs(wrap_angle(pose.theta - staging.theta))
-        return distance(pose, staging) <= STAGED_M and turned <= STAGED_RAD
+        return near(pose, self.place.staging, STAGED_M, STAGED_RAD)
 
     def _by_poses(self, t: float, contact: bool) -> PoseErrors | None:
         """Return the median errors by the newest external poses; None without enough of them."""
@@ -293,29 +289,27 @@ class Docking:
         assert self._estimate is not None  # the drive had a tick
         goal, pose = self.place.staging if self._undock else self.place.goal, self._estimate.pose
         error_m, error_rad = distance(pose, goal), abs(wrap_angle(pose.theta - goal.theta))
-        failure = Failure.NONE if self._docked else Failure.FAR
-        return Verdict(self._docked, error_m, error_rad, self._why, failure)
+        success = self._error is DockError.NONE
+        return Verdict(success, error_m, error_rad, self._why, Failure.NONE if success else Failure.FAR)
 
     def result(self, ending: str = "") -> DockResult:
         """Return the result; ``ending`` is why a drive ended that did not come to a judgement."""
-        pose = None if self._estimate is None else self._estimate.pose
-        at = "place" if self._docked and not self._undock else "elsewhere"
-        if pose is not None and at == "elsewhere" and self._stands_at_staging(pose):
+        success, at = self._error is DockError.NONE, "elsewhere"
+        if success and not self._undock:
+            at = "place"
+        elif self._estimate is not None and self._stands_at_staging(self._estimate.pose):
             at = "staging pose"
-        judged = self._judged
         return DockResult(
             place=self.place.name,
             undock=self._undock,
-            success=self._docked,
-            error_code=DockError.NONE if self._docked else self._error,
-            error_msg="" if self._docked else self._why or ending or "the time is over",
+            success=success,
+            error_code=self._error,
+            error_msg="" if success else self._why or ending or "the time is over",
             num_retries=max(self._tries - 1, 0),
             stage=self.stage,
             at=at,
             proof=self.place.proof.value,
-            probability=judged and judged.verdict.probability,
-            by_estimate=judged and judged.estimate,
-            by_proof=judged and judged.poses,
+            **self._judged._asdict(),
         )
 
 
@@ -327,11 +321,11 @@ class _Leg(NamedTuple):
 
 
 class _Judged(NamedTuple):
-    """The end of an approach."""
+    """The end of the last approach, as in `DockResult`."""
 
-    verdict: Verdict
-    estimate: PoseErrors
-    poses: PoseErrors | None
+    probability: float | None = None
+    by_estimate: PoseErrors | None = None
+    by_proof: PoseErrors | None = None
 
 
 def place_config(

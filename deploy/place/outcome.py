@@ -26,7 +26,6 @@ class DockError(IntEnum):
 
     NONE = 0
     FAILED_TO_STAGE = 903
-    FAILED_TO_DETECT_DOCK = 904
     FAILED_TO_CONTROL = 905
     FAILED_TO_CHARGE = 906
     UNKNOWN = 999
@@ -52,7 +51,7 @@ class DockResult(BaseModel):
     place: str = Field(description="its name")
     undock: bool = Field(description="whether the rover was to leave the place")
     success: bool = Field(description="docked, by the place's proof; of an undocking: at the staging pose")
-    error_code: int = Field(description="DockRobot's: 0, 903 stage, 904 detect, 905 control, 906 charge, 999")
+    error_code: int = Field(description="DockRobot's: 0, 903 stage, 905 control, 906 charge, 999")
     error_msg: str = Field(description="why not, in words")
     num_retries: int = Field(description="tries after the first")
     stage: Stage = Field(description="the last stage")
@@ -69,12 +68,11 @@ class DockResult(BaseModel):
     @property
     def headline(self) -> str:
         """Whether it succeeded, and why not."""
-        what = "undocked from" if self.undock else "docked at"
-        words = f"{what} {self.place}" if self.success else f"not {what} {self.place}: {self.error_msg}"
-        return words[0].upper() + words[1:]
+        what = f"undocked from {self.place}" if self.undock else f"docked at {self.place}"
+        return what if self.success else f"not {what}: {self.error_msg}"
 
     def __str__(self) -> str:
-        words = [self.headline[0].lower() + self.headline[1:]]
+        words = [self.headline]
         if self.num_retries:
             words.append(f"{self.num_retries + 1} tries")
         for by, errors in (("the estimate", self.by_estimate), ("the external poses alone", self.by_proof)):

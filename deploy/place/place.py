@@ -2,24 +2,17 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from deploy.place.outcome import PoseErrors
-from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml
-from rover_ncp.core.geometry import Pose, compose, distance, relative, wrap_angle
+from rover_ncp.core.config import StrictModel, load_yaml
+from rover_ncp.core.geometry import Pose, compose, near, relative
 from rover_ncp.course.course import Angle, Coordinate, Name, Obstacle
 
 SUFFIXES = {".yaml", ".yml"}
 MAX_OBSTACLES = 100
-
-
-class Direction(StrEnum):
-    """Direction in which the rover drives into the place."""
-
-    FORWARD = "forward"
-    BACKWARD = "backward"
 
 
 class Proof(StrEnum):
@@ -59,8 +52,8 @@ class Place(StrictModel):
         default="map", description="frame_id of the external poses"
     )
     pose: PlacePose
-    direction: Direction = Field(
-        default=Direction.FORWARD, description="in which the rover drives in: forward or backward"
+    direction: Literal["forward", "backward"] = Field(
+        default="forward", description="in which the rover drives in: forward or backward"
     )
     staging_m: float = Field(
         default=0.7, ge=0.3, le=2.0, description="m from the place, where the straight approach begins"
@@ -82,7 +75,7 @@ class Place(StrictModel):
     @property
     def backward(self) -> bool:
         """Whether the rover drives in backward."""
-        return self.direction is Direction.BACKWARD
+        return self.direction == "backward"
 
     @property
     def staging(self) -> Pose:
@@ -96,8 +89,7 @@ class Place(StrictModel):
 
     def holds(self, pose: Pose) -> bool:
         """Whether a pose is within the tolerances."""
-        turned = abs(wrap_angle(pose.theta - self.pose.theta))
-        return distance(pose, self.goal) <= self.position_m and turned <= self.heading_rad
+        return near(pose, self.goal, self.position_m, self.heading_rad)
 
 
 def place_path(name: str) -> Path:
@@ -109,8 +101,3 @@ def place_path(name: str) -> Path:
 def load_place(name: str) -> Place:
     """Load a place by the name or path of its file. Raises FileError and ConfigError."""
     return load_yaml(place_path(name), Place)
-
-
-def place_yaml(place: Place) -> str:
-    """Return a place as its file."""
-    return dump_yaml(place.model_dump(mode="json", exclude_none=True))

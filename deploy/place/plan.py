@@ -2,7 +2,7 @@
 
 A way is a sequence of straight pieces and turns on the spot, each from rest to rest, so that its reference
 is drivable by construction. The rover drives each way with one end ahead: with its front, or backward with
-its tail. Poses of a backward way are those of the tail: turned by 180°.
+its tail.
 """
 
 import math
@@ -12,9 +12,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from deploy.place.place import Place, Proof
-from rover_ncp.core.geometry import Pose, compose, distance, inverse, wrap_angle
-from rover_ncp.course.course import TICK_S, Checkpoint, Course, Obstacle, ParkedRule
-from rover_ncp.course.feasibility import Drivability, Problem, check_course
+from rover_ncp.core.geometry import Pose, compose, distance, wrap_angle
+from rover_ncp.course.course import TICK_S, Checkpoint, Course, ParkedRule
+from rover_ncp.course.feasibility import Problem, check_course
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX, Reference, drive_profile
 from rover_ncp.robot.description import RobotDescription
 
@@ -54,11 +54,20 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True)
 class Way:
-    """One way of a docking: its course with its reference, for the end of the rover that is ahead."""
+    """One way of a docking: its course with its reference, both of the base."""
 
     course: Course
     reference: Reference
     backward: bool
+
+    def of_tail(self) -> tuple[Course, Reference]:
+        """Return course and reference of the tail, which drives the way as a front drives another."""
+        points = tuple(
+            point.model_copy(update=tail(point.pose)._asdict()) for point in self.course.checkpoints
+        )
+        first, (v, omega) = self.course.checkpoints[0].pose, self.reference.motion.T
+        reference = drive_profile(tail(first), (-v).tolist(), omega.tolist())
+        return self.course.model_copy(update={"checkpoints": points}), reference
 
 
 def tail(pose: Pose) -> Pose:
@@ -71,22 +80,12 @@ def approach(place: Place, slower: float = 1.0) -> Way:
     press = PRESS_M if place.proof is Proof.CONTACT else 0.0
     first = max(place.staging_m - SLOW_M, 0.0)
     pieces = [Piece(first, 0.0, LOOK_S), Piece(place.staging_m - first + press, 0.0, DOCK_S, SLOW_M_S)]
-    way = _way(place, "approach", place.staging, pieces, backward=place.backward, slower=slower)
+    way = _way(place, place.name, place.staging, pieces, backward=place.backward, slower=slower)
     # Judged against the place, not against the point beyond it.
-    goal = tail(place.goal) if place.backward else place.goal
-    last = way.course.checkpoints[-1].model_copy(update=goal._asdict())
-    course = way.course.model_copy(update={"checkpoints": (*way.course.checkpoints[:-1], last)})
+    *points, last = way.course.checkpoints
+    points.append(last.model_copy(update=place.goal._asdict()))
+    course = way.course.model_copy(update={"checkpoints": tuple(points)})
     return Way(course, way.reference, way.backward)
-
-
-def place_course(place: Place, slower: float = 1.0) -> Course:
-    """Return the approach as the course of a recording, for the base, from the staging pose to the place."""
-    way = approach(place, slower)
-    points = tuple(
-        point.model_copy(update=tail(point.pose)._asdict()) if way.backward else point
-        for point in way.course.checkpoints
-    )
-    return way.course.model_copy(update={"name": place.name, "checkpoints": points})
 
 
 def retreat(place: Place, slower: float = 1.0, out_m: float = 0.0) -> Way:
@@ -115,7 +114,7 @@ def to_staging(
             pieces = list(_pieces([start, *via, place.staging], backward))
             ways.append(_way(place, "staging", start, pieces, backward=backward, slower=slower))
     for way in sorted(ways, key=lambda each: each.course.horizon_s):
-        found = check_way(way, robot)
+        found = check_course(way.course, robot, way.reference)
         if found.drivable:
             return way, ()
         problems = problems or found.problems
@@ -149,7 +148,6 @@ def _way(
     place: Place, name: str, start: Pose, pieces: Sequence[Piece], *, backward: bool, slower: float
 ) -> Way:
     """Return the way of pieces from ``start`` of the base; lengths count in the direction of the way."""
-    begin = tail(start) if backward else start
     v, omega = [0.0] * round(PAUSE_S / TICK_S), [0.0] * round(PAUSE_S / TICK_S)
     for piece in pieces:
         along = _profile(piece.length_m, piece.speed_m_s / slower)
@@ -157,7 +155,7 @@ def _way(
         rest = [0.0] * round(piece.rest_s / TICK_S)
         v += along + [0.0] * len(turning) + rest
         omega += [0.0] * len(along) + turning + rest
-    reference = drive_profile(begin, v, omega)
+    reference = drive_profile(start, [-speed for speed in v] if backward else v, omega)
     ticks = reference.ticks
     at = [*range(0, ticks, CHECKPOINT_TICKS), ticks]
     points = tuple(Checkpoint(t=round(k * TICK_S, 1), **reference.tick(k)[0]._asdict()) for k in at)
@@ -180,25 +178,3 @@ def _profile(way: float, speed: float) -> list[float]:
     ticks = max(2 * ramp, math.ceil(abs(way) / (speed * TICK_S)) + ramp)
     top = way / ((ticks - ramp) * TICK_S)
     return [top * min(k, ramp, ticks - k) / ramp for k in range(1, ticks + 1)]
-
-
-def check_way(way: Way, robot: RobotDescription | None) -> Drivability:
-    """Check a way as `course check` does, for the outline of the robot."""
-    # A course is checked for a rover that starts at its origin, front ahead.
-    first = way.course.checkpoints[0].pose
-    origin = inverse(tail(first) if way.backward else first)
-    turned = Pose(0.0, 0.0, math.pi if way.backward else 0.0)
-    points = tuple(
-        point.model_copy(update=compose(compose(origin, point.pose), turned)._asdict())
-        for point in way.course.checkpoints
-    )
-    obstacles = tuple(_moved(origin, obstacle) for obstacle in way.course.obstacles)
-    course = way.course.model_copy(update={"checkpoints": points, "obstacles": obstacles})
-    motion = way.reference.motion * [-1.0 if way.backward else 1.0, 1.0]
-    reference = drive_profile(Pose(0.0, 0.0, 0.0), motion[:, 0].tolist(), motion[:, 1].tolist())
-    return check_course(course, robot, reference)
-
-
-def _moved(frame: Pose, obstacle: Obstacle) -> Obstacle:
-    pose = compose(frame, Pose(obstacle.x, obstacle.y, obstacle.theta))
-    return obstacle.model_copy(update=pose._asdict())

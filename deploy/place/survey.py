@@ -5,12 +5,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from pydantic import Field
+from pydantic import BaseModel, Field
 
 from deploy.drive.start import median_pose
 from deploy.place.outcome import PoseErrors
 from deploy.place.place import Place, Scatter
-from rover_ncp.core.config import ResultModel
 from rover_ncp.core.errors import NoPose
 from rover_ncp.core.geometry import Pose, wrap_angle
 from rover_ncp.wire.messages import PoseSample
@@ -26,24 +25,18 @@ class Survey(NamedTuple):
     scatter: Scatter
 
 
-class PlaceResult(ResultModel):
+class PlaceResult(BaseModel):
     """What ``rover-ncp place`` prints."""
 
-    place: str
-    """its name"""
-    file: str
-    """its file"""
-    frame: str
-    """frame_id of the external poses"""
+    place: str = Field(description="its name")
+    file: str = Field(description="its file")
+    frame: str = Field(description="frame_id of the external poses")
     x: float = Field(description="median of the poses now, m")
     y: float = Field(description="median of the poses now, m")
     theta: float = Field(description="median of the headings now, rad")
-    scatter: Scatter
-    """standard deviations of the poses now"""
-    off: PoseErrors | None
-    """check: of the median from the place"""
-    fits: bool
-    """check: whether the median is within the place's tolerances"""
+    scatter: Scatter = Field(description="standard deviations of the poses now")
+    off: PoseErrors | None = Field(description="check: of the median from the place")
+    fits: bool = Field(description="check: whether the median is within the place's tolerances")
 
 
 def survey(samples: Sequence[PoseSample], seconds: float, unreadable: str = "") -> Survey:

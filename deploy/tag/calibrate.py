@@ -2,34 +2,37 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
 from deploy.tag.detector import Detection
-from deploy.tag.locate import MAX_PIXELS, PIXEL, Located, Locator
-from deploy.tag.sheet import Board
-from deploy.tag.tag_map import CameraFile, Floats, Intrinsics, Mount, TagMap
+from deploy.tag.locate import MAX_PIXELS, PIXEL, Located, Locator, corner_rms
+from deploy.tag.sheet import BOARD, BOARD_TAG_M
+from deploy.tag.tag_map import MOUNT_FIELDS, CameraFile, Floats, Intrinsics, Mount, TagMap
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Pose, compose, relative
 
+NS = 1_000_000_000
 MIN_PICTURES, MIN_TAGS = 6, 6
 """Fewer pictures, or fewer tags in one, leave the focal length and the distortion undetermined."""
-PRIOR = np.array([0.05, 0.05, 0.03, 0.2, 0.2, 0.05])
+PRIOR = 0.05, 0.05, 0.03, 0.2, 0.2, 0.05
 """Standard deviations of a mount measured by hand: x, y, z in m, yaw, pitch, roll in rad."""
-GAIN_PRIOR = np.array([0.05, 0.2])
-"""Standard deviations of odometry's distances and turns, as shares: a robot with skid steering slips."""
+NO_ERRORS, ERROR_PRIOR = (1.0, 1.0, 0.0), (0.05, 0.2, 0.1)
+"""Odometry's gains of distance and turn, and the pictures' delay in s, with their standard deviations.
+
+A robot with skid steering slips. At 0.1 rad/s, 10 ms of delay move the mount by a centimetre.
+"""
+ODOMETRY_STD = 0.002, 0.002, 0.003
+"""Standard deviations of a pose of odometry in m and rad: rounding, and the moment of a report."""
 MIN_SAMPLES = 20
 MIN_TURN = 0.5
 """Least range of headings in the drive, rad: without a turn the camera's place on the rover is not seen."""
-MOUNT_FIELDS = ("x", "y", "z", "yaw", "pitch", "roll")
 
 
-@dataclass(frozen=True)
-class IntrinsicsFound:
+class IntrinsicsFound(NamedTuple):
     """Intrinsics, the root mean square of the corners' errors in pixels, and the pictures that were used."""
 
     intrinsics: Intrinsics
@@ -37,20 +40,18 @@ class IntrinsicsFound:
     pictures: int
 
 
-def find_intrinsics(
-    pictures: Sequence[Sequence[Detection]], size: tuple[int, int], board: Board
-) -> IntrinsicsFound:
-    """Return the intrinsics from the tags found in pictures of a board; ``size`` is width and height, px.
+def find_intrinsics(pictures: Sequence[Sequence[Detection]], size: tuple[int, int]) -> IntrinsicsFound:
+    """Return the intrinsics from the tags found in pictures of the board; ``size`` is width and height, px.
 
     Raises UsageError when too few pictures show enough of the board.
     """
-    centres, h = board.centres(), 0.5 * board.size
+    h = 0.5 * BOARD_TAG_M
     square = np.array([[-h, -h], [h, -h], [h, h], [-h, h]])
     points, pixels = [], []
     for found in pictures:
-        seen = [each for each in found if each.id < len(centres)]
+        seen = [each for each in found if each.id < len(BOARD)]
         if len(seen) >= MIN_TAGS:
-            flat = np.concatenate([square + centres[each.id] for each in seen])
+            flat = np.concatenate([square + BOARD[each.id] for each in seen])
             points.append(np.column_stack([flat, np.zeros(len(flat))]).astype(np.float32))
             pixels.append(np.concatenate([each.corners for each in seen]).astype(np.float32))
     if len(points) < MIN_PICTURES:
@@ -71,80 +72,107 @@ def find_intrinsics(
     return IntrinsicsFound(intrinsics, float(rms), len(points))
 
 
-@dataclass(frozen=True)
-class MountFound:
-    """A mount, the standard deviation of each number of it, and the corners' root mean square in pixels."""
+class MountFound(NamedTuple):
+    """A mount, the standard deviation of each number of it, and the corners' root mean square in pixels.
+
+    ``late_s`` is how late the moments of the ``pictures`` that were used are against those of odometry.
+    """
 
     mount: Mount
     deviations: dict[str, float]
+    late_s: float
+    pictures: int
     rms: float
 
 
 def find_mount(
-    camera: CameraFile, tag_map: TagMap, samples: Sequence[tuple[Pose, Sequence[Detection]]]
+    camera: CameraFile,
+    tag_map: TagMap,
+    odometry: Sequence[tuple[int, Pose]],
+    pictures: Sequence[tuple[int, Sequence[Detection]]],
 ) -> MountFound:
-    """Return the camera's mount from the odometry's poses and the tags seen there.
+    """Return the camera's mount from a drive: odometry and the tags seen, each with its moment in ns.
 
-    ``camera.mount`` is the start, measured by hand. Odometry's gains are found, too. Raises UsageError when
-    the drive does not determine it.
+    ``camera.mount`` is the start, measured by hand. Odometry's gains and the pictures' delay are found, too.
+    Raises UsageError when the drive does not determine the mount.
     """
-    known = {tag.id: tag for tag in tag_map.tags}
-    visible = [[each for each in found if each.id in known] for _, found in samples]
-    shown = [index for index, found in enumerate(visible) if found]
-    seen = [(samples[index][0], visible[index]) for index in shown]
+    by_hand = Locator(camera, tag_map)
+    (began, _), (ended, _) = odometry[0], odometry[-1]
+    times, poses = np.array([at - began for at, _ in odometry]) / NS, np.array([pose for _, pose in odometry])
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    within = [((at - began) / NS, by_hand.known(found)) for at, found in pictures if began <= at <= ended]
+    seen = [(at, found) for at, found in within if found]
     if len(seen) < MIN_SAMPLES:
         raise UsageError(f"tags are seen in {len(seen)} pictures, expected {MIN_SAMPLES} or more")
-    headings = np.unwrap([odom.theta for odom, _ in seen])
-    if np.ptp(headings) < MIN_TURN:
+    moments = np.array([at for at, _ in seen])
+    odom = _at(moments, times, poses)
+    if np.ptp(odom[:, 2]) < MIN_TURN:
         raise UsageError(
-            f"the drive turns by {math.degrees(float(np.ptp(headings))):.0f}°, expected "
+            f"the drive turns by {math.degrees(float(np.ptp(odom[:, 2]))):.0f}°, expected "
             f"{math.degrees(MIN_TURN):.0f}° or more with a tag in view"
         )
-    first = Locator(camera, tag_map)
-    starts = [(odom, where) for odom, found in seen if isinstance(where := first.fit(found), Located)] or None
-    if starts is None:
+    fits = [(by_hand.fit(found), Pose(*pose)) for (_, found), pose in zip(seen, odom.tolist(), strict=True)]
+    located = [(where, pose) for where, pose in fits if isinstance(where, Located)]
+    if not located:
         raise UsageError("the tags fit no pose: is the mount far off, or a tag's size or place wrong?")
-    odom, where = min(starts, key=lambda each: each[1].rms)
-    first_odom, steps = samples[0][0], [relative(a, b) for (a, _), (b, _) in pairwise(samples)]
-    start = compose(where.pose, relative(odom, first_odom))  # where the drive begins in the map
-    matrix, distortion = camera.intrinsics.matrix, np.array(camera.intrinsics.distortion)
-    focal = 0.5 * (camera.intrinsics.fx + camera.intrinsics.fy)
-    corners = [np.concatenate([known[each.id].corners for each in found]) for _, found in seen]
-    flats = [
-        cv2.undistortPoints(np.concatenate([each.corners for each in found])[:, None, :], matrix, distortion)[
-            :, 0, :
-        ]
-        for _, found in seen
-    ]
-    by_hand = np.array([getattr(camera.mount, name) for name in MOUNT_FIELDS])
+    where, pose = min(located, key=lambda each: each[0].rms)
+    start = compose(where.pose, relative(pose, Pose(*poses[0].tolist())))  # where the drive begins in the map
+    observed = [by_hand.observed(found) for _, found in seen]
+    expected = np.array([*camera.mount.model_dump().values(), *NO_ERRORS])
+    priors = np.array([*PRIOR, *ERROR_PRIOR])
+
+    path = _at(moments, times, _path(np.array(start), poses, 1.0, 1.0))
+    weights = [_weights(by_hand, pose, corners) for pose, corners in zip(path, observed, strict=True)]
+
+    def corner_errors(values: Floats) -> list[Floats]:
+        mount = Mount.model_construct(**dict(zip(MOUNT_FIELDS, values, strict=False)))
+        locator = Locator(camera.model_copy(update={"mount": mount}), tag_map)
+        distance, turn, late = values[6:9]
+        path = _at(moments - late, times, _path(values[9:], poses, distance, turn))
+        return [locator.errors(pose, *corners) for pose, corners in zip(path, observed, strict=True)]
 
     def errors(values: Floats) -> Floats:
-        mount = Mount.model_construct(**dict(zip(MOUNT_FIELDS, values[:6], strict=True)))
-        locator = Locator(camera.model_copy(update={"mount": mount}), tag_map)
-        path = _path(values[6:9], np.array(steps), *values[9:])[shown]
-        parts = [
-            (focal / PIXEL * (locator.project(pose, points) - flat)).ravel()
-            for pose, points, flat in zip(path, corners, flats, strict=True)
-        ]
-        return np.concatenate([*parts, (values[:6] - by_hand) / PRIOR, (values[9:] - 1.0) / GAIN_PRIOR])
+        weighted = [weight @ each for weight, each in zip(weights, corner_errors(values), strict=True)]
+        return np.concatenate([*weighted, (values[:9] - expected) / priors])
 
-    fit = least_squares(errors, np.array([*by_hand, *start, 1.0, 1.0]), loss="soft_l1", x_scale="jac")
-    rms = PIXEL * float(np.sqrt(2.0 * np.mean(np.square(errors(fit.x)[:-8]))))
+    fit = least_squares(errors, np.array([*expected, *start]), loss="soft_l1", x_scale="jac")
+    rms = corner_rms(np.concatenate(corner_errors(fit.x)))
     if rms > MAX_PIXELS:
         raise UsageError(f"the drive does not fit the tags ({rms:.1f} px): is the map right, do wheels slip?")
-    covariance = max(1.0, (rms / PIXEL) ** 2) * np.linalg.pinv(fit.jac.T @ fit.jac)
+    variance = float(np.mean(np.square(fit.fun)))
+    covariance = max(1.0, variance) * np.linalg.pinv(fit.jac.T @ fit.jac)
     deviations = np.sqrt(np.diag(covariance))[:6]
     return MountFound(
-        Mount(**{name: float(value) for name, value in zip(MOUNT_FIELDS, fit.x, strict=False)}),
-        {name: float(value) for name, value in zip(MOUNT_FIELDS, deviations, strict=True)},
+        Mount(**dict(zip(MOUNT_FIELDS, fit.x[:6].tolist(), strict=True))),
+        dict(zip(MOUNT_FIELDS, deviations.tolist(), strict=True)),
+        float(fit.x[8]),
+        len(seen),
         rms,
     )
 
 
-def _path(start: Floats, steps: Floats, distance: float, turn: float) -> Floats:
-    """Return poses (n + 1, 3) by steps (n, 3), each in the frame of the pose before it, times the gains."""
-    theta = start[2] + np.append(0.0, turn * np.cumsum(steps[:, 2]))
-    c, s = np.cos(theta[:-1]), np.sin(theta[:-1])
-    ahead, left = distance * steps[:, 0], distance * steps[:, 1]
-    moved = np.cumsum(np.column_stack([c * ahead - s * left, s * ahead + c * left]), axis=0)
-    return np.column_stack([start[:2] + np.vstack([np.zeros(2), moved]), theta])
+def _weights(locator: Locator, pose: Floats, corners: tuple[Floats, Floats]) -> Floats:
+    """Return the matrix (2n × 2n) that makes errors of corners independent, with standard deviation 1.
+
+    An error of odometry moves all corners of a picture together.
+    """
+    exact, step = locator.errors(pose, *corners), 1e-6
+    moved = [locator.errors(pose + step * axis, *corners) - exact for axis in np.eye(3)]
+    common = np.column_stack(moved) / step * ODOMETRY_STD
+    covariance = PIXEL**2 * np.eye(len(exact)) + common @ common.T
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), np.float64)
+
+
+def _at(moments: Floats, times: Floats, poses: Floats) -> Floats:
+    """Return poses (n × 3) at moments, linear between ``times``."""
+    return np.column_stack([np.interp(moments, times, column) for column in poses.T])
+
+
+def _path(start: Floats, odometry: Floats, distance: float, turn: float) -> Floats:
+    """Return the path (n × 3) from ``start`` whose steps are those of odometry (n × 3) times the gains."""
+    step, before = np.diff(odometry, axis=0), odometry[:-1, 2]
+    theta = start[2] + turn * (odometry[:, 2] - odometry[0, 2])
+    turned = theta[:-1] - before  # a step's direction in the map less that by odometry
+    c, s = distance * np.cos(turned), distance * np.sin(turned)
+    moved = np.column_stack([c * step[:, 0] - s * step[:, 1], s * step[:, 0] + c * step[:, 1]])
+    return np.column_stack([start[:2] + np.vstack([np.zeros(2), np.cumsum(moved, axis=0)]), theta])

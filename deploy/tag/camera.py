@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.drive.link import Inbox
 from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.core.process import ClosedAtExit
 
@@ -20,7 +21,7 @@ TIMEOUT_S = 3.0
 """A stream that sends nothing for so long is lost; also the limit of the wait for its first picture."""
 MAX_JPEG = 8 << 20
 """Most bytes of a picture in a stream."""
-STAMP = "X-Timestamp"
+STAMP = "x-timestamp"
 """Header of a picture in a stream: s since the epoch at its exposure, as mjpg-streamer sends it."""
 
 
@@ -64,51 +65,41 @@ def _video(path: Path) -> Iterator[Picture]:
     if not capture.isOpened():
         raise FileError(f"{path}: not a video that OpenCV reads")
     began_ns = path.stat().st_mtime_ns
+    for grey in _read(capture):
+        yield Picture(grey, began_ns + round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6))
+
+
+def _read(capture: cv2.VideoCapture) -> Iterator[NDArray[np.uint8]]:
+    """Yield the grey levels of all pictures."""
     while True:
         more, frame = capture.read()
         if not more:
             return
-        yield Picture(
-            _grey(np.asarray(frame, np.uint8)), began_ns + round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
-        )
+        yield np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame, np.uint8)
 
 
 class LiveCamera(ClosedAtExit):
     """The newest picture of a camera that runs: no picture waits in a queue.
 
-    Iterating ends with UsageError when the camera sends nothing for `TIMEOUT_S`, and after `lose`.
+    Iterating ends with UsageError when the camera sends nothing for `TIMEOUT_S`, and with a picture that
+    cannot be had.
     """
 
     def __init__(self, source: str) -> None:
         self._source = source
-        self._changed = threading.Condition()
-        self._newest: Callable[[], Picture] | None = None
-        self._lost = ""
+        self.newest = Inbox[Callable[[], Picture]](1)
+        """A function that decodes the newest picture, or raises ValueError."""
 
     def __iter__(self) -> Iterator[Picture]:
         while True:
-            with self._changed:
-                arrived = self._changed.wait_for(lambda: self._newest or self._lost, TIMEOUT_S)
-                newest, self._newest = self._newest, None
-                why = self._lost if arrived else f"no picture for {TIMEOUT_S:g} s"
+            arrived = self.newest.take(TIMEOUT_S)
             try:
-                if newest is None:
-                    raise ValueError(why)
-                yield newest()
+                if not arrived:
+                    raise ValueError(f"no picture for {TIMEOUT_S:g} s")
+                picture = arrived[0]()
             except ValueError as error:
                 raise UsageError(f"camera {self._source}: {error}") from error
-
-    def put(self, picture: Callable[[], Picture]) -> None:
-        """Take a picture, which is decoded, or raises ValueError, if no newer one takes its place."""
-        with self._changed:
-            self._newest = picture
-            self._changed.notify_all()
-
-    def lose(self, why: str) -> None:
-        """End the pictures."""
-        with self._changed:
-            self._lost = why
-            self._changed.notify_all()
+            yield picture
 
 
 class ReadCamera(LiveCamera):
@@ -129,22 +120,19 @@ class ReadCamera(LiveCamera):
             for picture in self._stream() if self._source.startswith("http://") else self._device():
                 if self._closing:
                     return
-                self.put(picture)
-            self.lose("it sends no more pictures")
+                self.newest.put(picture)
+            why = "it sends no more pictures"
         except (OSError, ValueError) as error:
-            self.lose(str(error))
+            why = str(error)
+        self.newest.put(partial(_lost, why))
 
     def _device(self) -> Iterator[Callable[[], Picture]]:
         capture = cv2.VideoCapture(int(self._source))
         if not capture.isOpened():
             raise ValueError("no such camera, or another program uses it")
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-        while True:
-            more, frame = capture.read()
-            wall_ns = time.time_ns() - self._delay_ns
-            if not more:
-                return
-            yield partial(Picture, _grey(np.asarray(frame, np.uint8)), wall_ns)
+        for grey in _read(capture):
+            yield partial(Picture, grey, time.time_ns() - self._delay_ns)
 
     def _stream(self) -> Iterator[Callable[[], Picture]]:
         with urllib.request.urlopen(self._source, timeout=TIMEOUT_S) as stream:
@@ -154,9 +142,13 @@ class ReadCamera(LiveCamera):
             while (part := _part(stream)) is not None:
                 headers, data = part
                 wall_ns = time.time_ns() - self._delay_ns
-                if STAMP.lower() in headers:
-                    wall_ns = round(float(headers[STAMP.lower()]) * 1e9)
+                if STAMP in headers:
+                    wall_ns = round(float(headers[STAMP]) * 1e9)
                 yield partial(compressed, np.frombuffer(data, np.uint8), wall_ns)
+
+
+def _lost(why: str) -> Picture:
+    raise ValueError(why)
 
 
 def compressed(data: NDArray[np.uint8], wall_ns: int) -> Picture:
@@ -182,7 +174,3 @@ def _part(stream: IO[bytes]) -> tuple[dict[str, str], bytes] | None:
             data = stream.read(length)
             return (headers, data) if len(data) == length else None
     return None
-
-
-def _grey(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    return np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame, np.uint8)

@@ -54,15 +54,15 @@ def print_tags(
         rover-ncp tag print --ids 0,1 --size 0.14 --out tags.pdf
     """
     from deploy.tag.localiser import TagPrintResult
-    from deploy.tag.sheet import Board, board_page, tag_pages
+    from deploy.tag.sheet import BOARD_TAG_M, board_page, tag_pages
     from rover_ncp.core.files import require_writable, write_atomic
 
     if out.suffix != ".pdf":
         raise UsageError(f"--out {out}: expected a .pdf")
     require_writable(out)
     numbers = [] if board else parse_ids(ids)
-    write_atomic(out, board_page(Board(), page) if board else tag_pages(numbers, size, page))
-    result = TagPrintResult(out=str(out), ids=tuple(numbers), size=Board().size if board else size, page=page)
+    write_atomic(out, board_page(page) if board else tag_pages(numbers, size, page))
+    result = TagPrintResult(out=str(out), ids=tuple(numbers), size=BOARD_TAG_M if board else size, page=page)
     Output(json).result(result.model_dump(), f"wrote {out}: print it at 100 % and measure its ruler")
 
 

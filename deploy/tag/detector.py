@@ -3,6 +3,7 @@
 from collections import Counter
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from apriltag.apriltag import apriltag
 from numpy.typing import NDArray
@@ -27,9 +28,13 @@ class Detection:
 
 
 class Detector:
-    """Finds the tags of a picture; on one thread, because the drive's processes need the others."""
+    """Finds the tags of a picture.
+
+    Making one keeps OpenCV to one thread, as AprilTag: the drive's processes need the others.
+    """
 
     def __init__(self, decimate: float = 1.0) -> None:
+        cv2.setNumThreads(1)
         self._detector = apriltag(FAMILY, threads=1, maxhamming=MAX_HAMMING, decimate=decimate)
 
     def detect(self, image: NDArray[np.uint8]) -> list[Detection]:

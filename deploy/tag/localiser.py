@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, Field
 
 from deploy.tag.camera import Picture
 from deploy.tag.detector import Detection, Detector
 from deploy.tag.locate import Located, Locator, Rejection
 from deploy.tag.tag_map import CameraFile, TagMap
-from rover_ncp.core.config import ResultModel
 from rover_ncp.core.errors import UsageError
 
 MAX_AGE_S = 1.0
@@ -22,77 +22,59 @@ DARK, BRIGHT = 20.0, 235.0
 QUALITY, SMALL_QUALITY = 95, 60
 SMALL_WIDTH = 480
 """Pixels; with that quality 10 to 30 kB."""
-FROZEN = "the camera repeats one picture"
-OLD = "the picture is too old"
-TOO_DARK, TOO_BRIGHT = "the picture is dark: is the lens covered?", "the picture is over-exposed"
 
 
-class TagPose(ResultModel):
+class TagPose(BaseModel):
     """A pose of the base."""
 
-    x: float
-    """m"""
-    y: float
-    """m"""
-    theta: float
-    """rad"""
-    x_std: float
-    """m, standard deviation"""
-    y_std: float
-    """m, standard deviation"""
-    theta_std: float
-    """rad, standard deviation"""
-    tags: tuple[int, ...]
-    """ids of the tags that it is from"""
-    rms_px: float
-    """root mean square of the corners' errors in the picture, pixels"""
+    x: float = Field(description="m")
+    y: float = Field(description="m")
+    theta: float = Field(description="rad")
+    x_std: float = Field(description="m, standard deviation")
+    y_std: float = Field(description="m, standard deviation")
+    theta_std: float = Field(description="rad, standard deviation")
+    tags: tuple[int, ...] = Field(description="ids of the tags that it is from")
+    rms_px: float = Field(description="root mean square of the corners' errors in the picture, pixels")
 
 
-class TagRunResult(ResultModel):
+class TagRunResult(BaseModel):
     """Result of ``tag run``."""
 
-    pictures: int
-    """pictures that were read"""
-    poses: int
-    """poses that were found and sent"""
-    rejected: dict[str, int]
-    """pictures without a pose, by reason"""
-    unknown_ids: tuple[int, ...]
-    """ids of tags that were seen and are not in the map"""
-    seconds: float
-    """duration"""
-    last: TagPose | None
-    """the newest pose, or null"""
+    pictures: int = Field(description="pictures that were read")
+    poses: int = Field(description="poses that were found and sent")
+    rejected: dict[str, int] = Field(description="pictures without a pose, by reason")
+    unknown_ids: tuple[int, ...] = Field(description="ids of tags that were seen and are not in the map")
+    seconds: float = Field(description="duration")
+    last: TagPose | None = Field(description="the newest pose, or null")
 
 
-class TagPrintResult(ResultModel):
+class TagPrintResult(BaseModel):
     """Result of ``tag print``."""
 
-    out: str
-    """the PDF"""
-    ids: tuple[int, ...]
-    """ids of the tags; empty for the board"""
-    size: float
-    """m, edge of a tag's black square"""
-    page: str
-    """the paper"""
+    out: str = Field(description="the PDF")
+    ids: tuple[int, ...] = Field(description="ids of the tags; empty for the board")
+    size: float = Field(description="m, edge of a tag's black square")
+    page: str = Field(description="the paper")
 
 
-class TagCalibration(ResultModel):
+class TagCalibration(BaseModel):
     """Result of ``tag calibrate``."""
 
-    out: str
-    """the camera's file"""
-    rms_px: float | None
-    """root mean square of the corners' errors, pixels; null for intrinsics of ROS's file"""
-    pictures: int
-    """pictures that were used"""
-    fx: float
-    """focal length, pixels"""
-    mount: dict[str, float] | None = None
-    """the mount on the rover, m and rad, if it was sought"""
-    deviations: dict[str, float] | None = None
-    """standard deviation of each number of the mount"""
+    out: str = Field(description="the camera's file")
+    rms_px: float | None = Field(
+        description="root mean square of the corners' errors, pixels; null for intrinsics of ROS's file"
+    )
+    pictures: int = Field(description="pictures that were used")
+    fx: float = Field(description="focal length, pixels")
+    mount: dict[str, float] | None = Field(
+        default=None, description="the mount on the rover, m and rad, if it was sought"
+    )
+    deviations: dict[str, float] | None = Field(
+        default=None, description="standard deviation of each number of the mount"
+    )
+    late_s: float | None = Field(
+        default=None, description="how late the moments of pictures are against those of odometry"
+    )
 
 
 class Localiser:
@@ -103,7 +85,7 @@ class Localiser:
         self._detector, self._locator = Detector(decimate), Locator(camera, tag_map)
         self._ids = {tag.id for tag in tag_map.tags}
         self.pictures = self.poses = 0
-        self.rejected: Counter[str] = Counter()
+        self.rejected = Counter[str]()
         self.unknown: set[int] = set()
         self.last: Located | None = None
         self.state = "no picture yet"
@@ -125,8 +107,8 @@ class Localiser:
         self.pictures += 1
         found = self._found(picture, now_ns)
         if not isinstance(found, Located):
-            self.rejected[found] += 1
-            self.state = found
+            self.rejected[found.value] += 1
+            self.state = found.value
             return None
         self.poses, self.last = self.poses + 1, found
         self.state = (
@@ -135,23 +117,22 @@ class Localiser:
         )
         return found
 
-    def _found(self, picture: Picture, now_ns: int | None) -> Located | str:
+    def _found(self, picture: Picture, now_ns: int | None) -> Located | Rejection:
         """Return the pose, or why there is none."""
         grey = picture.grey
         before, self._checksum = self._checksum, zlib.crc32(grey.tobytes())
         if self._checksum == before:  # noise alone changes a picture, so the camera is frozen
-            return FROZEN
+            return Rejection.FROZEN
         if now_ns is not None and now_ns - picture.wall_ns > MAX_AGE_S * 1e9:
-            return OLD
+            return Rejection.OLD
         self.detections = self._detector.detect(grey)
         self.unknown |= {each.id for each in self.detections} - self._ids
-        found = self._locator.locate(self.detections)
-        if isinstance(found, Located):
-            return found
-        level = float(grey.mean())
-        if found is Rejection.NO_TAG and not DARK <= level <= BRIGHT:
-            return TOO_DARK if level < DARK else TOO_BRIGHT
-        return str(found)
+        found, level = self._locator.locate(self.detections), float(grey.mean())
+        if found is Rejection.NO_TAG and level < DARK:
+            return Rejection.DARK
+        if found is Rejection.NO_TAG and level > BRIGHT:
+            return Rejection.BRIGHT
+        return found
 
 
 def tag_pose(found: Located) -> TagPose:

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from deploy.tag.detector import Detection
 from deploy.tag.tag_map import CameraFile, Floats, TagMap
-from rover_ncp.core.geometry import Pose, wrap_angle
+from rover_ncp.core.geometry import Pose, near, wrap_angle
 
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Turns OpenCV's axes of a camera (right, down, ahead) into those of a mount (forward, left, up)."""
@@ -36,6 +36,10 @@ BEHIND = 1e3
 class Rejection(StrEnum):
     """Why a picture gives no pose."""
 
+    FROZEN = "the camera repeats one picture"
+    OLD = "the picture is too old"
+    DARK = "the picture is dark: is the lens covered?"
+    BRIGHT = "the picture is over-exposed"
     NO_TAG = "no tag of the map in the picture"
     DISAGREE = "tags disagree: the size, place or id of one is wrong, or the calibration"
     MISFIT = "the tag does not fit: its size, place or id is wrong, or the calibration"
@@ -66,7 +70,7 @@ class Locator:
 
     def locate(self, detections: Sequence[Detection]) -> Located | Rejection:
         """Return the pose of the base at the moment of the picture, or why there is none."""
-        known = [each for each in detections if each.id in self._tags]
+        known = self.known(detections)
         if not known:
             return Rejection.NO_TAG
         found = self.fit(known)
@@ -81,6 +85,24 @@ class Locator:
         agreeing = [each for each in fits if isinstance(each, Located) and each.rms <= MAX_PIXELS]
         return min(agreeing, key=lambda each: each.rms, default=Rejection.DISAGREE)
 
+    def known(self, detections: Sequence[Detection]) -> list[Detection]:
+        """Return the tags that are in the map."""
+        return [each for each in detections if each.id in self._tags]
+
+    def observed(self, detections: Sequence[Detection]) -> tuple[Floats, Floats]:
+        """Return the corners of tags of the map in the tags' parent (n × 3), and in the picture (n × 2).
+
+        In m, and in focal lengths without distortion.
+        """
+        pixels = np.concatenate([each.corners for each in detections])
+        flat = cv2.undistortPoints(pixels[:, None, :], self._matrix, self._distortion)[:, 0, :]
+        return np.concatenate([self._tags[each.id].corners for each in detections]), np.asarray(flat)
+
+    def errors(self, pose: Floats, corners: Floats, flat: Floats) -> Floats:
+        """Return how far from `observed` corners those are that a pose predicts, in pixels (2n)."""
+        found: Floats = (self._focal * (self.project(pose, corners) - flat)).ravel()
+        return found
+
     def project(self, pose: Floats, corners: Floats) -> Floats:
         """Return where corners (n × 3, in the tags' parent) are in the picture, in focal lengths."""
         c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -94,20 +116,16 @@ class Locator:
 
     def fit(self, detections: Sequence[Detection]) -> Located | Rejection:
         """Return the best pose for tags of the map, however badly they fit."""
-        corners = np.concatenate([self._tags[each.id].corners for each in detections])
-        pixels = np.concatenate([each.corners for each in detections])
-        flat = cv2.undistortPoints(pixels[:, None, :], self._matrix, self._distortion)[:, 0, :]
-
-        def errors(pose: Floats) -> Floats:
-            difference: Floats = (self._focal * (self.project(pose, corners) - flat)).ravel()
-            return difference
-
-        fits = [least_squares(errors, start, method="lm", max_nfev=100) for start in self._starts(detections)]
-        fits.sort(key=lambda fit: float(fit.cost))
-        best = fits[0]
-        rms = _rms(errors(best.x))
-        for other in fits[1:]:
-            if _apart(best.x, other.x) and _rms(errors(other.x)) < AMBIGUOUS * max(rms, PIXEL):
+        observed = self.observed(detections)
+        fits = [
+            least_squares(self.errors, start, args=observed, method="lm", max_nfev=100)
+            for start in self._starts(detections)
+        ]
+        best, *others = sorted(fits, key=lambda fit: float(fit.cost))
+        rms = corner_rms(best.fun)
+        for other in others:
+            same = near(Pose(*best.x), Pose(*other.x), APART_M, APART_RAD)
+            if not same and corner_rms(other.fun) < AMBIGUOUS * max(rms, PIXEL):
                 return Rejection.AMBIGUOUS
         information = best.jac.T @ best.jac
         covariance = max(rms, PIXEL) ** 2 * np.linalg.pinv(information)
@@ -117,42 +135,27 @@ class Locator:
 
     def _starts(self, detections: Sequence[Detection]) -> list[Floats]:
         """Return the poses that fit the largest tag: from afar two tilts of a square look alike."""
-        detection = max(detections, key=lambda each: float(np.ptp(each.corners, axis=0).prod()))
-        tag = self._tags[detection.id]
-        h = 0.5 * tag.size
-        # OpenCV's own order: top left, top right, bottom right, bottom left; x right, y up.
-        square = np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
-        corners = detection.corners[[3, 2, 1, 0]][:, None, :]
-        count, turns, shifts, _ = cv2.solvePnPGeneric(
-            square, corners, self._matrix, self._distortion, flags=cv2.SOLVEPNP_IPPE_SQUARE
+        largest = max(detections, key=lambda each: float(np.ptp(each.corners, axis=0).prod()))
+        corners, pixels = self._tags[largest.id].corners, largest.corners[:, None, :]
+        _, turns, shifts, _ = cv2.solvePnPGeneric(
+            corners, pixels, self._matrix, self._distortion, flags=cv2.SOLVEPNP_IPPE
         )
-        # The square's axes (right, up, out of the print) in those of the tag's mount.
-        axes = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-        poses = []
-        for index in range(count):
-            turn, _ = cv2.Rodrigues(turns[index])
-            # Pose of the camera in the tag's parent frame.
-            rotation = tag.rotation @ axes @ turn.T
-            position = tag.position - rotation @ shifts[index][:, 0]
-            poses.append(self._base_of(rotation, position))
-        return poses
+        return [
+            self._base(np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(shift[:, 0], np.float64))
+            for turn, shift in zip(turns, shifts, strict=True)
+        ]
 
-    def _base_of(self, rotation: Floats, position: Floats) -> Floats:
-        """Return the base's pose in the plane from the camera's in the tags' parent frame."""
-        # Between the frames of map and base: from the camera's pose in both.
-        turn = self._camera_rotation @ rotation.T  # the tags' parent → the camera's parent
-        if self._on_rover:
-            theta = math.atan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
-            x, y = (self._camera_position - turn @ position)[:2]
-            return np.array([x, y, theta])
-        theta = math.atan2(turn[0, 1] - turn[1, 0], turn[0, 0] + turn[1, 1])
-        x, y = (position - turn.T @ self._camera_position)[:2]
-        return np.array([x, y, theta])
+    def _base(self, turn: Floats, shift: Floats) -> Floats:
+        """Return the base's pose in the plane from that of the tags' parent in the camera (OpenCV's axes)."""
+        # In the camera's parent it is the pose of the base in the map, or the inverse of that.
+        turn = self._camera_rotation @ turn
+        shift = self._camera_position + self._camera_rotation @ shift
+        if not self._on_rover:
+            turn, shift = turn.T, -turn.T @ shift
+        theta = math.atan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
+        return np.array([shift[0], shift[1], theta])
 
 
-def _rms(errors: Floats) -> float:
+def corner_rms(errors: Floats) -> float:
+    """Return the root mean square of the corners' distances, by their errors in x and y."""
     return float(np.sqrt(2.0 * np.mean(np.square(errors))))
-
-
-def _apart(a: Floats, b: Floats) -> bool:
-    return math.dist(a[:2], b[:2]) > APART_M or abs(wrap_angle(a[2] - b[2])) > APART_RAD

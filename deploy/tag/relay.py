@@ -1,72 +1,37 @@
 """Poses of a ROS 2 robot's own localiser, sent to a bridge: AMCL's, a PoseStamped, or transforms."""
 
 import contextlib
+import math
 import time
 from collections import Counter
 
 import numpy as np
 import zenoh
+from pydantic import BaseModel, Field
 
 from deploy.drive.link import Arrival, Inbox
 from deploy.drive.measurements import pose_reader
-from deploy.tag.ros_source import RosSource
-from deploy.zenoh_client import BridgeAddress, ZenohClient, matches, with_covariance
-from rover_ncp.core.config import ResultModel
+from deploy.tag.pose_link import PoseLink
+from deploy.tag.ros_source import Frames, RosSource
+from deploy.zenoh_client import BridgeAddress, with_covariance
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.geometry import ORIGIN, Pose, compose
+from rover_ncp.core.geometry import Pose
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
-from rover_ncp.wire.cdr import decode, encode
-from rover_ncp.wire.key_table import KEYS, TAG_VIEW, spec
-from rover_ncp.wire.messages import BASE_FRAME, TF, pose_with_covariance, read_yaw
+from rover_ncp.wire.messages import BASE_FRAME, pose_with_covariance
 
-BASE_FRAMES = BASE_FRAME, "base_footprint"
-"""Names of the base, whose pose in the plane is the same."""
+FOOTPRINT = "base_footprint"
+"""Another name of the base, whose pose in the plane is the same."""
 TAKE_S = 0.1
 
 
-class PoseLink(ZenohClient):
-    """A session with a bridge that sends poses and pictures, and receives nothing."""
-
-    def __init__(self, address: BridgeAddress) -> None:
-        super().__init__(address, lambda row, data: None, own=[row.name for row in KEYS])
-
-    def _declare(self) -> None:
-        self._publisher = self._session.declare_publisher(self.key("pose"))
-        # A picture never delays a pose, nor anything else on the way.
-        self._viewed = self._session.declare_publisher(
-            self.key(TAG_VIEW),
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.BACKGROUND,
-        )
-
-    def send(self, pose: bytes) -> None:
-        """Send a pose with the moment of its measurement."""
-        self._publisher.put(pose)
-
-    @property
-    def watched(self) -> bool:
-        """Whether a page receives pictures."""
-        return matches(self._viewed)
-
-    def show(self, jpeg: bytes) -> None:
-        """Send a picture for people; one that is too large for `watch` is left out."""
-        row = spec(TAG_VIEW)
-        data = encode(row.type, format="jpeg", data=np.frombuffer(jpeg, np.uint8))
-        if len(data) <= row.max_bytes:
-            self._viewed.put(data)
-
-
-class RelayResult(ResultModel):
+class RelayResult(BaseModel):
     """Result of ``tag relay``."""
 
-    poses: int
-    """poses that were sent"""
-    rejected: dict[str, int]
-    """messages that gave no pose, by reason"""
-    seconds: float
-    """duration"""
+    poses: int = Field(description="poses that were sent")
+    rejected: dict[str, int] = Field(description="messages that gave no pose, by reason")
+    seconds: float = Field(description="duration")
 
 
 class TransformPoses:
@@ -76,9 +41,7 @@ class TransformPoses:
     """
 
     def __init__(self, frame: str) -> None:
-        self._frame = frame
-        self._links: dict[str, tuple[str, Pose, int]] = {}
-        """Parent, newest pose in it and its stamp (ns) of each frame."""
+        self._frame, self._frames = frame, Frames()
 
     def take(self, data: bytes) -> bytes | None:
         """Return the pose after a TFMessage as a PoseWithCovarianceStamped of unknown variance.
@@ -86,32 +49,23 @@ class TransformPoses:
         None if the message has no transform of the frame. Raises FormatError for a message that cannot be
         read, and if no transforms lead from the frame to the base.
         """
-        corrected = False
-        for each in decode(TF, data).transforms:
-            parent, shift, stamp = (
-                each.header.frame_id.lstrip("/"),
-                each.transform.translation,
-                each.header.stamp,
-            )
-            pose = Pose(shift.x, shift.y, read_yaw(each.transform.rotation))
-            self._links[each.child_frame_id.lstrip("/")] = parent, pose, stamp.sec * 10**9 + stamp.nanosec
-            corrected |= parent == self._frame
-        if not corrected and any(parent == self._frame for parent, _, _ in self._links.values()):
+        frame, corrected, links = self._frame, self._frames.take(data), self._frames.links
+        if frame not in corrected and any(parent == frame for parent, _, _ in links.values()):
             return None
-        for base in BASE_FRAMES:
-            pose, frame, links = ORIGIN, base, dict(self._links)
-            while frame in links:
-                frame, step, _ = links.pop(frame)
-                pose = compose(step, pose)
-                if frame == self._frame:
-                    return pose_with_covariance(pose, np.zeros((3, 3)), self._links[base][2], frame)
-        known = ", ".join(f"{parent} → {child}" for child, (parent, _, _) in self._links.items())
-        raise FormatError(f"no transforms from {self._frame!r} to {BASE_FRAME!r}, only {known or 'none'}")
+        base = FOOTPRINT if FOOTPRINT in links and BASE_FRAME not in links else BASE_FRAME
+        found = self._frames.pose(frame, base)
+        pose = Pose(float(found[0, 3]), float(found[1, 3]), math.atan2(found[1, 0], found[0, 0]))
+        return pose_with_covariance(pose, np.zeros((3, 3)), links[base][2], frame)
 
 
 def relay(source: str, *, address: BridgeAddress, frame: str, seconds: float | None, output: Output) -> int:
     """See ``commands.relay``; return the exit code."""
-    where, inbox, reasons, poses = RosSource.parse(source, "topic", "amcl_pose"), Inbox(), Counter[str](), 0
+    where, inbox, reasons, poses = (
+        RosSource.parse(source, "topic", "amcl_pose"),
+        Inbox[Arrival](),
+        Counter[str](),
+        0,
+    )
     transforms = TransformPoses(frame) if where.topic.rpartition("/")[2] == "tf" else None
     read = pose_reader(frame)
 

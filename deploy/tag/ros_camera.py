@@ -1,5 +1,6 @@
 """A camera of a ROS 2 robot: images, camera_info and tf_static from the robot's Zenoh router."""
 
+import contextlib
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -9,18 +10,18 @@ import cv2
 import numpy as np
 import zenoh
 import zenoh.ext
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from deploy.tag.camera import LiveCamera, Picture, compressed
 from deploy.tag.locate import OPTICAL
-from deploy.tag.ros_source import RosSource
-from deploy.tag.tag_map import CameraFile, Floats, Mount, camera_info
+from deploy.tag.ros_source import Frames, RosSource
+from deploy.tag.tag_map import MOUNT_FIELDS, CameraFile, camera_info
 from rover_ncp.core.clock_offset import StampClock
+from rover_ncp.core.config import validated
 from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.recording.recorded import header_stamp_ns
 from rover_ncp.wire.cdr import decode
-from rover_ncp.wire.messages import BASE_FRAME, TF
+from rover_ncp.wire.messages import BASE_FRAME
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
@@ -30,8 +31,6 @@ MAX_BYTES = 1 << 26
 """Largest message: a picture of 20 megapixels."""
 WAIT_S, POLL_S = 5.0, 0.05
 """Longest wait for camera_info and tf_static."""
-
-
 IMAGE_TOPIC = "camera/image_raw"
 
 
@@ -54,7 +53,7 @@ class RosCamera(LiveCamera):
         stamp_ns = header_stamp_ns(self._type, data)
         measured_ns = self._clock.measured_ns(stamp_ns, now_ns) if stamp_ns else now_ns - self._delay_ns
         if measured_ns is not None:
-            self.put(partial(read_image, self._type, data, wall_ns - now_ns + measured_ns))
+            self.newest.put(partial(read_image, self._type, data, wall_ns - now_ns + measured_ns))
 
 
 def image_type(topic: str) -> str:
@@ -80,10 +79,9 @@ def read_image(ros_type: str, data: bytes, wall_ns: int) -> Picture:
     channels = 1 if conversion is None else 3
     if not height * width or step < width * channels or len(message.data) < step * height:
         raise ValueError(f"an image of {width} × {height} pixels has {len(message.data)} bytes")
-    rows: NDArray[np.uint8] = message.data[: step * height].reshape(height, step)[:, : width * channels]
-    if conversion is None:
-        return Picture(np.ascontiguousarray(rows), wall_ns)
-    grey = cv2.cvtColor(np.ascontiguousarray(rows).reshape(height, width, channels), conversion)
+    rows = message.data[: step * height].reshape(height, step)[:, : width * channels]
+    pixels = np.ascontiguousarray(rows).reshape(height, width, channels)
+    grey = pixels[:, :, 0] if conversion is None else cv2.cvtColor(pixels, conversion)
     return Picture(np.asarray(grey, np.uint8), wall_ns)
 
 
@@ -93,50 +91,38 @@ def ros_camera_file(source: str) -> CameraFile:
     folder, _, _ = where.topic.removesuffix("/compressed").rpartition("/")
     about = f"{folder}/camera_info" if folder else "camera_info"
     infos, statics = list[zenoh.Sample](), list[zenoh.Sample]()
-    session, missing = where.open(), f"no camera_info on '{about}' within {WAIT_S:g} s"
-    try:
-        history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
+    missing = f"no camera_info on '{about}' within {WAIT_S:g} s"
+    history = zenoh.ext.HistoryConfig(detect_late_publishers=True)
+    with contextlib.closing(where.open()) as session:
         held: list[Any] = [
             zenoh.ext.declare_advanced_subscriber(session, where.key(topic), statics.append, history=history)
             for topic in {"tf_static", f"{where.namespace}/tf_static".lstrip("/")}
         ]
         held.append(session.declare_subscriber(where.key(about), infos.append))
-        until, mount = time.monotonic() + WAIT_S, None
-        while mount is None and time.monotonic() < until:
+        until = time.monotonic() + WAIT_S
+        while time.monotonic() < until:
             time.sleep(POLL_S)
             if infos:
-                info = decode(CAMERA_INFO, infos[-1].payload.to_bytes())
-                mount, missing = mount_of(info.header.frame_id, [each.payload.to_bytes() for each in statics])
-    except (FormatError, ValueError) as error:  # also a quaternion that is no rotation
-        raise UsageError(f"camera {source}: {error}; give --camera-file") from error
-    finally:
-        session.close()  # type: ignore[no-untyped-call]
-    if mount is None:
-        raise UsageError(f"camera {source}: {missing}; give --camera-file, with what is missing")
-    size, model = (int(info.width), int(info.height)), str(info.distortion_model)
-    intrinsics = camera_info(size, info.k.tolist(), model, info.d.tolist(), f"camera_info of {about}")
-    return CameraFile(intrinsics=intrinsics, mount=mount)
+                transforms = [each.payload.to_bytes() for each in statics]
+                try:
+                    return camera_file_of(infos[-1].payload.to_bytes(), transforms)
+                except FormatError as error:
+                    missing = str(error)
+    raise UsageError(f"camera {source}: {missing}; give --camera-file, with what is missing")
 
 
-def mount_of(optical: str, statics: Sequence[bytes]) -> tuple[Mount | None, str]:
-    """Return the mount of a camera with this optical frame, or None and what its transforms lack."""
-    frames: dict[str, tuple[str, Floats]] = {}
-    """The parent of each frame, and the frame's pose in it (4 × 4)."""
+def camera_file_of(info: bytes, statics: Sequence[bytes]) -> CameraFile:
+    """Return a camera from its CameraInfo and the transforms of tf_static.
+
+    Raises FormatError if they are no messages of these types, or lead from the base to no camera, and
+    ConfigError for intrinsics that cannot be used.
+    """
+    message, frames = decode(CAMERA_INFO, info), Frames()
     for data in statics:
-        for each in decode(TF, data).transforms:
-            shift, turn, pose = each.transform.translation, each.transform.rotation, np.eye(4)
-            pose[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
-            pose[:3, 3] = shift.x, shift.y, shift.z
-            frames[each.child_frame_id.lstrip("/")] = each.header.frame_id.lstrip("/"), pose
-    frame, pose = optical.lstrip("/"), np.eye(4)
-    while frame != BASE_FRAME and frame in frames:
-        frame, step = frames.pop(frame)
-        pose = step @ pose
-    if frame != BASE_FRAME:
-        words = (
-            f"tf_static has no way from {BASE_FRAME} to the camera's frame {optical!r}: it ends at {frame!r}"
-        )
-        return None, words
-    yaw, pitch, roll = Rotation.from_matrix(pose[:3, :3] @ OPTICAL.T).as_euler("ZYX").tolist()
-    x, y, z = pose[:3, 3].tolist()
-    return Mount(x=x, y=y, z=z, yaw=yaw, pitch=pitch, roll=roll), ""
+        frames.take(data)
+    size, model = (int(message.width), int(message.height)), str(message.distortion_model)
+    intrinsics = camera_info(size, message.k.tolist(), model, message.d.tolist(), "camera_info")
+    pose = frames.pose(BASE_FRAME, message.header.frame_id.lstrip("/"))
+    turns = Rotation.from_matrix(pose[:3, :3] @ OPTICAL.T).as_euler("ZYX")
+    mount = dict(zip(MOUNT_FIELDS, [*pose[:3, 3].tolist(), *turns.tolist()], strict=True))
+    return validated({"intrinsics": intrinsics, "mount": mount}, CameraFile, "tf_static")

@@ -1,14 +1,19 @@
-"""A topic of a ROS 2 robot on its Zenoh router, in the form of either Zenoh integration.
+"""A topic of a ROS 2 robot on its Zenoh router, in the form of either Zenoh integration, and its frames.
 
 Keys are plain topics (zenoh-bridge-ros2dds), or those of rmw_zenoh: domain, topic, type and hash.
 """
 
 from typing import NamedTuple, Self
 
+import numpy as np
 import zenoh
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from rover_ncp.core.errors import NoRobot, UsageError
+from rover_ncp.core.errors import FormatError, NoRobot, UsageError
 from rover_ncp.wire.address import parse_ros_endpoint
+from rover_ncp.wire.cdr import decode
+from rover_ncp.wire.messages import TF, read_yaw
 from rover_ncp.wire.zenoh import PORT, client_config, reason
 
 
@@ -46,3 +51,37 @@ class RosSource(NamedTuple):
             return zenoh.open(config)
         except zenoh.ZError as error:
             raise NoRobot(f"{self.endpoint}: no Zenoh router answers there: {reason(error)}") from error
+
+
+class Frames:
+    """The frames of a robot by its transforms so far."""
+
+    def __init__(self) -> None:
+        self.links: dict[str, tuple[str, NDArray[np.float64], int]] = {}
+        """Of each frame its parent, its newest pose there (4 × 4), and the stamp of that (ns)."""
+
+    def take(self, data: bytes) -> set[str]:
+        """Take a TFMessage, and return the parents in it. Raises FormatError."""
+        parents = set[str]()
+        for each in decode(TF, data).transforms:
+            shift, turn, pose = each.transform.translation, each.transform.rotation, np.eye(4)
+            read_yaw(turn)  # raises FormatError for what is no rotation
+            pose[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
+            pose[:3, 3] = shift.x, shift.y, shift.z
+            if not np.isfinite(pose).all():
+                raise FormatError(f"the transform to {each.child_frame_id!r} is not finite")
+            parent, stamp = each.header.frame_id.lstrip("/"), each.header.stamp
+            self.links[each.child_frame_id.lstrip("/")] = parent, pose, stamp.sec * 10**9 + stamp.nanosec
+            parents.add(parent)
+        return parents
+
+    def pose(self, ancestor: str, frame: str) -> NDArray[np.float64]:
+        """Return the pose (4 × 4) of a frame in one above it. Raises FormatError if none leads there."""
+        pose, at, links = np.eye(4), frame, dict(self.links)
+        while at != ancestor and at in links:
+            at, step, _ = links.pop(at)
+            pose = step @ pose
+        if at == ancestor:
+            return pose
+        known = ", ".join(f"{parent} → {child}" for child, (parent, _, _) in self.links.items())
+        raise FormatError(f"no transforms from {ancestor!r} to {frame!r}, only {known or 'none'}")

@@ -2,27 +2,23 @@
 
 import contextlib
 import time
-from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import cv2
-
-from deploy.tag.calibrate import MOUNT_FIELDS, find_intrinsics, find_mount
+from deploy.tag.calibrate import find_intrinsics, find_mount
 from deploy.tag.camera import LiveCamera, Picture, pictures_of
 from deploy.tag.detector import Detection, Detector
 from deploy.tag.localiser import Localiser, TagCalibration, TagRunResult, drawn, tag_pose
-from deploy.tag.relay import PoseLink
+from deploy.tag.pose_link import PoseLink
 from deploy.tag.ros_camera import RosCamera, ros_camera_file
-from deploy.tag.sheet import Board
-from deploy.tag.tag_map import CameraFile, Mount, load_camera, load_camera_info, load_tag_map
+from deploy.tag.tag_map import CameraFile, Mount, TagMap, load_camera_info
 from deploy.zenoh_client import BridgeAddress, ZenohClient
 from rover_ncp.core.clock_offset import StampClock
-from rover_ncp.core.config import dump_yaml
+from rover_ncp.core.config import dump_yaml, load_yaml
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.core.files import require_writable, write_atomic
-from rover_ncp.core.geometry import Pose, wrap_angle
+from rover_ncp.core.geometry import Pose
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
 from rover_ncp.wire.address import ROS2
@@ -45,9 +41,9 @@ def run_localiser(
     output: Output,
 ) -> int:
     """See ``commands.run``; return the exit code."""
-    tag_map = load_tag_map(map_file)
+    tag_map = load_yaml(map_file, TagMap)
     if camera_file is not None:
-        camera = load_camera(camera_file)
+        camera = load_yaml(camera_file, CameraFile)
     elif source.startswith(ROS2):
         camera = ros_camera_file(source)
         output.say(f"by camera_info and tf_static: {camera.intrinsics}; mount {camera.mount}")
@@ -56,7 +52,7 @@ def run_localiser(
     if picture is not None:
         require_writable(picture)
     localiser, shown = Localiser(camera, tag_map, decimate), 0.0
-    with Interrupts() as interrupts, one_thread(), contextlib.ExitStack() as stack:
+    with Interrupts() as interrupts, contextlib.ExitStack() as stack:
         link = stack.enter_context(PoseLink(address)) if address is not None else None
         began = time.monotonic()
         with opened(source, camera.delay_s) as (pictures, live), output.live(lambda: localiser.state):
@@ -90,15 +86,15 @@ def run_localiser(
 def calibrate_intrinsics(
     source: str, camera_file: Path, camera_info: Path | None, *, seconds: float, output: Output
 ) -> None:
-    """Write a camera's intrinsics, from ROS's file or from pictures of the board; keep a file's mount."""
+    """Write a camera's intrinsics, from ROS's file or pictures of the board; keep a file's other keys."""
     require_writable(camera_file)
-    mount = load_camera(camera_file).mount if camera_file.exists() else Mount(x=0.0, y=0.0, z=0.0)
+    origin = Mount(x=0.0, y=0.0, z=0.0)
+    known = load_yaml(camera_file, CameraFile) if camera_file.exists() else None
     if camera_info is not None:
         intrinsics, rms, used = load_camera_info(camera_info), None, 0
     else:
         found: list[list[Detection]] = []
-        size = (0, 0)
-        detector, last = Detector(), 0
+        size, detector, last = (0, 0), Detector(), 0
         with Interrupts() as interrupts, opened(source) as (pictures, live):
             for each in until(pictures, seconds, lambda: interrupts.raised):
                 if live and each.wall_ns - last < 0.5e9:  # neighbours show nothing new
@@ -106,12 +102,10 @@ def calibrate_intrinsics(
                 last, size = each.wall_ns, (each.grey.shape[1], each.grey.shape[0])
                 found.append(detector.detect(each.grey))
                 output.say(f"picture {len(found)}: {len(found[-1])} tags of the board")
-        board = find_intrinsics(found, size, Board())
-        intrinsics, rms, used = board.intrinsics, board.rms, board.pictures
-    _write(camera_file, CameraFile(intrinsics=intrinsics, mount=mount))
-    result = TagCalibration(
-        out=str(camera_file), rms_px=rms, pictures=used, fx=intrinsics.fx, mount=None, deviations=None
-    )
+        intrinsics, rms, used = find_intrinsics(found, size)
+    camera = CameraFile(intrinsics=intrinsics, mount=origin) if known is None else known
+    _write(camera_file, camera.model_copy(update={"intrinsics": intrinsics}))
+    result = TagCalibration(out=str(camera_file), rms_px=rms, pictures=used, fx=intrinsics.fx)
     quality = "" if rms is None else f"; corners fit to {rms:.2f} px in {used} pictures"
     output.result(result.model_dump(), f"wrote {camera_file}: focal length {intrinsics.fx:.1f} px{quality}")
 
@@ -120,7 +114,7 @@ def calibrate_mount(
     source: str, camera_file: Path, map_file: Path, *, address: BridgeAddress, seconds: float, output: Output
 ) -> None:
     """Improve the mount in a camera's file by a drive in which it sees tags."""
-    camera, tag_map = load_camera(camera_file), load_tag_map(map_file)
+    camera, tag_map = load_yaml(camera_file, CameraFile), load_yaml(map_file, TagMap)
     if tag_map.tags_on == "rover":
         raise UsageError(f"{map_file}: tags_on: rover: the mount of a ceiling's camera is measured by hand")
     require_writable(camera_file)
@@ -128,35 +122,32 @@ def calibrate_mount(
     seen: list[tuple[int, list[Detection]]] = []
     with (
         Interrupts() as interrupts,
-        one_thread(),
         ZenohClient(address, odometry.take),
         opened(source, camera.delay_s) as (pictures, _),
     ):
         output.announce("collecting: drive and turn slowly, tags in view; Ctrl-C when done")
         for each in until(pictures, seconds, lambda: interrupts.raised):
             seen.append((each.wall_ns, detector.detect(each.grey)))
-    if not odometry.poses:
+    if not odometry.samples:
         raise UsageError(
             f"no odometry arrived from the bridge at {address.robot}; with certificates, use a driver's: a "
             "localiser's may not read it"
         )
-    samples = [(pose, found) for at, found in seen if (pose := odometry.at(at)) is not None]
-    found = find_mount(camera, tag_map, samples)
-    _write(camera_file, camera.model_copy(update={"mount": found.mount}))
+    mount, deviations, late_s, pictures_used, rms = find_mount(camera, tag_map, odometry.samples, seen)
+    _write(camera_file, camera.model_copy(update={"mount": mount}))
     result = TagCalibration(
         out=str(camera_file),
-        rms_px=found.rms,
-        pictures=len(samples),
+        rms_px=rms,
+        pictures=pictures_used,
         fx=camera.intrinsics.fx,
-        mount=found.mount.model_dump(),
-        deviations=found.deviations,
+        mount=mount.model_dump(),
+        deviations=deviations,
+        late_s=late_s,
     )
-    values = [
-        f"{name} {getattr(found.mount, name):.4f} ± {found.deviations[name]:.4f}" for name in MOUNT_FIELDS
-    ]
+    values = ", ".join(f"{name} {getattr(mount, name):.4f} ± {std:.4f}" for name, std in deviations.items())
     output.result(
         result.model_dump(),
-        f"wrote {camera_file}: {', '.join(values)} (m, rad); corners fit to {found.rms:.2f} px",
+        f"wrote {camera_file}: {values} (m, rad); corners fit to {rms:.2f} px, pictures {late_s:.3f} s late",
     )
 
 
@@ -165,8 +156,7 @@ class _Odometry:
 
     def __init__(self) -> None:
         self._clock = StampClock()
-        self.times: list[int] = []
-        self.poses: list[Pose] = []
+        self.samples: list[tuple[int, Pose]] = []
 
     def take(self, row: KeySpec, data: bytes) -> None:
         """Take a message of the bridge; an unreadable one counts as none."""
@@ -176,20 +166,7 @@ class _Odometry:
             sample, now_ns = read_odometry(data), time.monotonic_ns()
             measured_ns = self._clock.measured_ns(sample.stamp_ns, now_ns)
             if measured_ns is not None:
-                self.times.append(time.time_ns() - now_ns + measured_ns)
-                self.poses.append(sample.pose)
-
-    def at(self, wall_ns: int) -> Pose | None:
-        """Return the pose at a moment, between two measured ones; None outside them."""
-        after = bisect_left(self.times, wall_ns)
-        if not 0 < after < len(self.times):
-            return None
-        share = (wall_ns - self.times[after - 1]) / (self.times[after] - self.times[after - 1])
-        a, b = self.poses[after - 1], self.poses[after]
-        turned = wrap_angle(b.theta - a.theta)
-        return Pose(
-            a.x + share * (b.x - a.x), a.y + share * (b.y - a.y), wrap_angle(a.theta + share * turned)
-        )
+                self.samples.append((time.time_ns() - now_ns + measured_ns, sample.pose))
 
 
 @contextlib.contextmanager
@@ -214,17 +191,6 @@ def until(
         yield each
         if seconds is not None and time.monotonic() - began >= seconds:
             return
-
-
-@contextlib.contextmanager
-def one_thread() -> Iterator[None]:
-    """Keep OpenCV from starting threads, which would take the processor from the drive's processes."""
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(threads)
 
 
 def _write(path: Path, camera: CameraFile) -> None:

@@ -2,10 +2,10 @@
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
@@ -23,22 +23,16 @@ MARGIN_M = 0.012
 RULER_M = 0.1
 
 
-@dataclass(frozen=True)
-class Board:
-    """A calibration board: ``columns`` × ``rows`` tags of ``size`` m whose ids count from 0, row by row."""
-
-    columns: int = 4
-    rows: int = 5
-    size: float = 0.032
-
-    @property
-    def pitch(self) -> float:
-        """Distance between neighbours' centres, m: a white border of one cell for each, and one between."""
-        return self.size * (1.0 + 3.0 / CELLS)
-
-    def centres(self) -> list[tuple[float, float]]:
-        """Return x to the right and y up of each tag in m, the first at the top left, by id."""
-        return [(c * self.pitch, -r * self.pitch) for r in range(self.rows) for c in range(self.columns)]
+BOARD_TAG_M, BOARD_COLUMNS, BOARD_ROWS = 0.032, 4, 5
+"""Tags of the calibration board, which fits each page; their ids count from 0, row by row."""
+BOARD_PITCH_M = BOARD_TAG_M * (1.0 + 3.0 / CELLS)
+"""Distance between neighbours' centres: a white border of one cell for each, and one between."""
+BOARD = tuple(
+    (column * BOARD_PITCH_M, -row * BOARD_PITCH_M)
+    for row in range(BOARD_ROWS)
+    for column in range(BOARD_COLUMNS)
+)
+"""x to the right and y up of each tag's centre in m, the first at the top left, by id."""
 
 
 def pattern(tag: int) -> NDArray[np.uint8]:
@@ -60,14 +54,11 @@ def tag_pages(ids: Sequence[int], size: float, page: str) -> bytes:
     return _pdf(page, [(f"tag36h11 id {tag}, {1000 * size:g} mm", size, [(tag, 0.0, 0.0)]) for tag in ids])
 
 
-def board_page(board: Board, page: str) -> bytes:
-    """Return a PDF with the calibration board. Raises UsageError if it does not fit."""
-    width, height = PAGES[page]
-    if board.columns * board.pitch + 2 * MARGIN_M > width or board.rows * board.pitch + 0.06 > height:
-        raise UsageError(f"--page {page}: the board of {board.columns} × {board.rows} tags does not fit")
-    tags = [(tag, x, y) for tag, (x, y) in enumerate(board.centres())]
-    title = f"calibration board, {board.columns} × {board.rows} tags of {1000 * board.size:g} mm"
-    return _pdf(page, [(title, board.size, tags)])
+def board_page(page: str) -> bytes:
+    """Return a PDF with the calibration board."""
+    tags = [(tag, x, y) for tag, (x, y) in enumerate(BOARD)]
+    title = f"calibration board, {BOARD_COLUMNS} × {BOARD_ROWS} tags of {1000 * BOARD_TAG_M:g} mm"
+    return _pdf(page, [(title, BOARD_TAG_M, tags)])
 
 
 def _pdf(page: str, sheets: Sequence[tuple[str, float, Sequence[tuple[int, float, float]]]]) -> bytes:
@@ -96,16 +87,11 @@ def _pdf(page: str, sheets: Sequence[tuple[str, float, Sequence[tuple[int, float
     return file.getvalue()
 
 
-def _draw(axes: "object", cells: NDArray[np.uint8], x: float, y: float, size: float) -> None:
+def _draw(axes: Axes, cells: NDArray[np.uint8], x: float, y: float, size: float) -> None:
     cell = size / CELLS
     left, top = x - 0.5 * size, y + 0.5 * size
     # The black square first, its white cells on it: black neighbours drawn alone leave hairlines between.
-    shapes = [(left, top - size, size, "black")]
-    shapes += [
-        (left + c * cell, top - (r + 1) * cell, cell, "white")
-        for r in range(CELLS)
-        for c in range(CELLS)
-        if cells[r, c]
-    ]
-    for px, py, edge, color in shapes:
-        axes.add_patch(Rectangle((px, py), edge, edge, facecolor=color, edgecolor="none", linewidth=0))  # type: ignore[attr-defined]
+    axes.add_patch(Rectangle((left, top - size), size, size, facecolor="black", edgecolor="none"))
+    for row, column in np.argwhere(cells):
+        corner = left + column * cell, top - (row + 1) * cell
+        axes.add_patch(Rectangle(corner, cell, cell, facecolor="white", edgecolor="none"))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
-from rover_ncp.core.config import StrictModel, load_yaml, read_yaml, validated
+from rover_ncp.core.config import StrictModel, read_yaml, validated
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import read_text
 
@@ -48,6 +48,9 @@ class Mount(StrictModel):
     def position(self) -> Floats:
         """Origin in the parent, m."""
         return np.array([self.x, self.y, self.z])
+
+
+MOUNT_FIELDS = tuple(Mount.model_fields)
 
 
 class Tag(Mount):
@@ -108,16 +111,6 @@ class CameraFile(StrictModel):
     intrinsics: Intrinsics
     mount: Mount
     delay_s: float = Field(default=0.0, ge=0.0, le=2.0, description="s from exposure to arrival")
-
-
-def load_tag_map(path: Path) -> TagMap:
-    """Read a tag map. Raises FileError and ConfigError."""
-    return load_yaml(path, TagMap)
-
-
-def load_camera(path: Path) -> CameraFile:
-    """Read a camera's file. Raises FileError and ConfigError."""
-    return load_yaml(path, CameraFile)
 
 
 def load_camera_info(path: Path) -> Intrinsics:

@@ -104,7 +104,8 @@ def summarise(drive: Drive) -> Summary:
     if dock is None:
         parked, headline = _headline(verdicts, drive.timeline.status)
     else:
-        parked, headline = Parked.YES if dock.success else Parked.NO, dock.headline
+        parked = Parked.YES if dock.success else Parked.NO
+        headline = dock.headline[0].upper() + dock.headline[1:]
         rows[:0] = _dock_rows(dock, drive)
     began = datetime.fromtimestamp(drive.timeline.ticks[0].wall_ns * 1e-9, UTC)
     return Summary(

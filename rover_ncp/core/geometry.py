@@ -67,3 +67,8 @@ def relative(pose_ab: Pose, pose_ac: Pose) -> Pose:
 def distance(a: Pose, b: Pose) -> float:
     """Return the distance between two origins in metres, both poses given in one frame."""
     return math.hypot(a.x - b.x, a.y - b.y)
+
+
+def near(a: Pose, b: Pose, position_m: float, heading_rad: float) -> bool:
+    """Return whether two poses in one frame differ by no more than this."""
+    return distance(a, b) <= position_m and abs(wrap_angle(a.theta - b.theta)) <= heading_rad

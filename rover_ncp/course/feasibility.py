@@ -107,11 +107,15 @@ class CourseResult(ResultModel):
 def check_course(
     course: Course, robot: RobotDescription | None = None, reference: Reference | None = None
 ) -> Drivability:
-    """Check a course's ``reference``, or plan it, for the outline of ``robot``; None is a Pioneer 3-AT."""
+    """Check a course for the outline of ``robot``; None is a Pioneer 3-AT.
+
+    Its ``reference`` is planned, from the origin, or given, from where the rover stands.
+    """
     robot = load_description(DEFAULT_ROBOT) if robot is None else robot
+    problems = _start(course) if reference is None else []
     reference = plan_reference(course) if reference is None else reference
     found = tuple(deviations(course, reference))
-    problems = [*_start(course), *_missed(course, found), *_rest(course, reference)]
+    problems += [*_missed(course, found), *_rest(course, reference)]
     clearance, touching = _clearance(course, reference, robot)
     problems += touching
     problems.sort(key=lambda problem: (problem.t, problem.checkpoint))

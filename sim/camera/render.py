@@ -1,7 +1,5 @@
 """Pictures of tags as a camera would take them: perspective, blur, noise, exposure."""
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -21,35 +19,24 @@ BEHIND = 100.0
 """Corners farther than this from the middle, in focal lengths, are behind the camera or beside it."""
 GROUND, PAPER, INK = 95, 225, 25
 """Grey levels of the surroundings, white paper and black ink under normal exposure."""
-
-
-@dataclass(frozen=True)
-class PictureErrors:
-    """What a camera does to a picture. ``gain`` multiplies the brightness; 0 is a covered lens."""
-
-    blur_px: float = 0.7
-    """Standard deviation of the blur, pixels."""
-    noise: float = 3.0
-    """Standard deviation of a pixel, grey levels."""
-    gain: float = 1.0
+BLUR_PX, NOISE = 0.7, 3.0
+"""Standard deviations: of the blur in pixels, of a pixel in grey levels."""
 
 
 class Renderer:
-    """Renders what one camera sees of one map. ``stream`` draws the noise. Distortion is not simulated."""
+    """Renders what one camera sees of one map. ``stream`` draws the noise. Distortion is not simulated.
+
+    ``gain`` multiplies the brightness; 0 is a covered lens.
+    """
 
     def __init__(
-        self,
-        camera: CameraFile,
-        tag_map: TagMap,
-        stream: np.random.Generator,
-        errors: PictureErrors = PictureErrors(),  # frozen
+        self, camera: CameraFile, tag_map: TagMap, stream: np.random.Generator, gain: float = 1.0
     ) -> None:
         self._size = (camera.intrinsics.width, camera.intrinsics.height)
         self._matrix = camera.intrinsics.matrix
         self._locator = Locator(camera, tag_map)
         self._tags = [(tag, _texture(tag)) for tag in tag_map.tags]
-        self._stream = stream
-        self.errors = errors
+        self._stream, self.gain = stream, gain
 
     def picture(self, pose: Pose) -> NDArray[np.uint8]:
         """Return the picture, height × width grey levels, that is taken from a pose of the base."""
@@ -58,11 +45,8 @@ class Renderer:
         for tag, texture in self._tags:
             self._draw(canvas, tag, texture, np.array(pose))
         picture = np.asarray(cv2.resize(canvas, self._size, interpolation=cv2.INTER_AREA), np.float64)
-        if self.errors.blur_px > 0:
-            picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), self.errors.blur_px), np.float64)
-        picture = picture * self.errors.gain
-        if self.errors.noise > 0:
-            picture = picture + self._stream.normal(0.0, self.errors.noise, picture.shape)
+        picture = self.gain * np.asarray(cv2.GaussianBlur(picture, (0, 0), BLUR_PX), np.float64)
+        picture += self._stream.normal(0.0, NOISE, picture.shape)
         return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
 
     def _draw(self, canvas: NDArray[np.uint8], tag: Tag, texture: NDArray[np.uint8], pose: Floats) -> None:

@@ -1,7 +1,7 @@
 """The camera of a mock: a process that renders pictures from the true pose and serves them over HTTP.
 
-Mock and camera share the pose without a lock, because a killed process would keep it. So a picture may mix
-the numbers of two turns of the mock's loop, which are 10 ms apart.
+Mock and camera share the pose with its moment without a lock, because a killed process would keep it. So a
+picture may mix the numbers of two turns of the mock's loop, which are 10 ms apart.
 """
 
 import ctypes
@@ -14,8 +14,9 @@ from multiprocessing.sharedctypes import RawArray
 from pathlib import Path
 from typing import Any
 
+from rover_ncp.core.config import load_yaml
 from rover_ncp.core.errors import PortInUse
-from rover_ncp.core.geometry import Pose
+from rover_ncp.core.geometry import ORIGIN, Pose
 from rover_ncp.core.process import ClosedAtExit
 
 BOUNDARY = "picture"
@@ -29,10 +30,12 @@ class MockCamera(ClosedAtExit):
     """Starts the camera's process; ``address`` is the stream's. Raises UsageError and FileError."""
 
     def __init__(self, camera: Path, tags: Path, listen: tuple[str, int], hz: float, seed: int) -> None:
-        from deploy.tag.tag_map import load_camera, load_tag_map
+        from deploy.tag.tag_map import CameraFile, TagMap
 
-        settings = load_camera(camera), load_tag_map(tags)
-        self._pose: Any = RawArray(ctypes.c_double, 3)
+        settings = load_yaml(camera, CameraFile), load_yaml(tags, TagMap)
+        self._pose: Any = RawArray(ctypes.c_double, 4)
+        """x, y, theta, and the moment in s: on a busy machine, the mock's loop falls behind."""
+        self.show(ORIGIN, time.time_ns())
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         arguments = (self._pose, theirs, settings, listen, (hz, seed))
@@ -45,9 +48,9 @@ class MockCamera(ClosedAtExit):
             raise PortInUse(f"camera {listen[0]}:{listen[1]}: {answer}")
         self.address = f"http://{listen[0]}:{answer}/"
 
-    def show(self, pose: Pose) -> None:
-        """Let the next pictures be of this pose."""
-        self._pose[:] = list(pose)
+    def show(self, pose: Pose, wall_ns: int) -> None:
+        """Let the next pictures be of this pose at this moment."""
+        self._pose[:] = [*pose, 1e-9 * wall_ns]
 
     def close(self) -> None:
         """End the process."""
@@ -83,8 +86,9 @@ def _serve(
                 now = time.monotonic()
                 if now >= due:
                     due = max(due + 1.0 / hz, now)
-                    wall, where = time.time(), Pose(*pose)
-                    jpeg = cv2.imencode(".jpg", renderer.picture(where), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+                    x, y, theta, wall = pose
+                    picture = renderer.picture(Pose(x, y, theta))
+                    jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
                     waiting.append((now + camera.delay_s, wall, jpeg[1].tobytes()))
                 while waiting and waiting[0][0] <= time.monotonic():
                     _, wall, data = waiting.popleft()

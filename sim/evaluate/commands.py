@@ -14,7 +14,6 @@ from sim.world.bodies import BODY_WORDS, PRESET_WORDS, PRESETS, Body
 
 if TYPE_CHECKING:
     from rover_ncp.robot.description import RobotDescription
-    from sim.stack.camera import Camera
 
 
 class Sensors(StrEnum):
@@ -298,7 +297,7 @@ def _dock(options: EvalOptions, name: str) -> int:
     from rover_ncp.robot.description import load_description
     from sim.evaluate.docking_runs import docking_words, evaluate_docking
     from sim.stack.docking import DockTrials
-    from sim.stack.tag_camera import DockLocaliser, TagLocaliser
+    from sim.stack.tag_camera import TagLocaliser
     from sim.world.described import ranges_for
 
     given = {"course": options.course, "identify": options.identify, "profile": options.profile}
@@ -307,7 +306,7 @@ def _dock(options: EvalOptions, name: str) -> int:
     ranges = ranges_for(options.randomization, None, options.body, robot)
     gyro, _ = _sensors(options.sensors or (None if robot else Sensors.GYRO), robot)
     place, output = load_place(name), Output(options.json)
-    localiser: type[DockLocaliser] = TagLocaliser
+    localiser = TagLocaliser
     if options.images:
         from sim.stack.rendered_camera import RenderedLocaliser
 
@@ -329,16 +328,14 @@ def _dock(options: EvalOptions, name: str) -> int:
     return 1 if found.trials == 1 and found.success_rate < 1 else 0
 
 
-def _sensors(sensors: Sensors | None, robot: "RobotDescription | None") -> "tuple[bool, Camera | None]":
-    """Return whether the driver has a gyro, and its camera, if it has one. Raises UsageError."""
-    from sim.stack.camera import Camera
-
+def _sensors(sensors: Sensors | None, robot: "RobotDescription | None") -> tuple[bool, bool]:
+    """Return whether the driver has a gyro, and a camera. Raises UsageError."""
     if sensors is None:
-        return robot is not None and robot.gyro is not None, None
+        return robot is not None and robot.gyro is not None, False
     gyro = sensors in {Sensors.GYRO, Sensors.BOTH}
     if gyro and robot is not None and robot.arcos is None and robot.gyro is None:
         raise UsageError(f"--sensors {sensors}: {robot.name} has no gyro")
-    return gyro, Camera() if sensors in {Sensors.CAMERA, Sensors.BOTH} else None
+    return gyro, sensors in {Sensors.CAMERA, Sensors.BOTH}
 
 
 def _play_task(options: EvalOptions, task: str) -> int:

@@ -97,8 +97,8 @@ class RealTimeLoop:
     def __init__(self, base: SimulatedBase) -> None:
         self.truth: TruthFile | None = None
         """Where the true pose is written from now on."""
-        self.show: Callable[[Pose], None] = lambda pose: None
-        """Receives the true pose at each turn; never waits."""
+        self.show: Callable[[Pose, int], None] = lambda pose, wall_ns: None
+        """Receives the true pose of each step with its moment by the wall clock; never waits."""
         self.touched = False
         """Whether the rover ever touched anything."""
         # Not epoll, which takes no files: fault lines may come from one, or from /dev/null.
@@ -162,7 +162,7 @@ class RealTimeLoop:
     def _observe(self, now: float) -> None:
         contact = self._base.drive.rover.in_contact
         self.touched |= contact
-        self.show(Pose(*self._base.drive.rover.pose))
+        wall_ns = time.time_ns() - round((time.monotonic() - now) * 1e9)
+        self.show(Pose(*self._base.drive.rover.pose), wall_ns)
         if self.truth:
-            behind_ns = round((time.monotonic() - now) * 1e9)
-            self.truth.add(self._base, time.time_ns() - behind_ns, now - self._start_s)
+            self.truth.add(self._base, wall_ns, now - self._start_s)

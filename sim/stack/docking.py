@@ -24,7 +24,7 @@ from rover_ncp.robot.description import RobotDescription, load_description
 from rover_ncp.robot.profile import RoverProfile
 from sim.pioneer.trial import BaseTrial, draw_rover
 from sim.stack.lines import simulated_base
-from sim.stack.tag_camera import DockLocaliser, TagLocaliser
+from sim.stack.tag_camera import TagLocaliser
 from sim.stack.trials import drive_whole
 from sim.stack.virtual import TicklessPublisher, VirtualBridge, VirtualLink
 from sim.world.randomization import Randomization
@@ -60,7 +60,7 @@ class DockTrials:
     seed: int
     gyro: bool = True
     robot: RobotDescription | None = None
-    localiser: type[DockLocaliser] = TagLocaliser
+    localiser: type[TagLocaliser] = TagLocaliser
 
     @cached_property
     def description(self) -> RobotDescription:

@@ -18,37 +18,19 @@ from rover_ncp.wire.messages import pose_with_covariance
 from sim.stack.camera import PoseSource
 from sim.world.rover import Rover
 
-HZ, DELAY_S = 8.0, 0.12
-"""Pictures a second, and the time from exposure to arrival."""
 FULL_M = 3.0
 """Distance at which the growth of the errors counts in full."""
 
 
-class DockLocaliser(PoseSource):
-    """Poses of one rover from tags at a place, by the camera at that end of the rover which enters it."""
+class TagLocaliser(PoseSource):
+    """Poses of one rover from tags at a place, by the camera at that end of the rover which enters it.
 
-    tags_ahead_m: ClassVar[float]
-    """How far the tags are ahead of a docked base's middle."""
+    The poses are those of the noise model: standard deviations at 0 m, and their growth up to 3 m.
+    """
 
-    def __init__(
-        self,
-        rover: Rover,
-        place: Place,
-        stream: np.random.Generator,
-        send: Callable[[bytes, int], None],
-    ) -> None:
-        super().__init__(HZ, DELAY_S, stream, send)
-        self._rover, self._frame = rover, place.frame
-        self._looks = math.pi if place.backward else 0.0
-        """Where the camera looks, from the rover's heading."""
-        self._toward = compose(place.goal, Pose(0.0, 0.0, self._looks))
-        """The place, turned to where a docked rover's camera looks."""
-
-
-class TagLocaliser(DockLocaliser):
-    """Poses by the noise model: standard deviations at 0 m, and their growth up to 3 m."""
-
+    hz, delay_s = 8.0, 0.12
     tags_ahead_m = 0.35
+    """How far the tags are ahead of a docked base's middle."""
     half_view_rad = math.radians(40.0)
     nearest_m, farthest_m = 0.15, 4.0
     steepest_rad = math.radians(75.0)
@@ -58,6 +40,16 @@ class TagLocaliser(DockLocaliser):
     equal: ``benchmarks/tag_noise.py``."""
     lost = 0.05
     """Share of images without a pose."""
+
+    def __init__(
+        self, rover: Rover, place: Place, stream: np.random.Generator, send: Callable[[bytes, int], None]
+    ) -> None:
+        super().__init__(rover, stream, send)
+        self._frame = place.frame
+        self._looks = math.pi if place.backward else 0.0
+        """Where the camera looks, from the rover's heading."""
+        self._toward = compose(place.goal, Pose(0.0, 0.0, self._looks))
+        """The place, turned to where a docked rover's camera looks."""
 
     def measure(self, wall_ns: int) -> bytes | None:
         """Return the pose by the noise model."""

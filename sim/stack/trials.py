@@ -33,7 +33,7 @@ from rover_ncp.robot.profile import RoverProfile
 from sim.learn.engine.driver import Driver
 from sim.learn.workers import ProcessPool, available_processes, made_in_each_process
 from sim.pioneer.trial import BaseTrial, Drawn, draw_rover
-from sim.stack.camera import Camera, Localiser
+from sim.stack.camera import Localiser
 from sim.stack.estimates import Belief, belief_of
 from sim.stack.lines import simulated_base
 from sim.stack.virtual import TicklessPublisher, VirtualBridge, VirtualLink
@@ -74,10 +74,10 @@ class Stack:
     seed: int
     gyro: bool = False
     """Whether the base has a gyro for its driver."""
-    camera: Camera | None = None
-    """External localisation while the rover drives."""
+    camera: bool = False
+    """Whether there is external localisation while the rover drives."""
     identify: bool = False
-    """Whether each robot is identified before its drive, on its ground, under the camera or a usual one."""
+    """Whether each robot is identified before its drive, on its ground, under the camera."""
     robot: RobotDescription | None = None
     """The model of robot; None is a Pioneer 3-AT without a description for its driver."""
     estimator: Mapping[str, float] = field(default_factory=dict)
@@ -124,7 +124,7 @@ class Stack:
         bridge, received = VirtualBridge(base), list[Recorded]()
         link = VirtualLink(bridge, rover.pose, received.append)
         stream = random_stream(seed, Domain.IDENTIFICATION, number)
-        base.observe = Localiser(self.camera or Camera(), rover, stream, link.localise).observe
+        base.observe = Localiser(rover, stream, link.localise).observe
         measurements = Measurements(link)
         monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
         monitor.wait()
@@ -141,9 +141,9 @@ class Stack:
         link = VirtualLink(bridge, rover.pose)
         truth = _Truth(rover, watch=bool(course.obstacles))
         watching = [truth.note]
-        if self.camera is not None:
+        if self.camera:
             stream = random_stream(self.seed, Domain.CAMERA, number)
-            watching.append(Localiser(self.camera, rover, stream, link.localise).observe)
+            watching.append(Localiser(rover, stream, link.localise).observe)
 
         def observe(now: float) -> None:
             for watch in watching:

@@ -138,7 +138,7 @@ class VirtualBridge:
         self.deliver(name, data)
 
 
-class _OdometryInbox(Inbox):
+class _OdometryInbox(Inbox[Arrival]):
     """The newest odometry; time passes while the driver waits for it."""
 
     def __init__(self, bridge: VirtualBridge) -> None:
@@ -146,7 +146,7 @@ class _OdometryInbox(Inbox):
         self._bridge = bridge
 
     def take(self, timeout_s: float = 0.0) -> list[Arrival]:
-        self._bridge.wait(timeout_s, lambda: bool(self._arrivals))
+        self._bridge.wait(timeout_s, lambda: bool(self._items))
         return super().take()
 
 

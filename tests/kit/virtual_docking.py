@@ -10,7 +10,7 @@ from deploy.drive.result import result_of
 from deploy.drive.tick_messages import Publisher
 from deploy.place.docking import Docking, place_config
 from deploy.place.place import Place
-from deploy.place.plan import place_course
+from deploy.place.plan import approach
 from kit.virtual_drive import ChangedLink, VirtualDrive
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.geometry import Pose
@@ -34,7 +34,7 @@ class VirtualDocking(VirtualDrive):
     """One drive from ``start`` to a place. ``see`` returns the pose that the localiser sends, or None."""
 
     def __init__(self, where, start, *, path=None, obstacles=(), see=lambda pose, now: pose, **settings):
-        self.place, self.path, self.course = where, path, place_course(where)
+        self.place, self.path, self.course = where, path, approach(where).course
         self.start = start
         self.policy, self.staging = load_policy("dock"), load_policy("course")
         self.config = place_config(where, None, None, robot="virtual", policy="dock", **settings)

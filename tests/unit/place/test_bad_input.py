@@ -16,7 +16,7 @@ from deploy.tag.localiser import Localiser
 from rover_ncp.core.errors import NoPose
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.course.course import Obstacle
-from sim.camera.render import PictureErrors, Renderer
+from sim.camera.render import Renderer
 from sim.stack.lines import NS, WALL_NS
 from sim.stack.rendered_camera import RenderedLocaliser
 
@@ -42,8 +42,8 @@ class Camera:
 
     def __call__(self, pose, now):
         changed = now > APPROACH_S and (self._frozen or self._gain != 1.0)
-        if changed and not self._frozen and self._renderer.errors.gain == 1.0:
-            self._renderer.errors = PictureErrors(gain=self._gain)
+        if changed and not self._frozen and self._renderer.gain == 1.0:
+            self._renderer.gain = self._gain
             self._kept.extend(self._renderer.picture(Pose(*pose)) for _ in range(2))
         if changed:
             self._kept.rotate()

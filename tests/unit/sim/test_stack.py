@@ -24,7 +24,6 @@ from sim.learn.engine.driver import circuit_driver, load_driver
 from sim.learn.engine.rollout import rollout
 from sim.pioneer.drive_train import DriveTrain
 from sim.pioneer.trial import BaseTrial
-from sim.stack.camera import Camera
 from sim.stack.estimates import summary
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
@@ -307,7 +306,7 @@ def test_a_known_centre_of_rotation_does_not_move_the_goal():
 
 
 def test_correct_poses_are_believed_where_cables_move_the_rover():
-    rough = stack(load_randomization("rough", Body.MUJOCO), seed=777003, course="parking", camera=Camera())
+    rough = stack(load_randomization("rough", Body.MUJOCO), seed=777003, course="parking", camera=True)
     trial = rough.drive(9)
     assert not trial.reason.startswith("stopped by")
     assert trial.belief.error_m < 0.01

@@ -10,22 +10,20 @@ from matplotlib.figure import Figure
 from deploy.tag.calibrate import find_intrinsics, find_mount
 from deploy.tag.detector import Detection, Detector
 from deploy.tag.locate import Locator
-from deploy.tag.run import _Odometry
-from deploy.tag.sheet import Board, board_page, pattern, tag_pages
+from deploy.tag.sheet import BOARD, BOARD_TAG_M, board_page, pattern, tag_pages
 from deploy.tag.tag_map import CameraFile, Intrinsics, Mount, Tag, TagMap, load_camera_info
 from rover_ncp.core.errors import ConfigError, UsageError
 from rover_ncp.core.geometry import Pose, compose, relative
 from sim.camera.render import Renderer
 
 TRUE = Intrinsics(width=640, height=480, fx=520.0, fy=520.0, cx=325.0, cy=236.0)
-BOARD = Board()
 
 
 def board_pictures(count):
     """Pictures of a board that hangs at x = 0, seen from tilted places."""
     tags = tuple(
-        Tag(id=tag, size=BOARD.size, x=0.0, y=x - 0.066, z=0.088 + y, yaw=0.0)
-        for tag, (x, y) in enumerate(BOARD.centres())
+        Tag(id=tag, size=BOARD_TAG_M, x=0.0, y=x - 0.066, z=0.088 + y, yaw=0.0)
+        for tag, (x, y) in enumerate(BOARD)
     )
     stream = np.random.default_rng(3)
     for index in range(count):
@@ -47,7 +45,7 @@ def board_pictures(count):
 
 
 def test_intrinsics_come_back_from_pictures_of_the_board():
-    found = find_intrinsics(list(board_pictures(12)), (640, 480), BOARD)
+    found = find_intrinsics(list(board_pictures(12)), (640, 480))
     assert found.pictures == 12
     assert found.rms < 0.3
     assert found.intrinsics.fx == pytest.approx(TRUE.fx, rel=0.01)
@@ -58,7 +56,7 @@ def test_intrinsics_come_back_from_pictures_of_the_board():
 
 def test_too_few_pictures_of_the_board_are_refused():
     with pytest.raises(UsageError, match="seen well in 2 of 3 pictures"):
-        find_intrinsics([*board_pictures(2), []], (640, 480), BOARD)
+        find_intrinsics([*board_pictures(2), []], (640, 480))
 
 
 WALL = TagMap(
@@ -70,50 +68,50 @@ WALL = TagMap(
 MOUNT = Mount(x=0.15, y=-0.03, z=0.3, yaw=0.04, pitch=0.05, roll=0.01)
 
 
-def drive(turn, gain=1.0):
-    """Odometry, which begins at another place and heading than the map, and what is seen.
+def drive(turn, gain=1.0, late_s=0.0, step_rad=1e-6):
+    """Odometry, which begins at another place and heading than the map, and what is seen, both with moments.
 
-    ``gain`` is odometry's turn over the true one.
+    ``gain`` is odometry's turn over the true one. Pictures have moments that are ``late_s`` after the true.
+    Headings of odometry are multiples of ``step_rad``.
     """
     stream, locator = np.random.default_rng(5), Locator(CameraFile(intrinsics=TRUE, mount=MOUNT), WALL)
-    place = [
-        compose(Pose(0.4, 0.1, 0.1), Pose(0.03 * k, 0.02 * math.sin(k), turn * math.sin(0.5 * k)))
-        for k in range(24)
-    ]
-    odometry = [Pose(3.0, -1.0, 2.0)]
-    for step in map(relative, place, place[1:]):
+    path = [Pose(0.4, 0.1, 0.1)]
+    for k in range(240):
+        rate = turn * 0.5 * math.cos(0.05 * k)
+        path.append(compose(path[-1], Pose(0.003, 0.0, 0.1 * rate)))
+    odometry = [Pose(3.0, -1.0, 3.0)]  # headings wrap
+    for step in map(relative, path, path[1:]):
         odometry.append(compose(odometry[-1], step._replace(theta=gain * step.theta)))
-    for pose, odom in zip(place, odometry, strict=True):
+    pictures = []
+    for k in range(4, 236, 5):
         seen = []
         for tag in WALL.tags:
-            exact = TRUE.fx * locator.project(np.array(pose), tag.corners) + (TRUE.cx, TRUE.cy)
+            exact = TRUE.fx * locator.project(np.array(path[k]), tag.corners) + (TRUE.cx, TRUE.cy)
             seen.append(Detection(tag.id, exact + stream.normal(0.0, 0.1, (4, 2))))
-        yield odom, seen
+        pictures.append((round((0.1 * k + late_s) * 1e9), seen))
+    rounded = [pose._replace(theta=step_rad * round(pose.theta / step_rad)) for pose in odometry]
+    return [(round(0.1 * k * 1e9), pose) for k, pose in enumerate(rounded)], pictures
 
 
-@pytest.mark.parametrize("gain", [1.0, 1.2])
-def test_mount_comes_back_from_a_drive_with_turns(gain):
+@pytest.mark.parametrize(
+    ("gain", "late_s", "step_rad"),
+    [(1.0, 0.0, 1e-6), (1.2, 0.0, 1e-6), (1.0, 0.03, 1e-6), (1.0, 0.0, math.tau / 4096)],
+    ids=["exact", "slip", "late", "steps of a Pioneer"],
+)
+def test_mount_comes_back_from_a_drive_with_turns(gain, late_s, step_rad):
     by_hand = MOUNT.model_copy(update={"x": 0.18, "y": 0.0, "yaw": 0.0, "pitch": 0.0, "roll": 0.0})
-    found = find_mount(CameraFile(intrinsics=TRUE, mount=by_hand), WALL, list(drive(0.35, gain)))
+    found = find_mount(CameraFile(intrinsics=TRUE, mount=by_hand), WALL, *drive(0.35, gain, late_s, step_rad))
     for name in ("x", "y", "yaw", "pitch", "roll"):
         error = abs(getattr(found.mount, name) - getattr(MOUNT, name))
         assert error < max(3.0 * found.deviations[name], 0.002), name
     assert found.deviations["x"] < 0.02
     assert found.deviations["yaw"] < 0.02
-
-
-def test_picture_is_paired_with_the_odometry_of_its_own_moment():
-    odometry = _Odometry()
-    odometry.times = [1_000, 1_100, 1_200]
-    odometry.poses = [Pose(0.0, 0.0, 3.0), Pose(0.1, 0.0, 3.1), Pose(0.2, 0.0, -3.08)]
-    assert odometry.at(1_025) == pytest.approx((0.025, 0.0, 3.025))
-    assert odometry.at(1_150).theta == pytest.approx(3.1 + 0.5 * (math.tau - 6.18) - math.tau)
-    assert odometry.at(999) is odometry.at(1_201) is None
+    assert found.late_s == pytest.approx(late_s, abs=0.005)
 
 
 def test_mount_is_refused_after_a_drive_without_a_turn():
     with pytest.raises(UsageError, match="turns by"):
-        find_mount(CameraFile(intrinsics=TRUE, mount=MOUNT), WALL, list(drive(0.05)))
+        find_mount(CameraFile(intrinsics=TRUE, mount=MOUNT), WALL, *drive(0.05))
 
 
 def test_printed_tags_are_true_to_size(monkeypatch):
@@ -122,7 +120,7 @@ def test_printed_tags_are_true_to_size(monkeypatch):
         "matplotlib.backends.backend_pdf.PdfPages.savefig", lambda self, figure: drawn.append(figure)
     )
     tag_pages([5, 17], 0.14, "a4")
-    board_page(BOARD, "a4")
+    board_page("letter")
     edges = []
     for figure in drawn:
         for found in Detector().detect(grey(figure, 150)):
@@ -132,8 +130,8 @@ def test_printed_tags_are_true_to_size(monkeypatch):
         (17, pytest.approx(0.14, abs=3e-4)),
     ]
     on_board = [edge for _, edge in edges if edge < 0.1]
-    assert len(on_board) == BOARD.columns * BOARD.rows
-    assert np.mean(on_board) == pytest.approx(BOARD.size, abs=2e-4)
+    assert len(on_board) == len(BOARD)
+    assert np.mean(on_board) == pytest.approx(BOARD_TAG_M, abs=2e-4)
 
 
 def grey(figure: Figure, dpi: int):

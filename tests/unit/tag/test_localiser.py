@@ -1,22 +1,16 @@
 """Pictures of a camera that works, and of cameras that do not."""
 
-import http.server
-import itertools
-import threading
-import time
-
 import cv2
 import numpy as np
 import pytest
 from kit.tags import CAMERA, WALL, picture_of
 
 from deploy.tag.camera import Picture, pictures_of
-from deploy.tag.localiser import FROZEN, OLD, TOO_BRIGHT, TOO_DARK, Localiser, drawn
+from deploy.tag.localiser import Localiser, drawn
 from deploy.tag.locate import Rejection
 from deploy.tag.run import until
 from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.core.geometry import Pose
-from sim.camera.render import PictureErrors
 
 POSE = Pose(0.9, 0.05, 0.1)
 SECOND_NS = 1_000_000_000
@@ -35,11 +29,17 @@ def test_pose_of_a_good_picture(localiser):
 
 
 @pytest.mark.parametrize(
-    ("gain", "reason"), [(0.0, TOO_DARK), (0.05, TOO_DARK), (12.0, TOO_BRIGHT), (1.0, str(Rejection.NO_TAG))]
+    ("gain", "reason"),
+    [
+        (0.0, Rejection.DARK),
+        (0.05, Rejection.DARK),
+        (12.0, Rejection.BRIGHT),
+        (1.0, Rejection.NO_TAG),
+    ],
 )
 def test_picture_without_tags_says_why(localiser, gain, reason):
     away = Pose(0.9, 0.0, 3.0) if gain == 1.0 else POSE
-    image = picture_of(away, errors=PictureErrors(gain=gain))
+    image = picture_of(away, gain=gain)
     assert localiser.take(Picture(image, SECOND_NS)) is None
     assert localiser.rejected == {reason: 1}
 
@@ -48,13 +48,13 @@ def test_frozen_camera_gives_no_more_poses(localiser):
     image = picture_of(POSE)
     got = [localiser.take(Picture(image, index * SECOND_NS // 4)) is not None for index in range(1, 9)]
     assert got == [True] + [False] * 7
-    assert localiser.rejected == {FROZEN: 7}
+    assert localiser.rejected == {Rejection.FROZEN: 7}
     assert localiser.take(Picture(picture_of(POSE, seed=2), 3 * SECOND_NS)) is not None
 
 
 def test_picture_of_two_seconds_ago_gives_no_pose(localiser):
     assert localiser.take(Picture(picture_of(POSE), SECOND_NS), 3 * SECOND_NS) is None
-    assert localiser.rejected == {OLD: 1}
+    assert localiser.rejected == {Rejection.OLD: 1}
 
 
 def test_other_resolution_than_the_calibrations_is_an_error(localiser):
@@ -91,77 +91,6 @@ def test_folder_of_pictures_is_read_in_order(tmp_path):
 def test_missing_source_is_one_line(tmp_path):
     with pytest.raises(FileError, match="no such file"):
         pictures_of(str(tmp_path / "nothing.mp4"))
-
-
-class Stream:
-    """An MJPEG server with ``parts``, of which each is bytes to send or seconds to wait."""
-
-    def __init__(self, parts):
-        class Handler(http.server.BaseHTTPRequestHandler):
-            def do_GET(self):
-                self.send_response(200)
-                self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=b")
-                self.end_headers()
-                for part in parts:
-                    if isinstance(part, bytes):
-                        self.wfile.write(part)
-                    else:
-                        time.sleep(part)
-
-            def log_message(self, *arguments):
-                pass
-
-        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self._server.daemon_threads = True
-        threading.Thread(target=self._server.serve_forever, daemon=True).start()
-        self.address = f"http://127.0.0.1:{self._server.server_address[1]}/"
-
-    def close(self):
-        self._server.shutdown()
-        self._server.server_close()
-
-
-def part(level, stamp=None):
-    data = cv2.imencode(".jpg", np.full((48, 64), level, np.uint8))[1].tobytes()
-    header = f"--b\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n"
-    header += f"X-Timestamp: {stamp}\r\n" if stamp else ""
-    return f"{header}\r\n".encode() + data + b"\r\n"
-
-
-@pytest.fixture
-def stream():
-    servers = []
-
-    def serve(*parts):
-        servers.append(Stream(parts))
-        return pictures_of(servers[-1].address, delay_s=0.25)
-
-    yield serve
-    for server in servers:
-        server.close()
-
-
-def test_stream_gives_the_newest_picture_with_its_moment(stream):
-    with stream(part(50, "12.5"), 0.4, part(90), 1.0) as camera:
-        pictures = iter(camera)
-        first, second = next(pictures), next(pictures)
-    assert (first.wall_ns, int(first.grey[0, 0])) == (12_500_000_000, 50)
-    assert int(second.grey[0, 0]) == 90
-    assert 0.2e9 < time.time_ns() - second.wall_ns < 5e9
-
-
-@pytest.mark.parametrize(
-    ("parts", "words"),
-    [
-        ((part(50),), "sends no more pictures"),
-        ((part(50), b"--b\r\nContent-Length: 4\r\n\r\nabcd"), "neither a JPEG nor a PNG"),
-        ((part(50), b"--b\r\nContent-Length: 99999999999\r\n\r\n"), "a picture of 99999999999 bytes"),
-        ((part(50), 3.5), "no picture for 3 s|timed out"),
-    ],
-)
-def test_camera_that_dies_ends_the_command_with_one_line(stream, parts, words):
-    with stream(*parts) as camera, pytest.raises(UsageError, match=words):
-        list(itertools.islice(iter(camera), 10))
 
 
 def test_reading_ends_when_the_user_wants():

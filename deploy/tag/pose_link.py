@@ -1,0 +1,40 @@
+"""The session of a localiser with a bridge."""
+
+import numpy as np
+import zenoh
+
+from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
+from rover_ncp.wire.cdr import encode
+from rover_ncp.wire.key_table import KEYS, TAG_VIEW, spec
+
+
+class PoseLink(ZenohClient):
+    """A session with a bridge that sends poses and pictures, and receives nothing."""
+
+    def __init__(self, address: BridgeAddress) -> None:
+        super().__init__(address, lambda row, data: None, own=[row.name for row in KEYS])
+
+    def _declare(self) -> None:
+        self._publisher = self._session.declare_publisher(self.key("pose"))
+        # A picture never delays a pose, nor anything else on the way.
+        self._viewed = self._session.declare_publisher(
+            self.key(TAG_VIEW),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.BACKGROUND,
+        )
+
+    def send(self, pose: bytes) -> None:
+        """Send a pose with the moment of its measurement."""
+        self._publisher.put(pose)
+
+    @property
+    def watched(self) -> bool:
+        """Whether a page receives pictures."""
+        return matches(self._viewed)
+
+    def show(self, jpeg: bytes) -> None:
+        """Send a picture for people; one that is too large for `watch` is left out."""
+        row = spec(TAG_VIEW)
+        data = encode(row.type, format="jpeg", data=np.frombuffer(jpeg, np.uint8))
+        if len(data) <= row.max_bytes:
+            self._viewed.put(data)

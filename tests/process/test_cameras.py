@@ -1,0 +1,215 @@
+"""Cameras over sockets: an MJPEG stream, a ROS 2 robot's in both Zenoh forms; poses of ROS for the bridge."""
+
+import http.server
+import itertools
+import json
+import math
+import threading
+import time
+
+import cv2
+import numpy as np
+import pytest
+from kit.tags import INFO, LENS, MAST, WALL, compressed_image, image, picture_of
+from kit.zenoh_session import open_router, repeating
+
+from bridge.ros2.discovery import Convention
+from bridge.ros2.ros_node import RosNode
+from deploy.tag.camera import pictures_of
+from deploy.tag.ros_camera import CAMERA_INFO, COMPRESSED, IMAGE
+from rover_ncp import cli
+from rover_ncp.core.config import dump_yaml
+from rover_ncp.core.errors import UsageError
+from rover_ncp.core.geometry import Pose
+from rover_ncp.wire.messages import (
+    POSE_STAMPED,
+    POSE_WITH_COVARIANCE,
+    TF,
+    Transform,
+    pose_stamped,
+    pose_with_covariance,
+    read_pose,
+    transforms,
+)
+
+POSE = Pose(0.9, 0.05, 0.1)
+
+
+class Stream:
+    """An MJPEG server with ``parts``, of which each is bytes to send or seconds to wait."""
+
+    def __init__(self, parts):
+        class Handler(http.server.BaseHTTPRequestHandler):
+            def do_GET(self):
+                self.send_response(200)
+                self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=b")
+                self.end_headers()
+                for part in parts:
+                    if isinstance(part, bytes):
+                        self.wfile.write(part)
+                    else:
+                        time.sleep(part)
+
+            def log_message(self, *arguments):
+                pass
+
+        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self._server.daemon_threads = True
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+        self.address = f"http://127.0.0.1:{self._server.server_address[1]}/"
+
+    def close(self):
+        self._server.shutdown()
+        self._server.server_close()
+
+
+def part(level, stamp=None):
+    data = cv2.imencode(".jpg", np.full((48, 64), level, np.uint8))[1].tobytes()
+    header = f"--b\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n"
+    header += f"X-Timestamp: {stamp}\r\n" if stamp else ""
+    return f"{header}\r\n".encode() + data + b"\r\n"
+
+
+@pytest.fixture
+def stream():
+    servers = []
+
+    def serve(*parts):
+        servers.append(Stream(parts))
+        return pictures_of(servers[-1].address, delay_s=0.25)
+
+    yield serve
+    for server in servers:
+        server.close()
+
+
+def test_stream_gives_the_newest_picture_with_its_moment(stream):
+    with stream(part(50, "12.5"), 0.4, part(90), 1.0) as camera:
+        pictures = iter(camera)
+        first, second = next(pictures), next(pictures)
+    assert (first.wall_ns, int(first.grey[0, 0])) == (12_500_000_000, 50)
+    assert int(second.grey[0, 0]) == 90
+    assert 0.2e9 < time.time_ns() - second.wall_ns < 5e9
+
+
+@pytest.mark.parametrize(
+    ("parts", "words"),
+    [
+        ((part(50),), "sends no more pictures"),
+        ((part(50), b"--b\r\nContent-Length: 4\r\n\r\nabcd"), "neither a JPEG nor a PNG"),
+        ((part(50), b"--b\r\nContent-Length: 99999999999\r\n\r\n"), "a picture of 99999999999 bytes"),
+        ((part(50), 3.5), "no picture for 3 s|timed out"),
+    ],
+)
+def test_camera_that_dies_ends_the_command_with_one_line(stream, parts, words):
+    with stream(*parts) as camera, pytest.raises(UsageError, match=words):
+        list(itertools.islice(iter(camera), 10))
+
+
+@pytest.fixture
+def publish():
+    """Return a function that publishes a robot's topics until the test ends, and the router's address."""
+    session, address = open_router()
+    latched = []
+    with repeating(session, 0.05) as start:
+
+        def publish(convention, topics):
+            node = RosNode(session, convention, domain=3)
+            for data in (MAST, LENS):
+                latched.append(node.publisher("tf_static", TF, latched=True))
+                latched[-1].put(data)
+            for name, ros_type, data in topics:
+                publisher = node.publisher(name, ros_type)
+                start(lambda number, put=publisher.put, data=data: put(data[number % len(data)]))
+            return address
+
+        yield publish
+
+
+@pytest.mark.parametrize(
+    ("convention", "settings", "ros_type", "message"),
+    [
+        (Convention.ROS2DDS, "#image=camera/image_raw", IMAGE, image),
+        (
+            Convention.RMW_ZENOH,
+            "#rmw=zenoh&domain=3&image=camera/image_raw/compressed",
+            COMPRESSED,
+            compressed_image,
+        ),
+    ],
+)
+def test_poses_come_from_a_ros_camera_with_its_own_camera_info_and_mount(
+    publish, convention, settings, ros_type, message, tmp_path, capsys
+):
+    pictures = [message(picture_of(POSE, seed=seed)) for seed in range(3)]
+    topic = settings.partition("image=")[2]
+    topics = [(topic, ros_type, pictures), ("camera/camera_info", CAMERA_INFO, [INFO])]
+    source = f"ros2/{publish(convention, topics)}{settings}"
+    tags = tmp_path / "tags.yaml"
+    tags.write_text(dump_yaml(WALL.model_dump(mode="json")))
+    assert cli.run(["tag", "run", "--camera", source, "--map", str(tags), "--seconds", "1", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["poses"] >= 2
+    assert math.dist((found["last"]["x"], found["last"]["y"]), POSE[:2]) < 0.01
+
+
+def test_ros_camera_without_camera_info_says_what_to_give(publish, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("deploy.tag.ros_camera.WAIT_S", 0.3)
+    tags = tmp_path / "tags.yaml"
+    tags.write_text(dump_yaml(WALL.model_dump(mode="json")))
+    source = f"ros2/{publish(Convention.ROS2DDS, [])}"
+    assert cli.run(["tag", "run", "--camera", source, "--map", str(tags)]) == 2
+    assert (
+        "no camera_info on 'camera/camera_info' within 0.3 s; give --camera-file" in capsys.readouterr().err
+    )
+
+
+AMCL = pose_with_covariance(POSE, np.eye(3) * 1e-4, 7, "map")
+TRANSFORMS = transforms(
+    [
+        Transform("map", "odom", 0.0, 0.0, 0.0, 0.0),
+        Transform("odom", "base_link", *POSE[:2], 0.0, POSE.theta),
+    ],
+    7,
+)
+
+
+@pytest.mark.parametrize(
+    ("topic", "ros_type", "data", "convention", "settings"),
+    [
+        ("amcl_pose", POSE_WITH_COVARIANCE, AMCL, Convention.RMW_ZENOH, "#rmw=zenoh&domain=3"),
+        ("here", POSE_STAMPED, pose_stamped(POSE, 7, "map"), Convention.ROS2DDS, "#topic=here"),
+        ("tf", TF, TRANSFORMS, Convention.ROS2DDS, "#topic=tf"),
+    ],
+)
+def test_poses_of_ros_reach_the_bridge(publish, topic, ros_type, data, convention, settings, capsys):
+    source = publish(convention, [(topic, ros_type, [data])])
+    bridge, address = open_router()
+    with bridge:
+        arrived = []
+        held = bridge.declare_subscriber("pose", lambda sample: arrived.append(sample.payload.to_bytes()))
+        command = [
+            "tag",
+            "relay",
+            "--from",
+            f"ros2/{source}{settings}",
+            "--robot",
+            address,
+            "--seconds",
+            "0.6",
+        ]
+        assert cli.run([*command, "--json"]) == 0
+        del held
+    assert json.loads(capsys.readouterr().out)["poses"] == len(arrived) > 0
+    found = read_pose(arrived[0])
+    assert found.pose == pytest.approx(POSE)
+    assert (found.frame, found.covariance[0, 0]) == ("map", 1e-4 if topic == "amcl_pose" else 0.0)
+
+
+def test_pose_of_another_frame_is_not_relayed_and_names_both(publish, capsys):
+    source = publish(Convention.ROS2DDS, [("amcl_pose", POSE_WITH_COVARIANCE, [AMCL])])
+    bridge, address = open_router()
+    with bridge:
+        command = ["tag", "relay", "--from", f"ros2/{source}", "--robot", address, "--seconds", "0.5"]
+        assert cli.run([*command, "--frame", "odom"]) == 1
+    assert capsys.readouterr().out.count("pose in frame 'map', expected 'odom'") == 1

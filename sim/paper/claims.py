@@ -227,7 +227,7 @@ def fact(store: ResultStore, of: str, expected: Any, **arguments: Any) -> Outcom
         return _too_few(0)
     if found == expected:
         return Outcome(str(found), Verdict.REPRODUCED)
-    return Outcome(f"{found} against {expected}", Verdict.DIFFERS)
+    return Outcome(f"{found}; in the paper: {expected}", Verdict.DIFFERS)
 
 
 def _fewest_parameters(_: ResultStore, task: str) -> str:
@@ -235,7 +235,9 @@ def _fewest_parameters(_: ResultStore, task: str) -> str:
     sizes = {"circuit": circuit.layout().size}
     sizes |= {agent: net_for(circuit, NetKind(agent)).layout().size for agent in NETWORKS}
     fewest = min(sizes, key=sizes.__getitem__)
-    return f"the {fewest} has the fewest, {sizes[fewest]}"
+    if fewest == "circuit":
+        return "the circuit has the fewest"
+    return f"the {fewest.upper()} has the fewest, {sizes[fewest]}, the circuit {sizes['circuit']}"
 
 
 def _overlapping_time_constants(

@@ -27,6 +27,12 @@ LAYOUTS = {
 """Agents of the paper's tables, in their order."""
 _BUDGETS = (BudgetName.PUBLISHED, BudgetName.ALGORITHM1, BudgetName.GRADIENTS)
 _COLUMNS = ("pendulum", "mountain-car", "half-cheetah")
+_HEADS = {
+    Verdict.REPRODUCED: "holds",
+    Verdict.DIFFERS: "does not hold",
+    Verdict.INCONCLUSIVE: "undecided",
+    Verdict.NOT_TESTED: "not tested",
+}
 
 
 class GroupRow(BaseModel):
@@ -53,7 +59,7 @@ def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Judged])
     counts = Counter(claim.verdict for claim in judged)
     parts = [
         answers(file, judged),
-        f"Of {len(judged)} claims: " + ", ".join(f"{counts[each]} {each}" for each in Verdict) + ".",
+        f"Of {len(judged)} claims: " + ", ".join(f"{_HEADS[each]} {counts[each]}" for each in Verdict) + ".",
         *(f"**{name}**\n\n{paper_table(store, file, name)}" for name in LAYOUTS),
         f"**Interquartile means**\n\n{iqm_table(store)}",
         f"**Definition 1**\n\n{sign_table(store, file)}",
@@ -74,22 +80,20 @@ def claims_table(judged: Sequence[Judged]) -> str:
 
 
 def answers(file: ClaimsFile, judged: Sequence[Judged]) -> str:
-    """Return the page's questions with their claims by verdict."""
+    """Return the page's questions with their claims in words, by verdict."""
     by_name = {claim.name: claim for claim in judged}
-    rows: list[Row] = [("question", "holds", "does not hold", "not known")]
+    rows: list[Row] = [("question", *(_HEADS[verdict] for verdict in Verdict))]
     for number, (question, names) in enumerate(file.questions.items(), start=1):
-        found: dict[Verdict, list[str]] = {verdict: [] for verdict in Verdict}
-        untested: dict[str, list[str]] = {}
+        cells: dict[Verdict, list[str]] = {verdict: [] for verdict in Verdict}
+        reasons: dict[str, list[str]] = {}
         for claim in (by_name[name] for name in names):
             why = f" ({claim.why})" if claim.verdict is Verdict.INCONCLUSIVE else ""
             if claim.verdict is Verdict.NOT_TESTED:
-                untested.setdefault(claim.why, []).append(f"`{claim.name}`")
+                reasons.setdefault(claim.why, []).append(claim.words)
             else:
-                found[claim.verdict].append(f"`{claim.name}` {claim.figure}{why}")
-        not_known = found[Verdict.INCONCLUSIVE]
-        not_known += [f"not tested: {', '.join(names)} ({why})" for why, names in untested.items()]
-        cells = (found[Verdict.REPRODUCED], found[Verdict.DIFFERS], not_known)
-        rows.append((f"{number}. {question}", *map("; ".join, cells)))
+                cells[claim.verdict].append(f"{claim.words}: {claim.figure}{why}")
+        cells[Verdict.NOT_TESTED] = [f"{', '.join(words)}: {why}" for why, words in reasons.items()]
+        rows.append((f"{number}. {question}", *map("; ".join, cells.values())))
     return markdown(rows)
 
 

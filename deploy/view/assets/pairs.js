@@ -36,7 +36,7 @@ class Pair {
     plot($("pair-slopes"), 300, [{
       type: "bar", x: bins.map((_, k) => (k + 0.5) * width - 90), y: bins, width: 0.86 * width, hovertemplate: "%{y}<extra></extra>",
       marker: { color: falling.map((down) => (down ? COLOR.red : COLOR.blue)), pattern: { shape: falling.map((down) => (down ? "/" : "")) } },
-    }], { hovermode: "closest", xaxis: axis("slope", { tickvals: [-90, -45, 0, 45, 90], ticksuffix: "°", range: [-92, 92] }), yaxis: axis("points") });
+    }], { hovermode: "closest", xaxis: axis("slope (°)", { tickvals: [-90, -45, 0, 45, 90], range: [-92, 92] }), yaxis: axis("points") });
   }
 
   update(i) {

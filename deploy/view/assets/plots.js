@@ -172,10 +172,11 @@ class Commands extends TimePlot {
     const styles = Object.values(COMMAND_LINES), count = outputs.length;
     legend($("commands-legend"), Object.entries(COMMAND_LINES).filter((_, k) => streams[k].t.length));
     const axisOf = (row) => (row === count - 1 ? "" : row + 2); // the last one carries the axis of time
+    const scale = streams.some((columns) => columns.t.length) ? {} : { range: [-0.2, 0.2] }; // Plotly's own is -1 to 4
     const traces = outputs.flatMap(([name], row) => streams.map((columns, k) => (
       { x: columns.t, y: columns[name], yaxis: `y${axisOf(row)}`, mode: "lines", line: { ...styles[k], shape: columns === drive.odometry ? "linear" : "hv" } })));
     const axes = outputs.map(([, text], row) => [`yaxis${axisOf(row)}`, axis(text, {
-      domain: [(count - 1 - row) / count, (count - row - (row ? 0.08 : 0)) / count], zeroline: true, zerolinecolor: COLOR.grey })]);
+      domain: [(count - 1 - row) / count, (count - row - (row ? 0.08 : 0)) / count], zeroline: true, zerolinecolor: COLOR.grey, ...scale })]);
     this.show(60 + 160 * count, traces, Object.fromEntries(axes));
   }
 }

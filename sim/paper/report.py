@@ -27,12 +27,7 @@ LAYOUTS = {
 """Agents of the paper's tables, in their order."""
 _BUDGETS = (BudgetName.PUBLISHED, BudgetName.ALGORITHM1, BudgetName.GRADIENTS)
 _COLUMNS = ("pendulum", "mountain-car", "half-cheetah")
-_HEADS = {
-    Verdict.REPRODUCED: "holds",
-    Verdict.DIFFERS: "does not hold",
-    Verdict.INCONCLUSIVE: "undecided",
-    Verdict.NOT_TESTED: "not tested",
-}
+_HEADS = dict(zip(Verdict, ("holds", "does not hold", "undecided", "not tested"), strict=True))
 
 
 class GroupRow(BaseModel):

@@ -45,6 +45,7 @@ from deploy.estimator.motion import (
     moving,
     standing,
     true_motion,
+    turned_without_gain,
 )
 from deploy.estimator.settings import GYRO_S, TURN_GAINS, EstimatorSettings
 from rover_ncp.core.geometry import Pose, wrap_angle
@@ -212,6 +213,12 @@ class History:
         """Return the turn rate that a gyro should show."""
         x = self._entries[self._valid - 1].x
         return true_motion(x, self._settings)[2] / float(x[GYRO]) + float(x[BIAS])
+
+    def gyro_turn(self, turned: float, seconds: float) -> float:
+        """Return the angle that a gyro should show while odometry turns by ``turned`` rad."""
+        x = self._entries[self._valid - 1].x
+        rate = x[GAIN] * turned_without_gain(turned / seconds, self._settings)[0]
+        return float(rate + x[BIAS]) * seconds
 
     def at(self, t: float) -> tuple[Array, Array]:
         """Return state (19,) and covariance (19, 19) at ``t``, before the history those of its begin."""

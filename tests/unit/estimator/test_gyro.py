@@ -153,3 +153,25 @@ def test_described_noise_of_a_gyro_enters_the_estimate():
         settings=settings_for(None, noisy),
     )
     assert not estimator.fault
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_gyro_that_comes_late_and_unevenly_does_not_move_the_heading(seed):
+    """A robot turns in pulses, as one does that has a least wheel speed. Both of its sensors are exact."""
+    random = np.random.default_rng(seed)
+    estimator = Estimator(settings_for(None, load_description("turtlebot4")))
+    estimator.start(Pose(0.0, 0.0, 0.0), 0.0)
+    own = shown = shown_t = worst = 0.0
+    period, pulses = 0.05, 0.3 * random.integers(-1, 2, 160)
+    for tick in range(1, 320):
+        t, omega = tick * period, pulses[tick // 2]
+        before, own = own, own + omega * period
+        if random.random() < 0.7:  # else its message waits until the next one, with their mean
+            newest = t - period * random.integers(0, 2)
+            if newest > shown_t:
+                turned = (own if newest == t else before) - shown
+                estimator.gyro(turned / (newest - shown_t), newest)
+                shown, shown_t = shown + turned, newest
+        estimator.odometry(*reported(Pose(0.0, 0.0, wrap_angle(own)), Velocity(0.0, omega)), t)
+        worst = max(worst, abs(wrap_angle(estimator.at(t).pose.theta - own)))
+    assert worst < 0.005

@@ -101,7 +101,7 @@ def on_files(files: Any, config: Any) -> Any:
     for name, page in reference_pages().items():
         files.append(File.generated(config, f"reference/{name}", content=page))
     table = claims_table(judge_claims(ResultStore(DOCS.parent / "results"), load_claims().claims))
-    files.append(File.generated(config, "paper_tables.md", content=f"# All claims\n\n{table}\n"))
+    files.append(File.generated(config, "paper_tables.md", content=f"# All claims of the paper\n\n{table}\n"))
     return files
 
 

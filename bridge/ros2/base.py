@@ -196,7 +196,7 @@ class Ros2Base:
 
     def health(self) -> LinkHealth:
         counters = self._odometer.counters
-        return LinkHealth(counters["unreadable"] > 0, counters)
+        return LinkHealth(counters["unreadable"] > 0, counters | {"imu left out": self._turns.left_out})
 
     @property
     def note(self) -> str:

@@ -23,6 +23,8 @@ class GyroTurns:
         """When the newest message was measured, on the bridge's clock."""
         self._rad = self._seconds = self._rate = 0.0
         self._new = False
+        self.left_out = 0
+        """How many messages did not count."""
 
     def take(self, payload: bytes, arrived_s: float) -> None:
         """Take a message; those that are not finite, not new, or of a doubtful stamp are left out.
@@ -35,6 +37,7 @@ class GyroTurns:
             measured_ns = self._clock.measured_ns(sample.stamp_ns, round(arrived_s * 1e9))
             at_s = None if measured_ns is None else measured_ns * 1e-9
         if at_s is None or at_s <= self._at_s or not math.isfinite(sample.rate):
+            self.left_out += 1
             return
         seconds = at_s - self._at_s
         if seconds > GAP_S:

@@ -132,6 +132,9 @@ class Measurements:
                 found.append(_measurement(topic, *self._before[topic], clock.late_ns))
                 self.doubtful[topic] -= 1
             if measured_ns is not None:
+                if topic == "imu":  # the bridge stamps it as odometry, with the gyro's age in it
+                    same_ns = self._clocks["odom"].moment_ns(sample.stamp_ns)
+                    measured_ns = min(arrival.arrival_ns, measured_ns if same_ns is None else same_ns)
                 found.append(_measurement(topic, arrival, sample, measured_ns))
             else:
                 self.doubtful[topic] += 1

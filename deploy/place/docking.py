@@ -188,13 +188,13 @@ class Docking:
             case Stage.NAV_TO_STAGING_POSE if ended:
                 self._staged(index, estimate.pose)
             case Stage.CONTROLLING if self._undock and ended and self._stands_at_staging(estimate.pose):
-                self._end()
+                self._end(DockError.NONE)
             case Stage.CONTROLLING if self._undock and ended:
                 self._end(DockError.FAILED_TO_CONTROL, "the rover is not at the staging pose")
             case Stage.CONTROLLING if not self._undock and (contact or ended):
                 self._judge(index, t, contact, charging)
             case Stage.WAIT_FOR_CHARGE if charging:
-                self._end()
+                self._end(DockError.NONE)
             case Stage.WAIT_FOR_CHARGE if t >= self._charge_until:
                 words = f"no charge within {CHARGE_S:g} s"
                 self._missed(index, estimate.pose, DockError.FAILED_TO_CHARGE, words)
@@ -230,7 +230,7 @@ class Docking:
         if why:
             self._missed(index, pose, DockError.FAILED_TO_CONTROL, why)
         else:
-            self._end()
+            self._end(DockError.NONE)
 
     def _missed(self, index: int, pose: Pose, error: DockError, why: str) -> None:
         """Go back to the staging pose."""
@@ -262,7 +262,7 @@ class Docking:
         self._begin(Stage.NAV_TO_STAGING_POSE, self._leg(self._staging, way), index, pose)
         return ""
 
-    def _end(self, error: DockError = DockError.NONE, why: str = "") -> None:
+    def _end(self, error: DockError, why: str = "") -> None:
         self.over, self._error, self._why = True, error, why
 
     def _begin(self, stage: Stage, leg: "_Leg", index: int, pose: Pose) -> None:

@@ -65,17 +65,19 @@ def _video(path: Path) -> Iterator[Picture]:
     if not capture.isOpened():
         raise FileError(f"{path}: not a video that OpenCV reads")
     began_ns = path.stat().st_mtime_ns
-    for grey in _read(capture):
+    for grey, _ in _read(capture):
         yield Picture(grey, began_ns + round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6))
 
 
-def _read(capture: cv2.VideoCapture) -> Iterator[NDArray[np.uint8]]:
-    """Yield the grey levels of all pictures."""
+def _read(capture: cv2.VideoCapture) -> Iterator[tuple[NDArray[np.uint8], int]]:
+    """Yield the grey levels of all pictures, and when each was read (ns)."""
     while True:
         more, frame = capture.read()
+        read_ns = time.time_ns()
         if not more:
             return
-        yield np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame, np.uint8)
+        grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame
+        yield np.asarray(grey, np.uint8), read_ns
 
 
 class LiveCamera(ClosedAtExit):
@@ -131,8 +133,8 @@ class ReadCamera(LiveCamera):
         if not capture.isOpened():
             raise ValueError("no such camera, or another program uses it")
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-        for grey in _read(capture):
-            yield partial(Picture, grey, time.time_ns() - self._delay_ns)
+        for grey, read_ns in _read(capture):
+            yield partial(Picture, grey, read_ns - self._delay_ns)
 
     def _stream(self) -> Iterator[Callable[[], Picture]]:
         with urllib.request.urlopen(self._source, timeout=TIMEOUT_S) as stream:

@@ -15,7 +15,7 @@ from deploy.tag.pose_link import PoseLink
 from deploy.tag.ros_source import Frames, RosSource
 from deploy.zenoh_client import BridgeAddress, with_covariance
 from rover_ncp.core.console import Output
-from rover_ncp.core.errors import FormatError
+from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
@@ -37,10 +37,13 @@ class RelayResult(BaseModel):
 class TransformPoses:
     """Poses of the base in ``frame``, one for each transform of that frame: as often as a localiser corrects.
 
-    AMCL dates its transform ahead, so the moment is that of the transform of the base.
+    AMCL dates its transform ahead, so the moment is that of the transform of the base. Raises UsageError for
+    a frame of the base itself.
     """
 
     def __init__(self, frame: str) -> None:
+        if frame in {BASE_FRAME, FOOTPRINT}:
+            raise UsageError(f"--frame {frame}: that is the base; give the frame of the poses, such as map")
         self._frame, self._frames = frame, Frames()
 
     def take(self, data: bytes) -> bytes | None:
@@ -52,8 +55,12 @@ class TransformPoses:
         frame, corrected, links = self._frame, self._frames.take(data), self._frames.links
         if frame not in corrected and any(parent == frame for parent, _, _ in links.values()):
             return None
-        base = FOOTPRINT if FOOTPRINT in links and BASE_FRAME not in links else BASE_FRAME
-        found = self._frames.pose(frame, base)
+        try:
+            base, found = BASE_FRAME, self._frames.pose(frame, BASE_FRAME)
+        except FormatError:
+            if FOOTPRINT not in links:
+                raise
+            base, found = FOOTPRINT, self._frames.pose(frame, FOOTPRINT)
         pose = Pose(float(found[0, 3]), float(found[1, 3]), math.atan2(found[1, 0], found[0, 0]))
         return pose_with_covariance(pose, np.zeros((3, 3)), links[base][2], frame)
 

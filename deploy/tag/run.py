@@ -147,7 +147,8 @@ def calibrate_mount(
     values = ", ".join(f"{name} {getattr(mount, name):.4f} ± {std:.4f}" for name, std in deviations.items())
     output.result(
         result.model_dump(),
-        f"wrote {camera_file}: {values} (m, rad); corners fit to {rms:.2f} px, pictures {late_s:.3f} s late",
+        f"wrote {camera_file}: {values} (m, rad); corners fit to {rms:.2f} px; pictures {late_s:.3f} s late: "
+        "add it to delay_s there if they carry no moments of their own",
     )
 
 

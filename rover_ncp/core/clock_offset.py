@@ -88,6 +88,12 @@ class StampClock:
             return None
         return moment_ns - self._zero.offset_ns - round(self._offset_s * 1e9)
 
+    def moment_ns(self, stamp_ns: int) -> int | None:
+        """Return the receiver's time of a sender's stamp, with the least transit; None before any message."""
+        if self._last is None:
+            return None
+        return stamp_ns + self._zero.offset_ns + round(self._offset_s * 1e9)
+
     def _decide(self, seen: _Arrival, doubted: _Arrival, last: _Arrival) -> None:
         from_doubted, from_last = (abs(seen.offset_ns - other.offset_ns) for other in (doubted, last))
         # Messages that waited somewhere arrive in a burst: their offsets are near, whatever their clock.

@@ -83,3 +83,4 @@ def test_a_message_that_comes_twice_counts_once(world):
             world.hear("imu", imu(rate, world.clock_s + world.now))
     world.run(0.06)
     assert [turn.rate for turn in world.turns] == [pytest.approx(0.2)]
+    assert world.base.health().counters["imu left out"] == 1

@@ -86,3 +86,16 @@ def test_the_first_unreadable_pose_is_named(log):
         driver.source.poses.put(Arrival(data.replace(rotation, bytes(16)), 0))
     assert driver.measurements.poses() == []
     assert log.messages == ["a message on 'pose' is not used: the orientation 0, 0, 0, 0 is not a rotation"]
+
+
+@pytest.mark.parametrize("age_ms", [0, 50, 150])
+def test_the_age_of_a_gyro_reading_counts_beside_odometry_though_all_have_it(age_ms):
+    source = SimpleNamespace(odometry=Inbox(1), gyro=Inbox(), poses=Inbox())
+    measurements = Measurements(source)
+    for number in range(20):
+        stamp, arrival = WALL_NS + number * PERIOD, number * PERIOD + TRANSIT
+        source.odometry.put(Arrival(MESSAGES["odom"](stamp), arrival))
+        odometry_ns = measurements.odometry(0).ref.measured_ns
+        source.gyro.put(Arrival(MESSAGES["imu"](stamp - age_ms * MS), arrival))
+        [reading] = measurements.gyro()
+        assert (odometry_ns - reading.ref.measured_ns) / MS == pytest.approx(age_ms, abs=0.001)

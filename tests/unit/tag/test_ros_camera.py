@@ -127,3 +127,18 @@ def test_transforms_give_a_pose_each_time_the_localiser_corrects():
     assert poses.take(transforms([odom], 6)) is None
     with pytest.raises(FormatError, match="is not a rotation"):
         poses.take(encode(TF, transforms=[{"header": {"frame_id": "map"}, "child_frame_id": "odom"}]))
+
+
+@pytest.mark.parametrize("frame", ["base_link", "base_footprint"])
+def test_a_frame_of_the_base_has_no_poses(frame):
+    with pytest.raises(UsageError, match="that is the base"):
+        TransformPoses(frame)
+
+
+def test_the_footprint_is_the_base_where_base_link_is_not_connected():
+    poses = TransformPoses("map")
+    links = [
+        Transform("chassis", "base_link", 9.0, 9.0, 0.0, 0.0),
+        Transform("map", "base_footprint", 2.0, 1.0, 0.0, 0.5),
+    ]
+    assert read_pose(poses.take(transforms(links, 5))).pose == pytest.approx((2.0, 1.0, 0.5))

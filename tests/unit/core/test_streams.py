@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[3]
 INDICES = (*range(20), 2**32 - 1, 2**32, 2**33 + 5, 2**40)
 OWN_GENERATORS = {
     "rover_ncp/core/streams.py",
-    "rover_ncp/course/course.py",  # one fixed sample of a distribution, not an experiment
+    "rover_ncp/course/scoring.py",  # one fixed sample of a distribution, not an experiment
     "sim/learn/random_circuit.py",  # the only user of a seed without a spawn key
     "sim/learn/search/base.py",  # draws the seeds of sim.paper
 }

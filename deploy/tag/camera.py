@@ -80,6 +80,12 @@ def _read(capture: cv2.VideoCapture) -> Iterator[tuple[NDArray[np.uint8], int]]:
         yield np.asarray(grey, np.uint8), read_ns
 
 
+class Ended(str):
+    """Why a camera ended; it does not take the place of the last picture."""
+
+    __slots__ = ()
+
+
 class LiveCamera(ClosedAtExit):
     """The newest picture of a camera that runs: no picture waits in a queue.
 
@@ -89,19 +95,24 @@ class LiveCamera(ClosedAtExit):
 
     def __init__(self, source: str) -> None:
         self._source = source
-        self.newest = Inbox[Callable[[], Picture]](1)
-        """A function that decodes the newest picture, or raises ValueError."""
+        self.newest = Inbox[Callable[[], Picture] | Ended](2)
+        """Functions that decode the newest pictures, or raise ValueError, and an end."""
 
     def __iter__(self) -> Iterator[Picture]:
         while True:
             arrived = self.newest.take(TIMEOUT_S)
-            try:
-                if not arrived:
-                    raise ValueError(f"no picture for {TIMEOUT_S:g} s")
-                picture = arrived[0]()
-            except ValueError as error:
-                raise UsageError(f"camera {self._source}: {error}") from error
-            yield picture
+            pictures = [each for each in arrived if not isinstance(each, Ended)]
+            ends = [each for each in arrived if isinstance(each, Ended)]
+            if not arrived:
+                ends = [Ended(f"no picture for {TIMEOUT_S:g} s")]
+            for decode in pictures[-1:]:
+                try:
+                    picture = decode()
+                except ValueError as error:
+                    raise UsageError(f"camera {self._source}: {error}") from error
+                yield picture
+            if ends:
+                raise UsageError(f"camera {self._source}: {ends[0]}")
 
 
 class ReadCamera(LiveCamera):
@@ -126,7 +137,7 @@ class ReadCamera(LiveCamera):
             why = "it sends no more pictures"
         except (OSError, ValueError) as error:
             why = str(error)
-        self.newest.put(partial(_lost, why))
+        self.newest.put(Ended(why))
 
     def _device(self) -> Iterator[Callable[[], Picture]]:
         capture = cv2.VideoCapture(int(self._source))
@@ -147,10 +158,6 @@ class ReadCamera(LiveCamera):
                 if STAMP in headers:
                     wall_ns = round(float(headers[STAMP]) * 1e9)
                 yield partial(compressed, np.frombuffer(data, np.uint8), wall_ns)
-
-
-def _lost(why: str) -> Picture:
-    raise ValueError(why)
 
 
 def compressed(data: NDArray[np.uint8], wall_ns: int) -> Picture:

@@ -4,6 +4,7 @@ import http.server
 import itertools
 import json
 import math
+import struct
 import threading
 import time
 
@@ -106,6 +107,12 @@ def test_camera_that_dies_ends_the_command_with_one_line(stream, parts, words):
         list(itertools.islice(iter(camera), 10))
 
 
+def stamped(data):
+    """Return a message that begins with a header, stamped now."""
+    now_ns = time.time_ns()
+    return data[:4] + struct.pack("<iI", now_ns // 10**9, now_ns % 10**9) + data[12:]
+
+
 @pytest.fixture
 def publish():
     """Return a function that publishes a robot's topics until the test ends, and the router's address."""
@@ -120,7 +127,10 @@ def publish():
                 latched[-1].put(data)
             for name, ros_type, data in topics:
                 publisher = node.publisher(name, ros_type)
-                start(lambda number, put=publisher.put, data=data: put(data[number % len(data)]))
+                now = stamped if ros_type in {IMAGE, COMPRESSED} else bytes
+                start(
+                    lambda number, put=publisher.put, data=data, now=now: put(now(data[number % len(data)]))
+                )
             return address
 
         yield publish

@@ -8,10 +8,7 @@ import math
 
 from bridge.base import TurnRate
 from rover_ncp.core.clock_offset import StampClock
-from rover_ncp.wire.messages import read_imu
-
-GAP_S = 0.25
-"""A message that comes later than this after the one before says nothing about the time between them."""
+from rover_ncp.wire.messages import GYRO_GAP_S, read_imu
 
 
 class GyroTurns:
@@ -40,7 +37,7 @@ class GyroTurns:
             self.left_out += 1
             return
         seconds = at_s - self._at_s
-        if seconds > GAP_S:
+        if seconds > GYRO_GAP_S:
             self._rad = self._seconds = 0.0
         else:
             self._rad += sample.rate * seconds

@@ -133,7 +133,7 @@ class Measurements:
                 self.doubtful[topic] -= 1
             if measured_ns is not None:
                 if topic == "imu":  # the bridge stamps it as odometry, with the gyro's age in it
-                    same_ns = self._clocks["odom"].moment_ns(sample.stamp_ns)
+                    same_ns = self._clocks["odom"].receiver_ns(sample.stamp_ns)
                     measured_ns = min(arrival.arrival_ns, measured_ns if same_ns is None else same_ns)
                 found.append(_measurement(topic, arrival, sample, measured_ns))
             else:

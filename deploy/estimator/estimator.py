@@ -40,10 +40,9 @@ from deploy.estimator.motion import (
     turned_without_gain,
 )
 from deploy.estimator.settings import GYRO_S, EstimatorSettings
-from rover_ncp.core.geometry import Pose, Velocity, compose, inverse, wrap_angle
+from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
+from rover_ncp.wire.messages import GYRO_GAP_S
 
-GYRO_GAP_S = 0.25
-"""After a longer gap the turn of the gap is unknown."""
 GYRO_OFF_RAD_S = 1.0
 """A reading with a larger error, beyond five standard deviations of its noise, is rejected."""
 LATE, EARLY = 1.5, 0.5
@@ -102,28 +101,6 @@ class _Gyro:
         return self._rad + (since(self._t) if t > self._t else self._rate * (t - self._t))
 
 
-class _Headings:
-    """Odometry's accepted headings of the last moments, not wrapped."""
-
-    def __init__(self) -> None:
-        self._seen: deque[tuple[float, float]] = deque()
-
-    def add(self, t: float, heading: float) -> None:
-        """Add the heading at ``t``."""
-        self._seen.append((t, self._unwrapped(heading)))
-        while t - self._seen[0][0] > 2.0 * GYRO_GAP_S:
-            self._seen.popleft()
-
-    def turned(self, begin: float, heading: float, t: float) -> float:
-        """Return the turn from ``begin`` until ``t``, where odometry reports ``heading``."""
-        times, headings = zip(*self._seen, (t, self._unwrapped(heading)), strict=True)
-        return float(headings[-1] - np.interp(begin, times, headings))
-
-    def _unwrapped(self, heading: float) -> float:
-        last = self._seen[-1][1] if self._seen else heading
-        return last + wrap_angle(heading - last)
-
-
 class _BurstStamps:
     """Times at which the samples of a burst were due.
 
@@ -151,7 +128,7 @@ class Estimator:
     def __init__(self, settings: EstimatorSettings | None = None) -> None:
         self._settings = settings or EstimatorSettings()
         self._started: History | None = None
-        self._gyro, self._bursts, self._headings = _Gyro(), _BurstStamps(), _Headings()
+        self._gyro, self._bursts = _Gyro(), _BurstStamps()
         self._gyro_off_rad_s = GYRO_OFF_RAD_S + 5.0 * self._settings.gyro_rad / GYRO_S
         self.rejected = 0
         """Odometry samples rejected so far."""
@@ -183,7 +160,6 @@ class Estimator:
         if sure is None:
             raise ValueError(f"cannot start with the covariance {covariance}")
         self._started = History(self._settings, t, own, pose, sure)
-        self._headings = _Headings()
 
     def odometry(self, pose: Pose, velocity: Velocity, t: float) -> Outcome:
         """Apply odometry measured at ``t``: pose in its own frame, v in m/s, ω in rad/s."""
@@ -195,13 +171,10 @@ class Estimator:
             if due < t and self._history.misfit(z, due) < self._history.misfit(z, t):
                 t = due
             # A gyro may lag: its rate of then, in a turn that begins or ends, would look like a bias.
-            angle = self._gyro.angle(
-                t, lambda at: self._history.gyro_turn(self._headings.turned(at, pose.theta, t), t - at)
-            )
+            angle = self._gyro.angle(t, lambda read: self._history.gyro_turn(read, pose.theta, t))
             outcome, turn, waited = self._history.odometry(z, angle, t)
             self._count_gyro(turn)
         if outcome is Outcome.ACCEPTED:
-            self._headings.add(t, pose.theta)
             self._in_a_row[ODOMETRY] = 0
             for waiting in waited:
                 self._count(waiting)

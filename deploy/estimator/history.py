@@ -214,11 +214,18 @@ class History:
         x = self._entries[self._valid - 1].x
         return true_motion(x, self._settings)[2] / float(x[GYRO]) + float(x[BIAS])
 
-    def gyro_turn(self, turned: float, seconds: float) -> float:
-        """Return the angle that a gyro should show while odometry turns by ``turned`` rad."""
+    def gyro_turn(self, begin: float, heading: float, t: float) -> float:
+        """Return the angle that a gyro should show from ``begin`` until odometry at ``t`` has ``heading``."""
+        turned, after, seconds = 0.0, t, t - begin
+        for entry in reversed(self._entries):
+            if after <= begin:
+                break
+            if isinstance(entry.measured, Odometry) and entry.t < after:
+                before = float(entry.measured.z[THETA])
+                turned += wrap_angle(heading - before) * min(1.0, (after - begin) / (after - entry.t))
+                after, heading = entry.t, before
         x = self._entries[self._valid - 1].x
-        rate = x[GAIN] * turned_without_gain(turned / seconds, self._settings)[0]
-        return float(rate + x[BIAS]) * seconds
+        return float(x[GAIN] * turned_without_gain(turned / seconds, self._settings)[0] + x[BIAS]) * seconds
 
     def at(self, t: float) -> tuple[Array, Array]:
         """Return state (19,) and covariance (19, 19) at ``t``, before the history those of its begin."""

@@ -86,13 +86,11 @@ class StampClock:
         """Return the sender's time at a moment, at most a transit behind; None before the first message."""
         if self._last is None:
             return None
-        return moment_ns - self._zero.offset_ns - round(self._offset_s * 1e9)
+        return moment_ns - self._offset_ns
 
-    def moment_ns(self, stamp_ns: int) -> int | None:
+    def receiver_ns(self, stamp_ns: int) -> int | None:
         """Return the receiver's time of a sender's stamp, with the least transit; None before any message."""
-        if self._last is None:
-            return None
-        return stamp_ns + self._zero.offset_ns + round(self._offset_s * 1e9)
+        return None if self._last is None else stamp_ns + self._offset_ns
 
     def _decide(self, seen: _Arrival, doubted: _Arrival, last: _Arrival) -> None:
         from_doubted, from_last = (abs(seen.offset_ns - other.offset_ns) for other in (doubted, last))
@@ -115,6 +113,11 @@ class StampClock:
     @property
     def _offset_s(self) -> float:
         return min(offset for _, offset in self._minima)
+
+    @property
+    def _offset_ns(self) -> int:
+        """The receiver's clock minus the sender's, with the least transit."""
+        return self._zero.offset_ns + round(self._offset_s * 1e9)
 
     def _age_ns(self, seen: _Arrival) -> int:
         """Return the excess over the offset; negative if no message came as soon after its stamp."""

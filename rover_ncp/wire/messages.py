@@ -47,6 +47,8 @@ _PLANAR = (0, 1, 5)
 """Rows of x, y and yaw in ROS's 6 × 6 covariances."""
 # REP-145: a first element of -1 means that there is no such measurement.
 _NONE = np.array([-1.0, *[0.0] * 8])
+GYRO_GAP_S = 0.25
+"""The turn between two rates of turn that are farther apart is not known."""
 
 
 class OdometrySample(NamedTuple):

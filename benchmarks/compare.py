@@ -43,10 +43,10 @@ from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.reference import plan_reference
 from sim.evaluate.evaluate import unseen_courses
-from sim.learn.engine.commander import CommanderRunner, circuit_commander
 from sim.learn.engine.evaluator import Evaluator
-from sim.learn.engine.laws import LAWS, law_commander
-from sim.learn.engine.networks import CELLS, LIQUID_CELLS, Net, NetKind, net_for, network_commander
+from sim.learn.engine.lane_runner import OneLaneRunner, circuit_runner
+from sim.learn.engine.laws import LAWS, law_runner
+from sim.learn.engine.networks import CELLS, LIQUID_CELLS, Net, NetKind, net_for, network_runner
 from sim.learn.random_circuit import random_circuit
 from sim.learn.record import RobustSettings, made_with
 from sim.learn.robust import RobustSearch, drive_trials, policy_box, training_courses
@@ -93,7 +93,7 @@ def find_agent(name: str, seed: int) -> Agent:
     following = course_policy(load_circuit("tracking"))
     if name in LAWS:
         law = LAWS[name]
-        engine = partial(Evaluator, following, commander=law_commander(law))
+        engine = partial(Evaluator, following, runner=law_runner(law))
         return Agent(gain_box(name), engine, True)
     if name in NETWORKS:
         return _network(net_for(following, *NETWORKS[name]), following, seed)
@@ -131,7 +131,7 @@ def _circuit(policy: Policy, any_course: bool) -> Agent:
 def _network(net: Net, policy: Policy, seed: int) -> Agent:
     start = net.start(random_stream(seed, Domain.NETWORK_START))
     box = UnitBox.of(net.layout(), start)
-    return Agent(box, partial(Evaluator, policy, commander=network_commander(net)), True)
+    return Agent(box, partial(Evaluator, policy, runner=network_runner(net)), True)
 
 
 class Found:
@@ -144,12 +144,12 @@ class Found:
         following = course_policy(load_circuit("tracking"))
         self.signals = following.sensing.inputs
         if agent in NETWORKS:
-            commander = network_commander(net_for(following, *NETWORKS[agent]))
+            runner = network_runner(net_for(following, *NETWORKS[agent]))
         else:
-            commander = law_commander(LAWS[agent]) if agent in LAWS else circuit_commander(following)
-        if commander.size != len(vector):
-            raise ConfigError(str(path), [f"$.found: expected {commander.size} numbers, got {len(vector)}"])
-        self._runner = CommanderRunner(commander, vector)
+            runner = law_runner(LAWS[agent]) if agent in LAWS else circuit_runner(following)
+        if runner.size != len(vector):
+            raise ConfigError(str(path), [f"$.found: expected {runner.size} numbers, got {len(vector)}"])
+        self._runner = OneLaneRunner(runner, vector)
 
     def reset(self) -> None:
         """Begin a trial, with the warm-up tick that the training had."""

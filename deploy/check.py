@@ -12,12 +12,13 @@ from datetime import date
 from pydantic import BaseModel, Field
 
 from deploy.drive.dead_zone import DeadZone
-from deploy.drive.measurements import NS, Measurement, Measurements
+from deploy.drive.measurements import Measurement, Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.signed_lease import ACCEPTED_S, NOT_ACCEPTED
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.identify.excitation import ramps
 from deploy.zenoh_client import BridgeAddress
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import FormatError, RoverNcpError, SafetyStop
 from rover_ncp.core.geometry import Velocity, relative
 from rover_ncp.core.process import Clock, Interrupts
@@ -238,7 +239,7 @@ class Preflight:
         allowed = STOP_S + braking_s + REPORT_S
         stands = self._until(self._stands, 2 * allowed + self._speed_mean_s)
         # A stall of this process does not count, and mean speeds end later than the motion.
-        took = self._newest.ref.measured_ns / NS - silent - self._speed_mean_s
+        took = self._newest.ref.measured_ns / NS_PER_S - silent - self._speed_mean_s
         words = f"stands {took:.2f} s after the last command" if stands else "does not stop"
         return stands and took <= allowed, f"{words} (at most {allowed:.2f} s)"
 

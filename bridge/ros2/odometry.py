@@ -8,7 +8,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from rover_ncp.core.clock_offset import StampClock
+from rover_ncp.core.clock_offset import NS_PER_S, StampClock
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, relative, wrap_angle
 from rover_ncp.robot.description import Motion, Topics
@@ -25,7 +25,7 @@ CLOCK_BACK_S = 1.25
 """A clock that is set back by more than this may be that of a robot that restarted."""
 JUMP_M, JUMP_RAD = 0.05, 0.1
 """A pose farther from the last one than the robot can drive, and this, has jumped."""
-LATEST_NS = 2**31 * 1_000_000_000 - 1
+LATEST_NS = 2**31 * NS_PER_S - 1
 """The latest time that a ROS stamp can hold."""
 ALTERNATIONS = 2
 CONFLICT_S = 1.0

@@ -19,7 +19,7 @@ from typing import Any
 from deploy.drive.config import DriveConfig
 from deploy.drive.controller import Controller
 from deploy.drive.link import Link
-from deploy.drive.measurements import NS, Measurement, Measurements, SampleRef
+from deploy.drive.measurements import Measurement, Measurements, SampleRef
 from deploy.drive.rate_keeper import RateKeeper
 from deploy.drive.records import StartRecord, TickRecord, numbers
 from deploy.drive.safety_monitor import SafetyMonitor
@@ -28,6 +28,7 @@ from deploy.drive.tick_messages import Publisher
 from deploy.estimator.estimator import Estimate
 from deploy.estimator.measurements import Outcome
 from deploy.place.docking import Docking, Evidence
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from rover_ncp.core.process import Clock
@@ -80,7 +81,7 @@ class Drive:
         clock: Clock = time,
         period_s: float = TICK_S,
     ) -> None:
-        self._period_ns = round(period_s * NS)
+        self._period_ns = round(period_s * NS_PER_S)
         self._link, self.controller, self._publisher = link, controller, publisher
         self.config, self._clock = config, clock
         self._docking = controller if isinstance(controller, Docking) else None
@@ -239,7 +240,7 @@ class Drive:
                 self._tick(newest, now_ns, predicted=not fresh, last=last)
                 if last:
                     return
-            newest = self._take((keeper.deadline_ns - self._clock.monotonic_ns()) / NS) or newest
+            newest = self._take((keeper.deadline_ns - self._clock.monotonic_ns()) / NS_PER_S) or newest
             self._check()
 
     def _tick(self, newest: Measurement[OdometrySample], now_ns: int, predicted: bool, last: bool) -> None:
@@ -321,7 +322,7 @@ class Drive:
         stands = abs(velocity.v) < STANDING.v and abs(velocity.omega) < STANDING.omega
         if used != self._poses_used or stands:
             self._poses_used, self._posed_ns = used, now_ns
-        elif config.pose == "required" and now_ns - self._posed_ns > config.pose_age_s * NS:
+        elif config.pose == "required" and now_ns - self._posed_ns > config.pose_age_s * NS_PER_S:
             words = f"the rover has moved for {config.pose_age_s:g} s without an external pose that fits"
             raise SafetyStop("pose-age", words)
 

@@ -24,7 +24,6 @@ from rover_ncp.wire.messages import (
 )
 
 _LOGGER = logging.getLogger("rover_ncp")
-NS = 1_000_000_000
 
 Sample = OdometrySample | TurnSample | PoseSample
 SampleT = TypeVar("SampleT", OdometrySample, TurnSample, PoseSample)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deploy.drive.measurements import NS
+from rover_ncp.core.clock_offset import NS_PER_S
 
 
 class RateReport(NamedTuple):
@@ -83,6 +83,6 @@ class RateKeeper:
             overruns=self.overruns,
             predicted=self.predicted,
             missed=self.missed,
-            tick_rate_hz=(ticks - 1) * NS / span if span > 0 else 0.0,
+            tick_rate_hz=(ticks - 1) * NS_PER_S / span if span > 0 else 0.0,
             lateness_ms={"p50": float(np.median(late_ms)), "max": float(late_ms.max())},
         )

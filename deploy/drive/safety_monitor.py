@@ -11,7 +11,8 @@ from collections.abc import Callable
 from pydantic import Field
 
 from deploy.drive.link import Link
-from deploy.drive.measurements import NS, Measurements
+from deploy.drive.measurements import Measurements
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import NoBridge, NoRobot, NotAuthorised, SafetyStop
 from rover_ncp.core.geometry import Velocity
@@ -116,7 +117,7 @@ class SafetyMonitor:
         self._note_pause(now_ns)
         limit_s = self._timeouts.odometry_age_s
         # Fresh odometry after a stall does not count: the last command was computed before the stall.
-        age_s = max((now_ns - newest.ref.measured_ns) / NS, self._pause_s)
+        age_s = max((now_ns - newest.ref.measured_ns) / NS_PER_S, self._pause_s)
         if age_s > limit_s:
             words = f"odometry is {age_s:.2f} s old (limit {limit_s} s)"
             if self._pause_s > PAUSE_S:
@@ -126,7 +127,7 @@ class SafetyMonitor:
             self._check_lease(self._granted_ns)
 
     def _note_pause(self, now_ns: int) -> None:
-        pause_s = 0.0 if self._checked_ns is None else (now_ns - self._checked_ns) / NS
+        pause_s = 0.0 if self._checked_ns is None else (now_ns - self._checked_ns) / NS_PER_S
         if self._pause_odometry is not self._measurements.newest:
             self._pause_s, self._pause_odometry = 0.0, self._measurements.newest
         self._checked_ns, self._pause_s = now_ns, max(self._pause_s, pause_s)
@@ -139,7 +140,7 @@ class SafetyMonitor:
             self.contact = self.contact or gate.contact_since(self._granted_gate) or bumped
         elif self._lease_confirmed:
             raise revoked(gate)
-        elif now_ns - granted_ns > self._timeouts.lease_wait_s * NS:
+        elif now_ns - granted_ns > self._timeouts.lease_wait_s * NS_PER_S:
             raise SafetyStop("lease", "the gate does not confirm the lease")
         lease.check(gate, now_ns)
 

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from deploy.drive.config import DriveConfig
 from deploy.drive.link import Link
-from deploy.drive.measurements import NS, Measurement, Measurements
+from deploy.drive.measurements import Measurement, Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.estimator.estimator import completed
 from deploy.estimator.history import STILL_SIGMAS
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import AnotherDriver, NoPose, SafetyStop
 from rover_ncp.core.geometry import ORIGIN, Pose, near, wrap_angle
 from rover_ncp.core.process import Clock
@@ -76,7 +77,7 @@ class StartDetector:
         ):
             self._standing.popleft()
         return measured.ref.measured_ns - self._standing[0].ref.measured_ns >= round(
-            self._config.still_s * NS
+            self._config.still_s * NS_PER_S
         )
 
     def _same_place(self, a: Pose, b: Pose) -> bool:
@@ -87,7 +88,7 @@ class StartDetector:
             valid = completed(seen.sample.covariance, self._config.estimator) is not None
             if valid and all(map(math.isfinite, seen.sample.pose)):
                 insort(self._poses, seen, key=_measured_ns)
-        oldest = self._clock.monotonic_ns() - self._config.still_s * NS
+        oldest = self._clock.monotonic_ns() - self._config.still_s * NS_PER_S
         del self._poses[: bisect_left(self._poses, oldest, key=_measured_ns)]
 
 

@@ -12,10 +12,10 @@ from deploy.tag.detector import Detection
 from deploy.tag.locate import MAX_PIXELS, PIXEL, Located, Locator, corner_rms
 from deploy.tag.sheet import BOARD, BOARD_TAG_M
 from deploy.tag.tag_map import MOUNT_FIELDS, CameraFile, Floats, Intrinsics, Mount, TagMap
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Pose, compose, relative
 
-NS = 1_000_000_000
 MIN_PICTURES, MIN_TAGS = 6, 6
 """Fewer pictures, or fewer tags in one, leave the focal length and the distortion undetermined."""
 PRIOR = 0.05, 0.05, 0.03, 0.2, 0.2, 0.05
@@ -75,7 +75,7 @@ def find_intrinsics(pictures: Sequence[Sequence[Detection]], size: tuple[int, in
 class MountFound(NamedTuple):
     """A mount, the standard deviation of each number of it, and the corners' root mean square in pixels.
 
-    ``late_s`` is how late the moments of the ``pictures`` that were used are against those of odometry.
+    ``late_s`` is how much later than odometry's the moments of the ``pictures`` are that were used.
     """
 
     mount: Mount
@@ -83,6 +83,11 @@ class MountFound(NamedTuple):
     late_s: float
     pictures: int
     rms: float
+
+    def applied(self, camera: CameraFile) -> CameraFile:
+        """Return the camera with this mount, and with pictures as old as they were found to be."""
+        delay_s = max(0.0, round(camera.delay_s + self.late_s, 4))
+        return camera.model_copy(update={"mount": self.mount, "delay_s": delay_s})
 
 
 def find_mount(
@@ -98,9 +103,14 @@ def find_mount(
     """
     by_hand = Locator(camera, tag_map)
     (began, _), (ended, _) = odometry[0], odometry[-1]
-    times, poses = np.array([at - began for at, _ in odometry]) / NS, np.array([pose for _, pose in odometry])
+    times, poses = (
+        np.array([at - began for at, _ in odometry]) / NS_PER_S,
+        np.array([pose for _, pose in odometry]),
+    )
     poses[:, 2] = np.unwrap(poses[:, 2])
-    within = [((at - began) / NS, by_hand.known(found)) for at, found in pictures if began <= at <= ended]
+    within = [
+        ((at - began) / NS_PER_S, by_hand.known(found)) for at, found in pictures if began <= at <= ended
+    ]
     seen = [(at, found) for at, found in within if found]
     if len(seen) < MIN_SAMPLES:
         raise UsageError(f"tags are seen in {len(seen)} pictures, expected {MIN_SAMPLES} or more")

@@ -36,8 +36,8 @@ class Picture:
 def pictures_of(source: str, delay_s: float = 0.0) -> "LiveCamera | Iterator[Picture]":
     """Return the pictures of a source: a device's number, an http:// address, a file or a folder.
 
-    ``delay_s`` is the time from exposure to arrival of pictures without a stamp. Raises UsageError and
-    FileError.
+    ``delay_s`` is the time from exposure to a live picture's stamp, or to its arrival if it has none.
+    Raises UsageError and FileError.
     """
     if source.isdigit() or source.startswith("http://"):
         return ReadCamera(source, delay_s)
@@ -154,10 +154,8 @@ class ReadCamera(LiveCamera):
                 raise ValueError("not an MJPEG stream")
             while (part := _part(stream)) is not None:
                 headers, data = part
-                wall_ns = time.time_ns() - self._delay_ns
-                if STAMP in headers:
-                    wall_ns = round(float(headers[STAMP]) * 1e9)
-                yield partial(compressed, np.frombuffer(data, np.uint8), wall_ns)
+                wall_ns = round(float(headers[STAMP]) * 1e9) if STAMP in headers else time.time_ns()
+                yield partial(compressed, np.frombuffer(data, np.uint8), wall_ns - self._delay_ns)
 
 
 def compressed(data: NDArray[np.uint8], wall_ns: int) -> Picture:

@@ -73,7 +73,7 @@ class TagCalibration(BaseModel):
         default=None, description="standard deviation of each number of the mount"
     )
     late_s: float | None = Field(
-        default=None, description="how late the moments of pictures are against those of odometry"
+        default=None, description="how much later than odometry's the moments of pictures were; delay_s is corrected by it"
     )
 
 

@@ -51,9 +51,10 @@ class RosCamera(LiveCamera):
     def _take(self, sample: zenoh.Sample) -> None:
         now_ns, wall_ns, data = time.monotonic_ns(), time.time_ns(), sample.payload.to_bytes()
         stamp_ns = header_stamp_ns(self._type, data)
-        measured_ns = self._clock.measured_ns(stamp_ns, now_ns) if stamp_ns else now_ns - self._delay_ns
+        measured_ns = self._clock.measured_ns(stamp_ns, now_ns) if stamp_ns else now_ns
         if measured_ns is not None:
-            self.newest.put(partial(read_image, self._type, data, wall_ns - now_ns + measured_ns))
+            moment_ns = wall_ns - now_ns + measured_ns - self._delay_ns
+            self.newest.put(partial(read_image, self._type, data, moment_ns))
 
 
 def image_type(topic: str) -> str:

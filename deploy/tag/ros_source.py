@@ -10,6 +10,7 @@ import zenoh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import FormatError, NoRobot, UsageError
 from rover_ncp.wire.address import parse_ros_endpoint
 from rover_ncp.wire.cdr import decode
@@ -71,7 +72,7 @@ class Frames:
             if not np.isfinite(pose).all():
                 raise FormatError(f"the transform to {each.child_frame_id!r} is not finite")
             parent, stamp = each.header.frame_id.lstrip("/"), each.header.stamp
-            self.links[each.child_frame_id.lstrip("/")] = parent, pose, stamp.sec * 10**9 + stamp.nanosec
+            self.links[each.child_frame_id.lstrip("/")] = parent, pose, stamp.sec * NS_PER_S + stamp.nanosec
             parents.add(parent)
         return parents
 

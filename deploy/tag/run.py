@@ -133,22 +133,24 @@ def calibrate_mount(
             f"no odometry arrived from the bridge at {address.robot}; with certificates, use a driver's: a "
             "localiser's may not read it"
         )
-    mount, deviations, late_s, pictures_used, rms = find_mount(camera, tag_map, odometry.samples, seen)
-    _write(camera_file, camera.model_copy(update={"mount": mount}))
+    found = find_mount(camera, tag_map, odometry.samples, seen)
+    calibrated = found.applied(camera)
+    _write(camera_file, calibrated)
     result = TagCalibration(
         out=str(camera_file),
-        rms_px=rms,
-        pictures=pictures_used,
+        rms_px=found.rms,
+        pictures=found.pictures,
         fx=camera.intrinsics.fx,
-        mount=mount.model_dump(),
-        deviations=deviations,
-        late_s=late_s,
+        mount=found.mount.model_dump(),
+        deviations=found.deviations,
+        late_s=found.late_s,
     )
-    values = ", ".join(f"{name} {getattr(mount, name):.4f} ± {std:.4f}" for name, std in deviations.items())
+    deviations = found.deviations.items()
+    values = ", ".join(f"{name} {getattr(found.mount, name):.4f} ± {std:.4f}" for name, std in deviations)
     output.result(
         result.model_dump(),
-        f"wrote {camera_file}: {values} (m, rad); corners fit to {rms:.2f} px; pictures {late_s:.3f} s late: "
-        "add it to delay_s there if they carry no moments of their own",
+        f"wrote {camera_file}: {values} (m, rad); corners fit to {found.rms:.2f} px; pictures "
+        f"{found.late_s:.3f} s later than delay_s said, which is {calibrated.delay_s:.3f} s now",
     )
 
 

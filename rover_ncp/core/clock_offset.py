@@ -8,6 +8,7 @@ link that became slow, all messages are old.
 import math
 from typing import NamedTuple
 
+NS_PER_S = 1_000_000_000
 KEPT_S = 60
 """How long a minimum counts: clocks that drift 100 ppm differ by 6 ms in it."""
 JUMP_NS = 100_000_000

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import FormatError
 from rover_ncp.wire.cdr import definition
 from rover_ncp.wire.messages import read_text
@@ -64,7 +65,7 @@ def header_stamp_ns(ros_type: str, data: bytes) -> int | None:
     if not _begins_with_header(ros_type) or len(data) < CDR_STAMP.size + 4 or data[:2] not in CDR_ORDERS:
         return None
     seconds, nanoseconds = (CDR_STAMP if data[1] else CDR_STAMP_BIG).unpack_from(data, 4)
-    return int(seconds * 1_000_000_000 + nanoseconds)
+    return int(seconds * NS_PER_S + nanoseconds)
 
 
 class _Tick(NamedTuple):

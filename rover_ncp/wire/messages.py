@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.wire.cdr import decode, encode
@@ -40,7 +41,6 @@ TWIST_BYTES = 52
 """A Twist is six float64 behind the CDR header; a TwistStamped is always longer."""
 _UNIT_TOLERANCE = 0.1
 """How far the squared length of a rotation's quaternion may be from 1: some publishers round to float32."""
-_SECOND_NS = 1_000_000_000
 # Planar measurements say nothing of z, roll and pitch: REP convention is a large variance there.
 _UNKNOWN = 1e6
 _PLANAR = (0, 1, 5)
@@ -362,14 +362,14 @@ def read_text(data: bytes) -> str:
 
 
 def _header(stamp_ns: int, frame: str) -> dict[str, Any]:
-    seconds, nanoseconds = divmod(stamp_ns, _SECOND_NS)
+    seconds, nanoseconds = divmod(stamp_ns, NS_PER_S)
     return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame}
 
 
 def _stamp_ns(header: Any) -> int:
-    if header.stamp.nanosec >= _SECOND_NS:
+    if header.stamp.nanosec >= NS_PER_S:
         raise FormatError(f"a stamp of {header.stamp.nanosec} ns beyond its seconds, expected less than 10⁹")
-    return int(header.stamp.sec) * _SECOND_NS + int(header.stamp.nanosec)
+    return int(header.stamp.sec) * NS_PER_S + int(header.stamp.nanosec)
 
 
 def _rotation(yaw: float) -> dict[str, float]:

@@ -89,12 +89,12 @@ def _serve(
                     x, y, theta, wall = pose
                     picture = renderer.picture(Pose(x, y, theta))
                     jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-                    waiting.append((now + camera.delay_s, wall, jpeg[1].tobytes()))
+                    waiting.append((now + camera.delay_s, wall + camera.delay_s, jpeg[1].tobytes()))
                 while waiting and waiting[0][0] <= time.monotonic():
-                    _, wall, data = waiting.popleft()
+                    _, stamp, data = waiting.popleft()
                     head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n"
                     try:
-                        self.wfile.write(f"{head}X-Timestamp: {wall:.6f}\r\n\r\n".encode() + data + b"\r\n")
+                        self.wfile.write(f"{head}X-Timestamp: {stamp:.6f}\r\n\r\n".encode() + data + b"\r\n")
                     except OSError:  # the client has gone
                         return
                 time.sleep(0.002)

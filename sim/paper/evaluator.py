@@ -14,10 +14,10 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.kernels.jit import kernel
 from rover_ncp.kernels.vectors import WIDTH
-from sim.learn.engine.commander import circuit_commander
 from sim.learn.engine.environment import Play
+from sim.learn.engine.lane_runner import circuit_runner
 from sim.learn.engine.lanes import IDLE
-from sim.learn.engine.networks import Net, network_commander
+from sim.learn.engine.networks import Net, network_runner
 from sim.learn.search.base import Seeds
 from sim.paper.plants.lanes import KINDS, NO_MUJOCO, Plants, observe, reset_plant, step_plant
 from sim.paper.tasks import Benchmark
@@ -42,7 +42,7 @@ class Episodes(NamedTuple):
 
 @cache
 def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
-    """Return the kernel that runs episodes with a commander's two kernels."""
+    """Return the kernel that runs episodes with a runner's two kernels."""
 
     @kernel
     def run_episodes(arrays: Any, plants: Plants, shape: tuple[int, int], queue: Episodes) -> FloatArray:
@@ -120,12 +120,12 @@ class Evaluator:
         self.enough = task.success
         self._plants, self._pool = make_plants(task, for_search=for_search)
         if isinstance(agent, Policy):
-            commander = circuit_commander(agent)
+            runner = circuit_runner(agent)
             self._shape = len(agent.sensing.inputs), len(agent.motors.outputs)
         else:
-            commander, self._shape = network_commander(agent), (len(agent.scale), len(agent.high))
-        self._arrays = commander.allocate(self._plants.state.shape[1])
-        self._kernel = episode_kernel(commander.start_lane, commander.tick_lanes)
+            runner, self._shape = network_runner(agent), (len(agent.scale), len(agent.high))
+        self._arrays = runner.allocate(self._plants.state.shape[1])
+        self._kernel = episode_kernel(runner.start_lane, runner.tick_lanes)
 
     def of(self, agent: Policy) -> Self:
         """Return the same episodes for another agent with the task's inputs and outputs."""

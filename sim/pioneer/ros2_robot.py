@@ -30,6 +30,8 @@ BATTERY_S = 1.0
 """Time between two reports of the battery."""
 SWITCHES_HZ = 20.0
 """Rate of the stop button and of hazards (chosen)."""
+GYRO_LATE_S = 0.02
+"""How long a reading of the gyro takes to its topic (chosen): odometry overtakes it, as on many robots."""
 BEAMS = 120
 """Beams of the mock's laser, 3 degrees apart."""
 
@@ -75,6 +77,8 @@ class Ros2Robot(SimulatedBase):
         """Times of the last reports, with the ways (m) of the left and the right wheel."""
         self._held: deque[tuple[float, bytes]] = deque()
         """Odometry that is sent late, and when."""
+        self._readings: deque[tuple[float, bytes]] = deque()
+        """Readings of the gyro under way, and when they arrive."""
         self._turns = TurnMeter(rover, start_s)
         self._out: list[tuple[str, bytes]] = []
         self._frozen: Pose | None = None
@@ -144,11 +148,14 @@ class Ros2Robot(SimulatedBase):
             self._due[name] = max(self._due[name] + 1.0 / self._rates[name], now)
         if self._fault("mute") is not None or now < self._silent_until_s:
             self._held.clear()
+            self._readings.clear()
             return
         while self._held and now >= self._held[0][0] - 1e-9:
             self._emit(topics.odom, self._held.popleft()[1])
         if topics.imu in due:
-            self._emit(topics.imu, self._gyro())
+            self._readings.append((now + GYRO_LATE_S, self._gyro()))
+        while topics.imu and self._readings and now >= self._readings[0][0] - 1e-9:
+            self._emit(topics.imu, self._readings.popleft()[1])
         if topics.battery_state in due:
             volts = self._fault("low-battery") or self.robot.battery.nominal_v
             self._emit(topics.battery_state, messages.battery_state(volts, self._stamp_ns()))

@@ -7,9 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.geometry import Pose
 from rover_ncp.wire.messages import COURSE_FRAME, pose_with_covariance
-from sim.stack.lines import NS, WALL_NS
+from sim.stack.lines import WALL_NS
 from sim.world.rover import Rover
 
 KNOWN_M, KNOWN_RAD = 0.001, 0.001
@@ -45,12 +46,12 @@ class PoseSource(ABC):
         """Measure the rover's pose at ``now`` s if it is due, and deliver what has arrived."""
         if now >= self._next_s:
             self._next_s += 1.0 / self.hz
-            data = self.measure(WALL_NS + round(now * NS))
+            data = self.measure(WALL_NS + round(now * NS_PER_S))
             if data is not None:
                 self._pending.append((now + self.delay_s, data))
         while self._pending and self._pending[0][0] <= now:
             due, data = self._pending.popleft()
-            self._send(data, round(due * NS))
+            self._send(data, round(due * NS_PER_S))
 
 
 class Localiser(PoseSource):

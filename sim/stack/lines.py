@@ -15,6 +15,7 @@ from bridge.pioneer.base_connection import Opened, Received
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
 from bridge.ros2.base import Ros2Base
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.robot.description import RobotDescription
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.models import config_of
@@ -23,8 +24,7 @@ from sim.pioneer.simulated_base import SimulatedBase
 from sim.pioneer.trial import BaseTrial
 from sim.world.rover import Rover
 
-NS = 1_000_000_000
-WALL_NS = 1_700_000_000 * NS
+WALL_NS = 1_700_000_000 * NS_PER_S
 """Time of the wall clock when the virtual clock shows 0."""
 
 

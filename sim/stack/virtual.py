@@ -17,6 +17,7 @@ from deploy.drive.link import Arrival, Inbox, Link, Sources
 from deploy.drive.records import TickRecord
 from deploy.drive.tick_messages import Publisher
 from deploy.estimator.estimator import Estimate
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity
 from rover_ncp.recording.recording import Recorded
@@ -32,7 +33,7 @@ from rover_ncp.wire.protocol import (
 from sim.pioneer.firmware import Firmware
 from sim.pioneer.ros2_robot import Ros2Robot
 from sim.stack.camera import start_pose
-from sim.stack.lines import NS, WALL_NS, ArcosConnection, Ros2Connection
+from sim.stack.lines import WALL_NS, ArcosConnection, Ros2Connection
 
 _WAKE_MARGIN_NS = 1000
 """Delay of each timed event, so that rounding to whole ns never makes it too early."""
@@ -70,7 +71,7 @@ class VirtualBridge:
 
     def monotonic(self) -> float:
         """Return the virtual time in s."""
-        return self.now_ns / NS
+        return self.now_ns / NS_PER_S
 
     def monotonic_ns(self) -> int:
         """Return the virtual time in ns."""
@@ -90,18 +91,18 @@ class VirtualBridge:
 
     def wait(self, seconds: float, condition: Callable[[], bool]) -> None:
         """Let time pass until ``condition`` holds, at most ``seconds``."""
-        until_ns = self.now_ns + max(math.ceil(seconds * NS), 0)
+        until_ns = self.now_ns + max(math.ceil(seconds * NS_PER_S), 0)
         self._run_node()
         while not condition() and self.now_ns < until_ns:
             due_s = min(self.connection.due_s, self._node.due_s)
-            due_ns = until_ns if math.isinf(due_s) else math.ceil(due_s * NS) + _WAKE_MARGIN_NS
+            due_ns = until_ns if math.isinf(due_s) else math.ceil(due_s * NS_PER_S) + _WAKE_MARGIN_NS
             self.now_ns = min(max(due_ns, self.now_ns), until_ns)
             self.connection.advance(self.monotonic())
             self._run_node()
 
     def _run_node(self) -> None:
         connection, node = self.connection, self._node
-        while connection.arrivals or self._inbox or node.due_s * NS + _WAKE_MARGIN_NS <= self.now_ns:
+        while connection.arrivals or self._inbox or node.due_s * NS_PER_S + _WAKE_MARGIN_NS <= self.now_ns:
             node.run_once()
 
     # What the driver sends.

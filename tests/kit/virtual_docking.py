@@ -13,10 +13,11 @@ from deploy.place.place import Place
 from deploy.place.plan import approach
 from kit.virtual_drive import ChangedLink, VirtualDrive
 from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.geometry import Pose
 from rover_ncp.wire.messages import battery_state, pose_with_covariance
 from sim.pioneer.firmware import Firmware
-from sim.stack.lines import NS, WALL_NS
+from sim.stack.lines import WALL_NS
 from sim.stack.virtual import VirtualBridge
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
@@ -52,8 +53,8 @@ class VirtualDocking(VirtualDrive):
         self._next_s += POSE_S
         if (seen := self._see(self.rover.pose, now)) is not None:
             frame = self.place.frame
-            data = pose_with_covariance(Pose(*seen), COVARIANCE, WALL_NS + round(now * NS), frame)
-            self.link.localise(data, round(now * NS))
+            data = pose_with_covariance(Pose(*seen), COVARIANCE, WALL_NS + round(now * NS_PER_S), frame)
+            self.link.localise(data, round(now * NS_PER_S))
 
     def run(self):
         """Drive; return the result as JSON has it."""

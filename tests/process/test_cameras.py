@@ -17,7 +17,7 @@ from kit.zenoh_session import open_router, repeating
 from bridge.ros2.discovery import Convention
 from bridge.ros2.ros_node import RosNode
 from deploy.tag.camera import pictures_of
-from deploy.tag.ros_camera import CAMERA_INFO, COMPRESSED, IMAGE
+from deploy.tag.ros_camera import CAMERA_INFO, COMPRESSED, IMAGE, RosCamera
 from rover_ncp import cli
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import UsageError
@@ -88,7 +88,7 @@ def test_stream_gives_the_newest_picture_with_its_moment(stream):
     with stream(part(50, "12.5"), 0.4, part(90), 1.0) as camera:
         pictures = iter(camera)
         first, second = next(pictures), next(pictures)
-    assert (first.wall_ns, int(first.grey[0, 0])) == (12_500_000_000, 50)
+    assert (first.wall_ns, int(first.grey[0, 0])) == (12_250_000_000, 50)
     assert int(second.grey[0, 0]) == 90
     assert 0.2e9 < time.time_ns() - second.wall_ns < 5e9
 
@@ -161,6 +161,14 @@ def test_poses_come_from_a_ros_camera_with_its_own_camera_info_and_mount(
     found = json.loads(capsys.readouterr().out)
     assert found["poses"] >= 2
     assert math.dist((found["last"]["x"], found["last"]["y"]), POSE[:2]) < 0.01
+
+
+def test_picture_of_ros_is_as_much_older_than_its_stamp_as_its_file_says(publish):
+    pictures = [image(picture_of(POSE, seed=seed)) for seed in range(3)]
+    source = f"ros2/{publish(Convention.ROS2DDS, [('camera/image_raw', IMAGE, pictures)])}"
+    with RosCamera(source, 0.0) as stamped_right, RosCamera(source, 30.0) as stamped_late:
+        ages_s = [(time.time_ns() - next(iter(each)).wall_ns) / 1e9 for each in (stamped_right, stamped_late)]
+    assert 29.0 < ages_s[1] - ages_s[0] < 31.0
 
 
 def test_ros_camera_without_camera_info_says_what_to_give(publish, tmp_path, capsys, monkeypatch):

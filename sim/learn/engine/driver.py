@@ -18,11 +18,11 @@ from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.errors import ConfigError, RoverNcpError, UsageError
 from rover_ncp.core.files import importable_working_folder
 from rover_ncp.course.signals import REFERENCE_SIGNALS
-from sim.learn.engine.commander import Commander, CommanderRunner, circuit_commander
-from sim.learn.engine.laws import LAWS, law_commander
+from sim.learn.engine.lane_runner import LaneRunner, OneLaneRunner, circuit_runner
+from sim.learn.engine.laws import LAWS, law_runner
 
 FloatArray = NDArray[np.float64]
-AnyRunner: TypeAlias = Runner | CommanderRunner | FunctionRunner
+AnyRunner: TypeAlias = Runner | OneLaneRunner | FunctionRunner
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +33,8 @@ class Driver:
     signals: tuple[str, ...]
     runner: Callable[[], AnyRunner]
     """Return a runner of the policy; other processes may call this, too."""
-    lanes: Callable[[], tuple[Commander, FloatArray]] | None = None
-    """Return the commander of an episode kernel and its parameters (P,); None for a policy of a user."""
+    lanes: Callable[[], tuple[LaneRunner, FloatArray]] | None = None
+    """Return the runner of an episode kernel and its parameters (P,); None for a policy of a user."""
     neurons: tuple[str, ...] = ()
     """Names of a circuit's neurons."""
 
@@ -118,14 +118,14 @@ def _described(error: Exception) -> str:
     return f"{type(error).__name__}: {words} ({Path(last.filename).name}, line {last.lineno})"
 
 
-def _circuit_lanes(policy: Policy) -> tuple[Commander, FloatArray]:
-    return circuit_commander(policy), policy.parameters()
+def _circuit_lanes(policy: Policy) -> tuple[LaneRunner, FloatArray]:
+    return circuit_runner(policy), policy.parameters()
 
 
-def _law_lanes(name: str) -> tuple[Commander, FloatArray]:
+def _law_lanes(name: str) -> tuple[LaneRunner, FloatArray]:
     law = LAWS[name]
-    return law_commander(law), np.array(law.tuned)
+    return law_runner(law), np.array(law.tuned)
 
 
-def _lane_runner(lanes: Callable[[], tuple[Commander, FloatArray]]) -> AnyRunner:
-    return CommanderRunner(*lanes())
+def _lane_runner(lanes: Callable[[], tuple[LaneRunner, FloatArray]]) -> AnyRunner:
+    return OneLaneRunner(*lanes())

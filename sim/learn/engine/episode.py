@@ -1,6 +1,6 @@
 """Whole episodes in one kernel: lanes of controllers, each with a rover of a fleet.
 
-``episode_kernel`` makes the kernel for a commander: a circuit, a network or a law. Episodes wait in a queue
+``episode_kernel`` makes the kernel for a runner: a circuit, a network or a law. Episodes wait in a queue
 for a free lane. A lane runs its episode on its own clock and takes the next one when that ends, or when its
 return falls below its threshold. So all lanes stay busy, and the result of an episode depends neither on its
 lane nor on the other episodes. ``rollout.py`` defines an episode; the tests compare the two bit by bit.
@@ -41,7 +41,7 @@ _clear_of, _pulsed = kernel(clear_of), kernel(pulsed)
 
 @cache
 def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
-    """Return the kernel that runs episodes with a commander's two kernels (``commander.Commander``)."""
+    """Return the kernel that runs episodes with a runner's two kernels (``lane_runner.LaneRunner``)."""
 
     @kernel
     def run_episodes(
@@ -55,7 +55,7 @@ def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
     ) -> None:
         """Run episodes until a group has ended and a lane is free, or until no episode is left.
 
-        ``arrays`` are the commander's; ``signal_at`` (inputs,) gives the signal of each input.
+        ``arrays`` are the runner's; ``signal_at`` (inputs,) gives the signal of each input.
         """
         arrays, tasks, trials = without_refcounts(arrays), without_refcounts(tasks), without_refcounts(trials)
         lanes, fleet, queue = without_refcounts(lanes), without_refcounts(fleet), without_refcounts(queue)

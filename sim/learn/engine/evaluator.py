@@ -21,8 +21,8 @@ from rover_ncp.course.reference import Reference, plan_reference
 from rover_ncp.course.scoring import due_checkpoints
 from rover_ncp.course.signals import SIGNALS
 from rover_ncp.kernels.jit import bound
-from sim.learn.engine.commander import Commander, circuit_commander
 from sim.learn.engine.episode import enqueue, episode_kernel
+from sim.learn.engine.lane_runner import LaneRunner, circuit_runner
 from sim.learn.engine.lanes import IDLE, RESULTS, FloatArray, IntArray, Lanes, Queue, Tasks, Waiting
 from sim.world.described import default_rover
 from sim.world.fleet import Fleet
@@ -70,9 +70,9 @@ class _LaneSet(NamedTuple):
 
 
 class Evaluator:
-    """Scores parameter vectors of one commander, by default a policy's circuit. One thread at a time.
+    """Scores parameter vectors of one runner, by default a policy's circuit. One thread at a time.
 
-    With another commander, the names of its signals take the place of the policy. With ``trials``, trial i is
+    With another runner, the names of its signals take the place of the policy. With ``trials``, trial i is
     driven on course i modulo the number of courses; without, each course once as the model is. References are
     planned where the policy observes them and none are given.
 
@@ -87,7 +87,7 @@ class Evaluator:
         trials: Trials | None = None,
         references: Sequence[Reference] | None = None,
         *,
-        commander: Commander | None = None,
+        runner: LaneRunner | None = None,
     ) -> None:
         interface = RoverInterface(policy)
         courses = [course] if isinstance(course, Course) else list(course)
@@ -99,11 +99,11 @@ class Evaluator:
         self._ground = np.array([self._grounds.index(each.obstacles) for each in courses])
         if references is None and interface.needs_reference:
             references = [plan_reference(each) for each in courses]
-        if commander is None:
-            assert isinstance(policy, Policy)  # signals come with a commander
-            commander = circuit_commander(policy)
-        self._commander = commander
-        self._kernel = episode_kernel(self._commander.start_lane, self._commander.tick_lanes)
+        if runner is None:
+            assert isinstance(policy, Policy)  # signals come with a runner
+            runner = circuit_runner(policy)
+        self._runner = runner
+        self._kernel = episode_kernel(self._runner.start_lane, self._runner.tick_lanes)
         self._signal_at = np.array(interface.places)
         self._tasks = _tasks(courses, references, self.model)
         self._lane_sets: dict[tuple[int, int], _LaneSet] = {}
@@ -165,7 +165,7 @@ class Evaluator:
 
     def stream(self, agents: int) -> "Stream":
         """Return a stream of the first trial on the first course for so many agents."""
-        size, lane_set = self._commander.size, self._build_lanes(STREAM_LANES, 0)
+        size, lane_set = self._runner.size, self._build_lanes(STREAM_LANES, 0)
 
         def bind(queue: Queue) -> Callable[[], None]:
             return bound(self._kernel, *self._arguments(lane_set, queue))
@@ -243,9 +243,7 @@ class Evaluator:
         )
         delay_v, delay_omega = self._delays
         slowest = self.model.model_copy(update={"delay_v_s": delay_v, "delay_omega_s": delay_omega})
-        return _LaneSet(
-            self._commander.allocate(width), lanes, Fleet([slowest] * width, self._grounds[ground])
-        )
+        return _LaneSet(self._runner.allocate(width), lanes, Fleet([slowest] * width, self._grounds[ground]))
 
 
 class Answer(NamedTuple):

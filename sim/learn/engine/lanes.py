@@ -41,7 +41,7 @@ class Tasks(NamedTuple):
 
 
 class Lanes(NamedTuple):
-    """L lanes at work, beside the commander's own arrays and the fleet."""
+    """L lanes at work, beside the runner's own arrays and the fleet."""
 
     observations: FloatArray
     commands: FloatArray

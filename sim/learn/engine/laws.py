@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.course.reference import COMMAND_MAX
 from rover_ncp.kernels.jit import kernel
-from sim.learn.engine.commander import Commander
+from sim.learn.engine.lane_runner import LaneRunner
 from sim.world.fleet import wrapped
 
 FloatArray = NDArray[np.float64]
@@ -107,11 +107,11 @@ def tick_laws(lanes: LawLanes, observations: FloatArray, commands: FloatArray) -
             commands[axis, lane] = 0.0 if still else part
 
 
-def law_commander(law: Law) -> Commander:
-    """Return the commander of a law, with the limits of a circuit's commands. Its vectors are the gains."""
+def law_runner(law: Law) -> LaneRunner:
+    """Return the runner of a law, with the limits of a circuit's commands. Its vectors are the gains."""
     limits = np.array(COMMAND_MAX)
 
     def allocate(count: int) -> LawLanes:
         return LawLanes(law.number, limits, np.zeros((count, len(law.gains))))
 
-    return Commander(len(law.gains), allocate, start_law, tick_laws)
+    return LaneRunner(len(law.gains), allocate, start_law, tick_laws)

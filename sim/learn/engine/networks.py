@@ -27,7 +27,7 @@ from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout, Policy
 from rover_ncp.circuit.solver import exp2
 from rover_ncp.kernels.jit import kernel
-from sim.learn.engine.commander import Commander
+from sim.learn.engine.lane_runner import LaneRunner
 from sim.learn.engine.liquid import BACKBONE, Part, cfc_parts, ltc_parts, tick_cfc, tick_ltc
 
 FloatArray = NDArray[np.float64]
@@ -276,6 +276,6 @@ def update_cells(lanes: NetLanes, count: int) -> None:
             hidden[c, lane] = output_gate * tanh(value)
 
 
-def network_commander(net: Net) -> Commander:
-    """Return the commander of a network."""
-    return Commander(net.layout().size, partial(allocate_networks, net), start_network, tick_networks)
+def network_runner(net: Net) -> LaneRunner:
+    """Return the runner of a network."""
+    return LaneRunner(net.layout().size, partial(allocate_networks, net), start_network, tick_networks)

@@ -23,7 +23,7 @@ from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.reference import Reference, plan_reference
 from rover_ncp.course.scoring import Verdict, due_checkpoints, judge, reward
-from sim.learn.engine.commander import CommanderRunner
+from sim.learn.engine.lane_runner import OneLaneRunner
 from sim.world.described import default_rover
 from sim.world.motion_errors import apply_base_errors, base_errors, dead_reckon, odometry_errors, quantise
 from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
@@ -97,7 +97,7 @@ def rollout(
     trials: Trials | None = None,
     row: int = 0,
     reference: Reference | None = None,
-    runner: Runner | CommanderRunner | FunctionRunner | None = None,
+    runner: Runner | OneLaneRunner | FunctionRunner | None = None,
 ) -> Rollout:
     """Drive a course to its horizon, as the model is or in trial ``row``.
 

@@ -4,9 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rover_ncp.core.clock_offset import StampClock
+from rover_ncp.core.clock_offset import NS_PER_S, StampClock
 
-NS = 1_000_000_000
 MS = 1_000_000
 PERIOD = 100 * MS
 
@@ -17,7 +16,7 @@ delays = st.lists(st.integers(0, 300 * MS), min_size=1, max_size=50)
 def test_a_measurement_is_before_its_arrival_and_never_runs_backwards(delays, zero):
     clock, last, arrival = StampClock(), None, 0
     for number, delay in enumerate(delays):
-        taken = NS + number * PERIOD
+        taken = NS_PER_S + number * PERIOD
         arrival = max(arrival, taken + delay)  # one link: samples keep their order
         measured = clock.measured_ns(taken + zero, arrival)
         assert measured <= arrival
@@ -30,7 +29,7 @@ def test_after_a_fast_sample_every_moment_is_exact(delays):
     clock = StampClock()
     clock.measured_ns(0, 1 * MS)  # the shortest transit takes 1 ms
     arrival = 1 * MS
-    for number, delay in enumerate([*delays, 5 * NS], 1):
+    for number, delay in enumerate([*delays, 5 * NS_PER_S], 1):
         taken = number * PERIOD
         arrival = max(arrival, taken + 1 * MS + delay)
         assert clock.measured_ns(taken, arrival) == taken + 1 * MS
@@ -41,8 +40,8 @@ def test_after_a_fast_sample_every_moment_is_exact(delays):
 def test_a_clock_that_is_set_costs_one_sample(step_s, period):
     clock, shown = StampClock(), []
     for number in range(10):
-        stamp = number * period + (round(step_s * NS) if number >= 5 else 0)
-        measured = clock.measured_ns(NS + stamp, number * period + MS)
+        stamp = number * period + (round(step_s * NS_PER_S) if number >= 5 else 0)
+        measured = clock.measured_ns(NS_PER_S + stamp, number * period + MS)
         assert measured == (None if number == 5 else number * period + MS)
         shown.append(clock.set_back_s)
     assert shown[6] == pytest.approx(max(-step_s, 0.0))
@@ -53,7 +52,7 @@ def test_a_clock_that_is_set_costs_one_sample(step_s, period):
 @pytest.mark.parametrize("bad", [0, 5])
 def test_a_bad_stamp_costs_one_sample(error_s, bad):
     clock = StampClock()
-    stamps = [number * PERIOD + (round(error_s * NS) if number == bad else 0) for number in range(10)]
+    stamps = [number * PERIOD + (round(error_s * NS_PER_S) if number == bad else 0) for number in range(10)]
     measured = [clock.measured_ns(stamp, n * PERIOD + MS) for n, stamp in enumerate(stamps)]
     for number in range(2 if bad == 0 else 0, 10):
         assert measured[number] == (None if number == bad else number * PERIOD + MS)
@@ -64,7 +63,7 @@ def test_a_link_that_became_slow_stays_late():
     clock, late = StampClock(), 500 * MS
     clock.measured_ns(0, MS)
     for number in range(20, 500):
-        stamp = number * PERIOD - (5 * NS if number % 50 == 0 else 0)
+        stamp = number * PERIOD - (5 * NS_PER_S if number % 50 == 0 else 0)
         measured = clock.measured_ns(stamp, number * PERIOD + MS + late)
         assert measured == (None if number % 50 == 0 else number * PERIOD + MS)
         assert clock.set_back_s == 0.0
@@ -85,4 +84,4 @@ def test_a_drifting_clock_is_followed_over_hours():
         arrival = number * PERIOD + MS
         stamp = round(number * PERIOD * (1 - 1e-4))
         worst = max(worst, arrival - clock.measured_ns(stamp, arrival))
-    assert worst <= 60 * NS * 1e-4 + MS
+    assert worst <= 60 * NS_PER_S * 1e-4 + MS

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from deploy.drive.link import Arrival, Inbox
-from deploy.drive.measurements import NS, Measurements
+from deploy.drive.measurements import Measurements
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.geometry import ORIGIN, Pose, Velocity
 from rover_ncp.wire.messages import imu, odometry, pose_with_covariance
 
-WALL_NS = 1_700_000_000 * NS
-MS = NS // 1000
+WALL_NS = 1_700_000_000 * NS_PER_S
+MS = NS_PER_S // 1000
 PERIOD = 100 * MS
 TRANSIT = 20 * MS
 MESSAGES = {
@@ -56,7 +57,7 @@ class Driver:
 def test_a_publishers_clock_that_is_set_costs_one_sample(topic, step_s, log):
     driver = Driver(topic)
     for number in range(40):
-        stamp = WALL_NS + number * PERIOD + (round(step_s * NS) if number >= 20 else 0)
+        stamp = WALL_NS + number * PERIOD + (round(step_s * NS_PER_S) if number >= 20 else 0)
         ages = driver.age_ms(stamp, number * PERIOD + TRANSIT)
         assert ages == ([] if number == 20 else [0])
     back = [f"the clock that stamps '{topic}' was set back by {-step_s:.2f} s"] if step_s < 0 else []

@@ -10,9 +10,10 @@ from kit.virtual_drive import ChangedLink
 
 from bridge.gate.limits import Limits
 from deploy.check import Battery, Preflight
-from deploy.drive.measurements import NS, Measurements
+from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.signed_lease import NOT_ACCEPTED
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.robot.description import DeadBand, load_description
 from rover_ncp.wire.protocol import BaseReply, GateStatus
@@ -112,7 +113,7 @@ def test_the_check_keeps_its_lease_while_it_measures_and_says_what_it_found(monk
 def test_a_robot_may_brake_as_slowly_as_its_description_says(monkeypatch, decel, ok):
     robot = load_description("turtlebot4")
     robot = robot.model_copy(update={"motion": robot.motion.model_copy(update={"decel": decel})})
-    stood = SimpleNamespace(ref=SimpleNamespace(measured_ns=time.monotonic_ns() + round(1.4 * NS)))
+    stood = SimpleNamespace(ref=SimpleNamespace(measured_ns=time.monotonic_ns() + round(1.4 * NS_PER_S)))
     monkeypatch.setattr(Preflight, "_move", lambda self, velocity: None)
     monkeypatch.setattr(Preflight, "_until", lambda self, condition, timeout_s: True)
     found, words = Preflight(None, SimpleNamespace(newest=stood), None, None, robot=robot)._check_silence()

@@ -8,11 +8,11 @@ from kit.virtual_drive import AHEAD
 from pydantic import ValidationError
 
 from deploy.drive.controller import Controller
-from deploy.drive.measurements import NS
 from deploy.drive.safety_monitor import ResponseCheck, SafetyMonitor, Timeouts, revoked
 from deploy.drive.signed_lease import DriverLease
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import NoBridge, NoRobot, NotAuthorised, SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.course import load_course
@@ -20,7 +20,7 @@ from rover_ncp.wire.protocol import GateStatus, MotorsReply, Signed
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 
-BEGIN_NS = 10 * NS
+BEGIN_NS = 10 * NS_PER_S
 STILL, FORWARD = Velocity(0.0, 0.0), Velocity(0.1, 0.0)
 
 
@@ -40,18 +40,18 @@ class Drive:
         self.monitor = SafetyMonitor(self.link, self.measurements, lambda: self.signal, clock=self)
 
     def monotonic(self):
-        return self.now_ns / NS
+        return self.now_ns / NS_PER_S
 
     def monotonic_ns(self):
         return self.now_ns
 
     def sleep(self, seconds):
         self.sleeps.append(seconds)
-        self.now_ns += round(seconds * NS)
+        self.now_ns += round(seconds * NS_PER_S)
 
     def check(self, seconds=0.0, fresh=True):
         """Check after that time; return the words of the stop, "" without one."""
-        self.now_ns += round(seconds * NS)
+        self.now_ns += round(seconds * NS_PER_S)
         if fresh:
             self.measurements.newest = SimpleNamespace(ref=SimpleNamespace(measured_ns=self.now_ns))
         try:
@@ -98,7 +98,7 @@ def test_what_is_missing_before_the_start_is_named_after_its_wait(missing, error
     vars(drive.link).update(missing)
     with pytest.raises(error, match=words):
         drive.monitor.wait()
-    assert wait_s < drive.monotonic() - BEGIN_NS / NS < wait_s + 0.01
+    assert wait_s < drive.monotonic() - BEGIN_NS / NS_PER_S < wait_s + 0.01
     assert max(drive.sleeps) < 0.01
 
 

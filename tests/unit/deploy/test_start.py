@@ -12,13 +12,13 @@ from deploy.drive.link import Arrival, Inbox
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.start import StartDetector
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import NoPose, SafetyStop
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import COURSE_FRAME, odometry, pose_with_covariance
 from rover_ncp.wire.protocol import GateStatus
 
-NS = 1_000_000_000
 COVARIANCE = np.diag([1e-4, 1e-4, 1e-3])
 
 
@@ -30,18 +30,18 @@ class World:
     def __init__(self, odometry_at, pose_at=lambda t: None, period=0.05):
         self.odometry, self.gyro, self.poses = Inbox(1), Inbox(), Inbox()
         self.now_ns, self._due_ns = 0, 0
-        self._at, self._pose_at, self._period_ns = odometry_at, pose_at, round(period * NS)
+        self._at, self._pose_at, self._period_ns = odometry_at, pose_at, round(period * NS_PER_S)
 
     def monotonic(self):
-        return self.now_ns / NS
+        return self.now_ns / NS_PER_S
 
     def monotonic_ns(self):
         return self.now_ns
 
     def sleep(self, seconds):
-        self.now_ns += round(seconds * NS)
+        self.now_ns += round(seconds * NS_PER_S)
         while self._due_ns <= self.now_ns:
-            t = self._due_ns / NS
+            t = self._due_ns / NS_PER_S
             data = odometry(Pose(*self._at(t)), Velocity(0.0, 0.0), self._due_ns)
             self.odometry.put(Arrival(data, self._due_ns))
             if (seen := self._pose_at(t)) is not None:

@@ -15,9 +15,9 @@ from rover_ncp.core.geometry import wrap_angle
 from rover_ncp.course.course import Obstacle, load_course
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.scoring import due_checkpoints
-from sim.learn.engine.commander import start_circuit, tick_circuits
 from sim.learn.engine.episode import episode_kernel
 from sim.learn.engine.evaluator import Evaluator
+from sim.learn.engine.lane_runner import start_circuit, tick_circuits
 from sim.learn.engine.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.env import ENV_ID

@@ -13,11 +13,12 @@ from kit.virtual_docking import VirtualDocking, charging, place
 from deploy.place.outcome import DockError
 from deploy.tag.camera import Picture
 from deploy.tag.localiser import Localiser
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import NoPose
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.course.course import Obstacle
 from sim.camera.render import Renderer
-from sim.stack.lines import NS, WALL_NS
+from sim.stack.lines import WALL_NS
 from sim.stack.rendered_camera import RenderedLocaliser
 
 START = Pose(1.05, 1.12, -0.5)
@@ -49,7 +50,7 @@ class Camera:
             self._kept.rotate()
         else:
             self._kept.append(self._renderer.picture(Pose(*pose)))
-        found = self.localiser.take(Picture(self._kept[-1], WALL_NS + round(now * NS)))
+        found = self.localiser.take(Picture(self._kept[-1], WALL_NS + round(now * NS_PER_S)))
         return found and found.pose
 
 

@@ -107,6 +107,8 @@ def test_mount_comes_back_from_a_drive_with_turns(gain, late_s, step_rad):
     assert found.deviations["x"] < 0.02
     assert found.deviations["yaw"] < 0.02
     assert found.late_s == pytest.approx(late_s, abs=0.005)
+    after = found.applied(CameraFile(intrinsics=TRUE, mount=by_hand, delay_s=0.1))
+    assert (after.mount, after.delay_s) == (found.mount, pytest.approx(0.1 + late_s, abs=0.005))
 
 
 def test_mount_is_refused_after_a_drive_without_a_turn():

@@ -1,6 +1,6 @@
-"""Controllers that drive the lanes of an episode kernel: their arrays and their two kernels.
+"""What drives the lanes of an episode kernel, each lane with its own parameters: arrays and two kernels.
 
-A commander is a circuit (here), a network (``networks.py``) or a classical law (``laws.py``).
+It runs a circuit (here), a network (``networks.py``) or a classical law (``laws.py``).
 """
 
 from collections.abc import Callable, Sequence
@@ -25,8 +25,8 @@ from rover_ncp.kernels.jit import inlined_kernel
 FloatArray = NDArray[np.float64]
 
 
-class Commander(NamedTuple):
-    """One kind of controller with P parameters, as ``episode_kernel`` takes it."""
+class LaneRunner(NamedTuple):
+    """Runs one kind of policy, of P parameters, on all lanes of ``episode_kernel``."""
 
     size: int
     """P."""
@@ -47,8 +47,8 @@ class CircuitLanes(NamedTuple):
     """(n, L) in mV."""
 
 
-def circuit_commander(policy: Policy) -> Commander:
-    """Return the commander of a policy's circuits."""
+def circuit_runner(policy: Policy) -> LaneRunner:
+    """Return what runs a policy's circuit on lanes."""
     program = make_program(policy)
 
     def allocate(count: int) -> CircuitLanes:
@@ -56,7 +56,7 @@ def circuit_commander(policy: Policy) -> Commander:
             program, allocate_lanes(program, policy, count), resting_potentials(policy, count)
         )
 
-    return Commander(policy.layout().size, allocate, start_circuit, tick_circuits)
+    return LaneRunner(policy.layout().size, allocate, start_circuit, tick_circuits)
 
 
 @inlined_kernel
@@ -72,12 +72,12 @@ def tick_circuits(lanes: CircuitLanes, observations: FloatArray, commands: Float
     tick_lanes(lanes.program, lanes.parameters, lanes.potentials, observations, commands)
 
 
-class CommanderRunner:
-    """One lane of a commander, run tick by tick: a driver's ``Runner`` without neurons."""
+class OneLaneRunner:
+    """A ``LaneRunner`` with one lane, run tick by tick: a driver's ``Runner`` without neurons."""
 
-    def __init__(self, commander: Commander, vector: FloatArray) -> None:
-        self._commander, self._vector = commander, vector
-        self._lane = commander.allocate(1)
+    def __init__(self, runner: LaneRunner, vector: FloatArray) -> None:
+        self._runner, self._vector = runner, vector
+        self._lane = runner.allocate(1)
         self._command = np.empty((2, 1))
         self.reset()
 
@@ -88,10 +88,10 @@ class CommanderRunner:
 
     def reset(self) -> None:
         """Go back to an episode's start."""
-        self._commander.start_lane(self._lane, 0, self._vector)
+        self._runner.start_lane(self._lane, 0, self._vector)
 
     def tick(self, observation: Sequence[float] | FloatArray) -> tuple[float, ...]:
         """Run one control tick on an observation (inputs,) and return v in m/s and omega in rad/s."""
         seen = np.array(observation, np.float64)[:, None]
-        self._commander.tick_lanes(self._lane, seen, self._command)
+        self._runner.tick_lanes(self._lane, seen, self._command)
         return tuple(self._command[:, 0].tolist())

@@ -73,7 +73,7 @@ class TagCalibration(BaseModel):
         default=None, description="standard deviation of each number of the mount"
     )
     late_s: float | None = Field(
-        default=None, description="how much later than odometry's the moments of pictures were; delay_s is corrected by it"
+        default=None, description="what delay_s lacked: lateness of pictures against odometry"
     )
 
 

@@ -110,7 +110,12 @@ class CameraFile(StrictModel):
 
     intrinsics: Intrinsics
     mount: Mount
-    delay_s: float = Field(default=0.0, ge=0.0, le=2.0, description="s from exposure to the picture's stamp, or to its arrival if it has none")
+    delay_s: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=2.0,
+        description="s from exposure to a picture's stamp, or else to its arrival",
+    )
 
 
 def load_camera_info(path: Path) -> Intrinsics:

@@ -44,9 +44,9 @@ from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.reference import plan_reference
 from sim.evaluate.evaluate import unseen_courses
 from sim.learn.engine.evaluator import Evaluator
-from sim.learn.engine.lane_runner import OneLaneRunner, circuit_runner
-from sim.learn.engine.laws import LAWS, law_runner
-from sim.learn.engine.networks import CELLS, LIQUID_CELLS, Net, NetKind, net_for, network_runner
+from sim.learn.engine.lane_runner import OneLaneRunner, circuit_lane_runner
+from sim.learn.engine.laws import LAWS, law_lane_runner
+from sim.learn.engine.networks import CELLS, LIQUID_CELLS, Net, NetKind, net_for, network_lane_runner
 from sim.learn.random_circuit import random_circuit
 from sim.learn.record import RobustSettings, made_with
 from sim.learn.robust import RobustSearch, drive_trials, policy_box, training_courses
@@ -93,7 +93,7 @@ def find_agent(name: str, seed: int) -> Agent:
     following = course_policy(load_circuit("tracking"))
     if name in LAWS:
         law = LAWS[name]
-        engine = partial(Evaluator, following, runner=law_runner(law))
+        engine = partial(Evaluator, following, lane_runner=law_lane_runner(law))
         return Agent(gain_box(name), engine, True)
     if name in NETWORKS:
         return _network(net_for(following, *NETWORKS[name]), following, seed)
@@ -131,7 +131,7 @@ def _circuit(policy: Policy, any_course: bool) -> Agent:
 def _network(net: Net, policy: Policy, seed: int) -> Agent:
     start = net.start(random_stream(seed, Domain.NETWORK_START))
     box = UnitBox.of(net.layout(), start)
-    return Agent(box, partial(Evaluator, policy, runner=network_runner(net)), True)
+    return Agent(box, partial(Evaluator, policy, lane_runner=network_lane_runner(net)), True)
 
 
 class Found:
@@ -144,9 +144,9 @@ class Found:
         following = course_policy(load_circuit("tracking"))
         self.signals = following.sensing.inputs
         if agent in NETWORKS:
-            runner = network_runner(net_for(following, *NETWORKS[agent]))
+            runner = network_lane_runner(net_for(following, *NETWORKS[agent]))
         else:
-            runner = law_runner(LAWS[agent]) if agent in LAWS else circuit_runner(following)
+            runner = law_lane_runner(LAWS[agent]) if agent in LAWS else circuit_lane_runner(following)
         if runner.size != len(vector):
             raise ConfigError(str(path), [f"$.found: expected {runner.size} numbers, got {len(vector)}"])
         self._runner = OneLaneRunner(runner, vector)

@@ -93,15 +93,18 @@ def on_files(files: Any, config: Any) -> Any:
     from mkdocs.structure.files import File
 
     from sim.paper.claims import judge_claims, load_claims
-    from sim.paper.report import claims_table
+    from sim.paper.report import long_report
     from sim.paper.results import ResultStore
 
     text = front_page((DOCS.parent / "README.md").read_text())
     files.append(File.generated(config, "index.md", content=text))
     for name, page in reference_pages().items():
         files.append(File.generated(config, f"reference/{name}", content=page))
-    table = claims_table(judge_claims(ResultStore(DOCS.parent / "results"), load_claims().claims))
-    files.append(File.generated(config, "paper_tables.md", content=f"# All claims of the paper\n\n{table}\n"))
+    store = ResultStore(DOCS.parent / "results")
+    tables = long_report(store, judge_claims(store, load_claims().claims))
+    files.append(
+        File.generated(config, "paper_tables.md", content=f"# The paper: all claims and runs\n\n{tables}\n")
+    )
     return files
 
 

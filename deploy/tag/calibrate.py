@@ -73,21 +73,22 @@ def find_intrinsics(pictures: Sequence[Sequence[Detection]], size: tuple[int, in
 
 
 class MountFound(NamedTuple):
-    """A mount, the standard deviation of each number of it, and the corners' root mean square in pixels.
-
-    ``late_s`` is how much later than odometry's the moments of the ``pictures`` are that were used.
-    """
+    """A mount, how late the pictures are against odometry, and the standard deviation of each number."""
 
     mount: Mount
     deviations: dict[str, float]
     late_s: float
     pictures: int
+    """Number of those that were used."""
     rms: float
+    """Root mean square of the corners' errors, pixels."""
 
     def applied(self, camera: CameraFile) -> CameraFile:
         """Return the camera with this mount, and with pictures as old as they were found to be."""
-        delay_s = max(0.0, round(camera.delay_s + self.late_s, 4))
-        return camera.model_copy(update={"mount": self.mount, "delay_s": delay_s})
+        delay_s = round(camera.delay_s + self.late_s, 4)
+        return CameraFile(
+            intrinsics=camera.intrinsics, mount=self.mount, delay_s=min(max(delay_s, -2.0), 2.0)
+        )
 
 
 def find_mount(
@@ -103,10 +104,8 @@ def find_mount(
     """
     by_hand = Locator(camera, tag_map)
     (began, _), (ended, _) = odometry[0], odometry[-1]
-    times, poses = (
-        np.array([at - began for at, _ in odometry]) / NS_PER_S,
-        np.array([pose for _, pose in odometry]),
-    )
+    times = np.array([at - began for at, _ in odometry]) / NS_PER_S
+    poses = np.array([pose for _, pose in odometry])
     poses[:, 2] = np.unwrap(poses[:, 2])
     within = [
         ((at - began) / NS_PER_S, by_hand.known(found)) for at, found in pictures if began <= at <= ended
@@ -151,10 +150,10 @@ def find_mount(
         raise UsageError(f"the drive does not fit the tags ({rms:.1f} px): is the map right, do wheels slip?")
     variance = float(np.mean(np.square(fit.fun)))
     covariance = max(1.0, variance) * np.linalg.pinv(fit.jac.T @ fit.jac)
-    deviations = np.sqrt(np.diag(covariance))[:6]
+    deviations = np.sqrt(np.diag(covariance))[[0, 1, 2, 3, 4, 5, 8]]
     return MountFound(
         Mount(**dict(zip(MOUNT_FIELDS, fit.x[:6].tolist(), strict=True))),
-        dict(zip(MOUNT_FIELDS, deviations.tolist(), strict=True)),
+        dict(zip((*MOUNT_FIELDS, "late_s"), deviations.tolist(), strict=True)),
         float(fit.x[8]),
         len(seen),
         rms,

@@ -22,7 +22,7 @@ TIMEOUT_S = 3.0
 MAX_JPEG = 8 << 20
 """Most bytes of a picture in a stream."""
 STAMP = "x-timestamp"
-"""Header of a picture in a stream: s since the epoch at its exposure, as mjpg-streamer sends it."""
+"""Header of a picture in a stream: s since the epoch at its exposure or later, as mjpg-streamer sends it."""
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,7 @@ def calibrate(
     Intrinsics: show the camera the board of 'tag print --board', near and far and tilted, or take pictures of
     it into a folder. The new file has the camera at the base's origin: write its measured place and angles
     into it. Mount: drive and turn slowly with 'rover-ncp teleop', tags in view; the file's mount is the
-    start. Every number is shown with its standard deviation.
+    start. How late pictures are is found, too (delay_s). Every number is shown with its standard deviation.
 
         rover-ncp tag calibrate --camera pictures/ --camera-file camera.yaml
         rover-ncp tag calibrate --camera 0 --camera-file camera.yaml --map tags.yaml --robot tcp/127.0.0.1

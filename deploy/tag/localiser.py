@@ -70,11 +70,12 @@ class TagCalibration(BaseModel):
         default=None, description="the mount on the rover, m and rad, if it was sought"
     )
     deviations: dict[str, float] | None = Field(
-        default=None, description="standard deviation of each number of the mount"
+        default=None, description="standard deviation of each number of the mount, and of late_s"
     )
     late_s: float | None = Field(
-        default=None, description="what delay_s lacked: lateness of pictures against odometry"
+        default=None, description="lateness of pictures against odometry that delay_s lacked"
     )
+    delay_s: float | None = Field(default=None, description="the camera's delay, as written")
 
 
 class Localiser:

@@ -144,13 +144,14 @@ def calibrate_mount(
         mount=found.mount.model_dump(),
         deviations=found.deviations,
         late_s=found.late_s,
+        delay_s=calibrated.delay_s,
     )
-    deviations = found.deviations.items()
-    values = ", ".join(f"{name} {getattr(found.mount, name):.4f} ± {std:.4f}" for name, std in deviations)
+    std = found.deviations
+    values = ", ".join(f"{name} {value:.4f} ± {std[name]:.4f}" for name, value in found.mount)
     output.result(
         result.model_dump(),
         f"wrote {camera_file}: {values} (m, rad); corners fit to {found.rms:.2f} px; pictures "
-        f"{found.late_s:.3f} s later than delay_s said, which is {calibrated.delay_s:.3f} s now",
+        f"{found.late_s:.3f} ± {std['late_s']:.3f} s later than delay_s said, now {calibrated.delay_s:.3f} s",
     )
 
 

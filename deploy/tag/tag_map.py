@@ -112,9 +112,9 @@ class CameraFile(StrictModel):
     mount: Mount
     delay_s: float = Field(
         default=0.0,
-        ge=0.0,
+        ge=-2.0,
         le=2.0,
-        description="s from exposure to a picture's stamp, or else to its arrival",
+        description="s from exposure to a picture's stamp, or else to its arrival; < 0: its clock is behind",
     )
 
 

@@ -93,8 +93,8 @@ def _drive_lanes(
 ) -> Callable[[Trials, int], list[Ended]]:
     """Return what drives trials, of which the first has a number, in the lanes of an episode kernel."""
     assert driver.lanes is not None
-    runner, vector = driver.lanes()
-    engine = Evaluator(driver.signals, courses, model, runner=runner)
+    lane_runner, vector = driver.lanes()
+    engine = Evaluator(driver.signals, courses, model, lane_runner=lane_runner)
 
     def drive(trials: Trials, first: int) -> list[Ended]:
         engine.change_trials(trials, first)

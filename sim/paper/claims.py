@@ -25,7 +25,6 @@ from sim.paper.statistics import (
     fisher,
     holm,
     mean_text,
-    permutation,
     summary,
     welch,
     wilson,
@@ -81,7 +80,9 @@ class ClaimsFile(StrictModel):
 class Outcome:
     """Result of a test before Holm's correction."""
 
-    figure: str
+    figure: str = ""
+    against: str = ""
+    """What the figure is compared with."""
     verdict: Verdict | None = None
     """None: p decides."""
     why: str = ""
@@ -96,6 +97,7 @@ class Judged(Statement):
 
     verdict: Verdict = Field(description="reproduced, differs, inconclusive or not tested")
     figure: str = Field(description="what was measured")
+    against: str = Field(description="what that is compared with")
     why: str = Field(description="the reason of the verdict, or a deviation")
 
 
@@ -107,7 +109,7 @@ def load_claims() -> ClaimsFile:
 def judge_claims(store: ResultStore, claims: Sequence[Claim]) -> list[Judged]:
     """Return the verdicts on claims. Raises FileError."""
     outcomes = [
-        _TESTS[claim.test](store, **claim.arguments) if claim.test else Outcome("", Verdict.NOT_TESTED)
+        _TESTS[claim.test](store, **claim.arguments) if claim.test else Outcome(verdict=Verdict.NOT_TESTED)
         for claim in claims
     ]
     places: dict[tuple[str, str | None], dict[int, float]] = {}
@@ -130,11 +132,13 @@ def _judged(claim: Claim, outcome: Outcome) -> Judged:
     elif verdict is Verdict.NOT_TESTED:
         why = claim.why or outcome.why
     data = claim.model_dump(include=set(Statement.model_fields))
-    return Judged(**data, verdict=verdict, figure=outcome.figure, why=why)
+    return Judged(**data, verdict=verdict, figure=outcome.figure, against=outcome.against, why=why)
 
 
 def _too_few(count: int) -> Outcome:
-    return Outcome("", Verdict.NOT_TESTED, f"{count} of at least {MIN_RUNS} runs exist")
+    return Outcome(
+        verdict=Verdict.NOT_TESTED, why=f"{count} runs, {MIN_RUNS} are needed" if count else "no runs"
+    )
 
 
 def rate(
@@ -148,13 +152,13 @@ def rate(
     if within is not None:
         values = [run.value_after(within) for run in runs]
         if any(each is None for each in values):
-            return Outcome("", Verdict.NOT_TESTED, "the curves are not complete")
+            return Outcome(verdict=Verdict.NOT_TESTED, why="the curves are not complete")
         succeeded = [each is not None and each >= TASKS[task].success for each in values]
     count = sum(succeeded)
     found, (low, high) = fisher(count, len(runs), hits, of), wilson(count, len(runs))
-    figure = f"{count} of {len(runs)} ({low:.0%} to {high:.0%}) against {hits} of {of}"
+    figure = f"{count} of {len(runs)} [{low:.0%}, {high:.0%}]"
     verdict = Verdict.REPRODUCED if found.within(RATE_MARGIN) else None
-    return Outcome(figure, verdict, f"n = {len(runs)} and {of}", found.p)
+    return Outcome(figure, f"{hits} of {of}", verdict, f"n = {len(runs)} and {of}", found.p)
 
 
 def value(
@@ -174,9 +178,10 @@ def value(
         return _too_few(len(returns))
     ours = summary(returns)
     found = welch(ours, Summary(mean, std, of))
-    figure = f"{mean_text(ours.mean, ours.std)} against {mean_text(mean, std)}"
     verdict = Verdict.REPRODUCED if found.within(TASKS[task].margin) else None
-    return Outcome(figure, verdict, f"n = {ours.runs} and {of}", found.p)
+    return Outcome(
+        mean_text(ours.mean, ours.std), mean_text(mean, std), verdict, f"n = {ours.runs} and {of}", found.p
+    )
 
 
 def compare(
@@ -192,11 +197,11 @@ def compare(
     ours, theirs = store.returns(task, "circuit", budget), store.returns(task, other, other_budget or budget)
     if min(len(ours), len(theirs)) < MIN_RUNS:
         return _too_few(min(len(ours), len(theirs)))
-    found = permutation(ours, theirs)
-    means = " against ".join(mean_text(float(row.mean())) for row in (ours, theirs))
+    found = welch(summary(ours), summary(theirs))
     reproduced = not better and found.low > -TASKS[task].margin
     return Outcome(
-        f"{means}; difference of return {found.text()}",
+        mean_text(float(ours.mean())),
+        f"{mean_text(float(theirs.mean()))}; difference {found.text()}",
         Verdict.REPRODUCED if reproduced else None,
         f"n = {len(ours)} and {len(theirs)}",
         found.p,
@@ -211,13 +216,14 @@ def sign(store: ResultStore, *, source: str, destination: str, expected: str) ->
         return _too_few(len(found))
     clear = clear_signs(found)
     hits = sum(each == expected for each in clear)
-    figure = f"{hits} of {len(clear)} circuits that have a sign, of {len(found)}"
+    figure = f"{expected} in {hits} of {len(clear)} circuits"
+    none = f"no clear sign in {len(found) - len(clear)} of {len(found)}"
     if len(clear) < MIN_RUNS:
-        return Outcome(figure, Verdict.INCONCLUSIVE, f"no evidence, n = {len(clear)}")
+        return Outcome(figure, none, Verdict.INCONCLUSIVE, f"fewer than {MIN_RUNS} have a sign")
     low, high = wilson(hits, len(clear))
     against = Verdict.DIFFERS if high < 0.5 else Verdict.INCONCLUSIVE
     verdict = Verdict.REPRODUCED if low > 0.5 else against
-    return Outcome(figure, verdict, f"{low:.0%} to {high:.0%}, n = {len(clear)}")
+    return Outcome(f"{figure} [{low:.0%}, {high:.0%}]", none, verdict, f"n = {len(clear)}")
 
 
 def fact(store: ResultStore, of: str, expected: Any, **arguments: Any) -> Outcome:
@@ -225,9 +231,8 @@ def fact(store: ResultStore, of: str, expected: Any, **arguments: Any) -> Outcom
     found = _FACTS[of](store, **arguments)
     if found is None:
         return _too_few(0)
-    if found == expected:
-        return Outcome(str(found), Verdict.REPRODUCED)
-    return Outcome(f"{found}; in the paper: {expected}", Verdict.DIFFERS)
+    verdict = Verdict.REPRODUCED if found == expected else Verdict.DIFFERS
+    return Outcome(str(found), str(expected), verdict)
 
 
 def _fewest_parameters(_: ResultStore, task: str) -> str:
@@ -237,7 +242,7 @@ def _fewest_parameters(_: ResultStore, task: str) -> str:
     fewest = min(sizes, key=sizes.__getitem__)
     if fewest == "circuit":
         return "the circuit has the fewest"
-    return f"the {fewest.upper()} has the fewest, {sizes[fewest]}, the circuit {sizes['circuit']}"
+    return ", ".join(f"{agent} {size}" for agent, size in sizes.items())
 
 
 def _overlapping_time_constants(
@@ -245,7 +250,7 @@ def _overlapping_time_constants(
 ) -> str | None:
     ours = time_constants(store, task)
     same = [n for n, (low, high) in ranges.items() if n in ours and ours[n][0] <= high and low <= ours[n][1]]
-    return f"{len(same)} of {len(ranges)} ranges overlap" if ours else None
+    return f"{len(same)} of {len(ranges)} neurons" if ours else None
 
 
 def _varying_time_constants(store: ResultStore) -> str | None:

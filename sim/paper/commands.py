@@ -159,7 +159,9 @@ def replay_experiments(
 def report_experiments(
     *,
     results: Results = RESULTS,
-    long: Annotated[bool, typer.Option("--long", help="The table of all claims.")] = False,
+    long: Annotated[
+        bool, typer.Option("--long", help="All claims, the settings and the stored runs.")
+    ] = False,
     curves: Annotated[
         Path | None,
         typer.Option(help="Write the published search's curves to this PNG.", show_default=False),
@@ -176,7 +178,7 @@ def report_experiments(
     from rover_ncp.core.files import require_writable, write_atomic
     from sim.paper.claims import judge_claims, load_claims
     from sim.paper.curves import curves_png
-    from sim.paper.report import ReportResult, claims_table, coverage, short_report
+    from sim.paper.report import ReportResult, coverage, long_report, short_report
     from sim.paper.results import ResultStore
 
     if curves is not None:
@@ -187,5 +189,5 @@ def report_experiments(
     if curves is not None:
         write_atomic(curves, curves_png(store))
     judged = judge_claims(store, file.claims)
-    text = claims_table(judged) if long else short_report(store, file, judged)
+    text = long_report(store, judged) if long else short_report(store, file, judged)
     Output(json).result(ReportResult(claims=judged, groups=coverage(store)).model_dump(), text)

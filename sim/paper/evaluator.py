@@ -15,9 +15,9 @@ from rover_ncp.circuit.runner import Runner
 from rover_ncp.kernels.jit import kernel
 from rover_ncp.kernels.vectors import WIDTH
 from sim.learn.engine.environment import Play
-from sim.learn.engine.lane_runner import circuit_runner
+from sim.learn.engine.lane_runner import circuit_lane_runner
 from sim.learn.engine.lanes import IDLE
-from sim.learn.engine.networks import Net, network_runner
+from sim.learn.engine.networks import Net, network_lane_runner
 from sim.learn.search.base import Seeds
 from sim.paper.plants.lanes import KINDS, NO_MUJOCO, Plants, observe, reset_plant, step_plant
 from sim.paper.tasks import Benchmark
@@ -120,10 +120,10 @@ class Evaluator:
         self.enough = task.success
         self._plants, self._pool = make_plants(task, for_search=for_search)
         if isinstance(agent, Policy):
-            runner = circuit_runner(agent)
+            runner = circuit_lane_runner(agent)
             self._shape = len(agent.sensing.inputs), len(agent.motors.outputs)
         else:
-            runner, self._shape = network_runner(agent), (len(agent.scale), len(agent.high))
+            runner, self._shape = network_lane_runner(agent), (len(agent.scale), len(agent.high))
         self._arrays = runner.allocate(self._plants.state.shape[1])
         self._kernel = episode_kernel(runner.start_lane, runner.tick_lanes)
 

@@ -51,45 +51,53 @@ class ReportResult(BaseModel):
 
 def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Judged]) -> str:
     """Return the generated part of the page. Raises FileError."""
-    counts = Counter(claim.verdict for claim in judged)
     parts = [
+        summary_of(file, judged),
         answers(file, judged),
-        f"Of {len(judged)} claims: " + ", ".join(f"{_HEADS[each]} {counts[each]}" for each in Verdict) + ".",
         *(f"**{name}**\n\n{paper_table(store, file, name)}" for name in LAYOUTS),
         f"**Interquartile means**\n\n{iqm_table(store)}",
         f"**Definition 1**\n\n{sign_table(store, file)}",
         f"**Time constants of parking, s**\n\n{time_constant_table(store, file)}",
-        f"**Settings and thresholds**\n\n{settings_table()}",
-        f"**The stored runs**\n\n{runs_table(store)}",
     ]
     return "\n\n".join(parts)
 
 
-def claims_table(judged: Sequence[Judged]) -> str:
-    """Return all claims with their verdicts."""
-    rows: list[Row] = [("name", "claim", "where", "verdict", "ours against the paper's")]
-    for claim in judged:
-        verdict = f"{claim.verdict} ({claim.why})" if claim.why else claim.verdict
-        rows.append((claim.name, claim.words, claim.where, verdict, claim.figure))
-    return markdown(rows)
+def long_report(store: ResultStore, judged: Sequence[Judged]) -> str:
+    """Return all claims, the settings and the stored runs. Raises FileError."""
+    claims: list[Row] = [("name", "where", "claim", "ours", "compared with", "verdict")]
+    claims += [(claim.name, claim.where, *_cells(claim)) for claim in judged]
+    parts = {
+        "All claims": markdown(claims),
+        "Settings and thresholds": settings_table(),
+        "The stored runs": runs_table(store),
+    }
+    return "\n\n".join(f"**{name}**\n\n{table}" for name, table in parts.items())
+
+
+def summary_of(file: ClaimsFile, judged: Sequence[Judged]) -> str:
+    """Return the claims that answer the page's questions, in words, by verdict."""
+    answering = {name for names in file.questions.values() for name in names}
+    lines = []
+    for verdict, head in _HEADS.items():
+        shown = [claim for claim in judged if claim.verdict is verdict and claim.name in answering]
+        others = sum(claim.verdict is verdict for claim in judged) - len(shown)
+        words = "; ".join(claim.words for claim in shown) or "none"
+        lines.append(f"- **{head.capitalize()}** ({len(shown)}, and {others} of the other claims): {words}.")
+    return "\n".join(lines)
 
 
 def answers(file: ClaimsFile, judged: Sequence[Judged]) -> str:
-    """Return the page's questions with their claims in words, by verdict."""
+    """Return the page's questions, each with the claims that answer it."""
     by_name = {claim.name: claim for claim in judged}
-    rows: list[Row] = [("question", *(_HEADS[verdict] for verdict in Verdict))]
+    rows: list[Row] = [("claim", "ours", "compared with", "verdict")]
     for number, (question, names) in enumerate(file.questions.items(), start=1):
-        cells: dict[Verdict, list[str]] = {verdict: [] for verdict in Verdict}
-        reasons: dict[str, list[str]] = {}
-        for claim in (by_name[name] for name in names):
-            why = f" ({claim.why})" if claim.verdict is Verdict.INCONCLUSIVE else ""
-            if claim.verdict is Verdict.NOT_TESTED:
-                reasons.setdefault(claim.why, []).append(claim.words)
-            else:
-                cells[claim.verdict].append(f"{claim.words}: {claim.figure}{why}")
-        cells[Verdict.NOT_TESTED] = [f"{', '.join(words)}: {why}" for why, words in reasons.items()]
-        rows.append((f"{number}. {question}", *map("; ".join, cells.values())))
+        rows += [(f"**{number}. {question}**", "", "", ""), *(_cells(by_name[name]) for name in names)]
     return markdown(rows)
+
+
+def _cells(claim: Judged) -> Row:
+    reason = f" ({claim.why})" if claim.why else ""
+    return claim.words, claim.figure, claim.against, f"{_HEADS[claim.verdict]}{reason}"
 
 
 def paper_table(store: ResultStore, file: ClaimsFile, name: str) -> str:

@@ -30,7 +30,7 @@ class Estimate(NamedTuple):
 
     def text(self) -> str:
         """Return the value and its interval."""
-        return f"{mean_text(self.value)} ({mean_text(self.low)} .. {mean_text(self.high)})"
+        return f"{mean_text(self.value)} [{mean_text(self.low)}, {mean_text(self.high)}]"
 
 
 class Summary(NamedTuple):
@@ -44,23 +44,6 @@ class Summary(NamedTuple):
 def summary(values: FloatArray) -> Summary:
     """Return mean and standard deviation of one or more values (n,)."""
     return Summary(float(np.mean(values)), float(np.std(values, ddof=min(len(values) - 1, 1))), len(values))
-
-
-def permutation(ours: FloatArray, theirs: FloatArray) -> Estimate:
-    """Return the difference of the means of values (n,) and (m,), by a permutation test."""
-    if np.ptp(np.concatenate([ours, theirs])) == 0.0:
-        return Estimate(0.0, 0.0, 0.0)
-    rng = np.random.default_rng(_SEED)
-    test = stats.permutation_test((ours, theirs), _difference, n_resamples=_RESAMPLES, rng=rng)
-    difference, p = float(test.statistic), float(test.pvalue)
-    if np.ptp(ours) == 0.0 and np.ptp(theirs) == 0.0:
-        return Estimate(difference, difference, difference, p)
-    ends = stats.bootstrap((ours, theirs), _difference, n_resamples=_RESAMPLES, rng=rng).confidence_interval
-    return Estimate(difference, float(ends.low), float(ends.high), p)
-
-
-def _difference(a: FloatArray, b: FloatArray, axis: int = -1) -> Any:
-    return a.mean(axis=axis) - b.mean(axis=axis)
 
 
 def interquartile_mean(values: FloatArray) -> Estimate:

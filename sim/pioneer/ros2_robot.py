@@ -31,7 +31,7 @@ BATTERY_S = 1.0
 SWITCHES_HZ = 20.0
 """Rate of the stop button and of hazards (chosen)."""
 GYRO_LATE_S = 0.02
-"""How long a reading of the gyro takes to its topic (chosen): odometry overtakes it, as on many robots."""
+"""How long a reading of the gyro takes at least (chosen): odometry overtakes it, as on many robots."""
 BEAMS = 120
 """Beams of the mock's laser, 3 degrees apart."""
 

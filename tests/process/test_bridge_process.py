@@ -16,6 +16,8 @@ from bridge.pioneer.transport import open_transport
 from rover_ncp import cli
 from rover_ncp.core.errors import NoRobot
 from rover_ncp.core.geometry import Velocity
+from rover_ncp.wire.key_table import spec
+from rover_ncp.wire.messages import decode
 from sim.live.live_run import LiveRun
 from sim.live.processes import Process
 from sim.live.truth import TruthReader
@@ -42,6 +44,15 @@ def fails(capsys, monkeypatch):
     return run
 
 
+def motors(driver):
+    """Return what the newest diagnostics say of the motors; None without any."""
+    if "diagnostics" not in driver.seen:
+        return None
+    message = decode(spec("diagnostics").type, driver.seen["diagnostics"])
+    values = [value for status in message.status for value in status.values]
+    return next(value.value for value in values if value.key == "motors")
+
+
 def test_rover_drives_stops_in_time_and_stops_again_at_ctrl_c(tmp_path):
     with LiveRun(tmp_path) as rig, Driver(rig.robot) as driver:
         driver.name = f"x\x1b[2J\n{FORGED}"
@@ -57,6 +68,8 @@ def test_rover_drives_stops_in_time_and_stops_again_at_ctrl_c(tmp_path):
         assert [str(reply.ok.key_expr) for reply in tokens] == ["rover/alive/bridge"]
         assert rig.truth.stood_after(sent_ns) < STOP_S + braking_s(0.1) + MACHINE_S
 
+        # A lease that lapses while the next one begins cuts that one's first command off.
+        wait_for(lambda: motors(driver) == "off")
         driver.start()
         base = open_transport(f"tcp/{rig.base}")
         with closing(base), pytest.raises(NoRobot, match="one client at a time"):

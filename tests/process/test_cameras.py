@@ -166,9 +166,9 @@ def test_poses_come_from_a_ros_camera_with_its_own_camera_info_and_mount(
 def test_picture_of_ros_is_as_much_older_than_its_stamp_as_its_file_says(publish):
     pictures = [image(picture_of(POSE, seed=seed)) for seed in range(3)]
     source = f"ros2/{publish(Convention.ROS2DDS, [('camera/image_raw', IMAGE, pictures)])}"
-    with RosCamera(source, 0.0) as stamped_right, RosCamera(source, 30.0) as stamped_late:
+    with RosCamera(source, 0.0) as stamped_right, RosCamera(source, 2.0) as stamped_late:
         ages_s = [(time.time_ns() - next(iter(each)).wall_ns) / 1e9 for each in (stamped_right, stamped_late)]
-    assert 29.0 < ages_s[1] - ages_s[0] < 31.0
+    assert 1.0 < ages_s[1] - ages_s[0] < 3.0
 
 
 def test_ros_camera_without_camera_info_says_what_to_give(publish, tmp_path, capsys, monkeypatch):

@@ -18,8 +18,8 @@ from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.errors import ConfigError, RoverNcpError, UsageError
 from rover_ncp.core.files import importable_working_folder
 from rover_ncp.course.signals import REFERENCE_SIGNALS
-from sim.learn.engine.lane_runner import LaneRunner, OneLaneRunner, circuit_runner
-from sim.learn.engine.laws import LAWS, law_runner
+from sim.learn.engine.lane_runner import LaneRunner, OneLaneRunner, circuit_lane_runner
+from sim.learn.engine.laws import LAWS, law_lane_runner
 
 FloatArray = NDArray[np.float64]
 AnyRunner: TypeAlias = Runner | OneLaneRunner | FunctionRunner
@@ -46,7 +46,7 @@ def load_driver(name: str) -> Driver:
     """
     if name in LAWS:
         lanes = partial(_law_lanes, name)
-        return Driver(name, REFERENCE_SIGNALS, partial(_lane_runner, lanes), lanes)
+        return Driver(name, REFERENCE_SIGNALS, partial(_one_lane, lanes), lanes)
     if ":" in name and not Path(name).exists():
         return _own_driver(name, partial(_imported, name))
     return circuit_driver(load_policy(name))
@@ -119,13 +119,13 @@ def _described(error: Exception) -> str:
 
 
 def _circuit_lanes(policy: Policy) -> tuple[LaneRunner, FloatArray]:
-    return circuit_runner(policy), policy.parameters()
+    return circuit_lane_runner(policy), policy.parameters()
 
 
 def _law_lanes(name: str) -> tuple[LaneRunner, FloatArray]:
     law = LAWS[name]
-    return law_runner(law), np.array(law.tuned)
+    return law_lane_runner(law), np.array(law.tuned)
 
 
-def _lane_runner(lanes: Callable[[], tuple[LaneRunner, FloatArray]]) -> AnyRunner:
+def _one_lane(lanes: Callable[[], tuple[LaneRunner, FloatArray]]) -> AnyRunner:
     return OneLaneRunner(*lanes())

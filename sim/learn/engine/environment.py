@@ -18,7 +18,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.errors import ConfigError, UsageError
 from rover_ncp.core.files import importable_working_folder
-from sim.learn.engine.lane_runner import circuit_runner
+from sim.learn.engine.lane_runner import circuit_lane_runner
 from sim.learn.search.base import Seeds
 
 Environment: TypeAlias = gymnasium.Env[Any, Any]
@@ -97,8 +97,8 @@ class EnvironmentEvaluator:
 
     def _connect(self, policy: Policy) -> None:
         self.policy = policy
-        self._runner = circuit_runner(policy)
-        self._arrays = self._runner.allocate(_LANES)
+        self._lane_runner = circuit_lane_runner(policy)
+        self._arrays = self._lane_runner.allocate(_LANES)
         self._observations = np.zeros((len(policy.sensing.inputs), _LANES))
         self._outputs = np.zeros((len(policy.motors.outputs), _LANES))
 
@@ -114,11 +114,11 @@ class EnvironmentEvaluator:
         while running or waiting:
             while free and waiting:
                 lane, episode = free.pop(), waiting.pop()
-                self._runner.start_lane(self._arrays, lane, rows[episode // len(seeds)])
+                self._lane_runner.start_lane(self._arrays, lane, rows[episode // len(seeds)])
                 seen, _ = self._environments[lane].reset(seed=_seed(seeds[episode % len(seeds)]))
                 self._observations[:, lane] = self._checked(seen)
                 running[lane] = [episode, 0]
-            self._runner.tick_lanes(self._arrays, self._observations, self._outputs)
+            self._lane_runner.tick_lanes(self._arrays, self._observations, self._outputs)
             for lane, state in list(running.items()):
                 seen, reward, over = self._step(self._environments[lane], self._outputs[:, lane], state[1])
                 found[state[0]] += reward

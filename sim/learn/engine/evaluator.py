@@ -22,7 +22,7 @@ from rover_ncp.course.scoring import due_checkpoints
 from rover_ncp.course.signals import SIGNALS
 from rover_ncp.kernels.jit import bound
 from sim.learn.engine.episode import enqueue, episode_kernel
-from sim.learn.engine.lane_runner import LaneRunner, circuit_runner
+from sim.learn.engine.lane_runner import LaneRunner, circuit_lane_runner
 from sim.learn.engine.lanes import IDLE, RESULTS, FloatArray, IntArray, Lanes, Queue, Tasks, Waiting
 from sim.world.described import default_rover
 from sim.world.fleet import Fleet
@@ -70,9 +70,9 @@ class _LaneSet(NamedTuple):
 
 
 class Evaluator:
-    """Scores parameter vectors of one runner, by default a policy's circuit. One thread at a time.
+    """Scores parameter vectors of one lane runner, by default a policy's circuit. One thread at a time.
 
-    With another runner, the names of its signals take the place of the policy. With ``trials``, trial i is
+    With another one, the names of its signals take the place of the policy. With ``trials``, trial i is
     driven on course i modulo the number of courses; without, each course once as the model is. References are
     planned where the policy observes them and none are given.
 
@@ -87,7 +87,7 @@ class Evaluator:
         trials: Trials | None = None,
         references: Sequence[Reference] | None = None,
         *,
-        runner: LaneRunner | None = None,
+        lane_runner: LaneRunner | None = None,
     ) -> None:
         interface = RoverInterface(policy)
         courses = [course] if isinstance(course, Course) else list(course)
@@ -99,11 +99,11 @@ class Evaluator:
         self._ground = np.array([self._grounds.index(each.obstacles) for each in courses])
         if references is None and interface.needs_reference:
             references = [plan_reference(each) for each in courses]
-        if runner is None:
-            assert isinstance(policy, Policy)  # signals come with a runner
-            runner = circuit_runner(policy)
-        self._runner = runner
-        self._kernel = episode_kernel(self._runner.start_lane, self._runner.tick_lanes)
+        if lane_runner is None:
+            assert isinstance(policy, Policy)  # signals come with a lane runner
+            lane_runner = circuit_lane_runner(policy)
+        self._lane_runner = lane_runner
+        self._kernel = episode_kernel(self._lane_runner.start_lane, self._lane_runner.tick_lanes)
         self._signal_at = np.array(interface.places)
         self._tasks = _tasks(courses, references, self.model)
         self._lane_sets: dict[tuple[int, int], _LaneSet] = {}
@@ -165,7 +165,7 @@ class Evaluator:
 
     def stream(self, agents: int) -> "Stream":
         """Return a stream of the first trial on the first course for so many agents."""
-        size, lane_set = self._runner.size, self._build_lanes(STREAM_LANES, 0)
+        size, lane_set = self._lane_runner.size, self._build_lanes(STREAM_LANES, 0)
 
         def bind(queue: Queue) -> Callable[[], None]:
             return bound(self._kernel, *self._arguments(lane_set, queue))
@@ -243,7 +243,9 @@ class Evaluator:
         )
         delay_v, delay_omega = self._delays
         slowest = self.model.model_copy(update={"delay_v_s": delay_v, "delay_omega_s": delay_omega})
-        return _LaneSet(self._runner.allocate(width), lanes, Fleet([slowest] * width, self._grounds[ground]))
+        return _LaneSet(
+            self._lane_runner.allocate(width), lanes, Fleet([slowest] * width, self._grounds[ground])
+        )
 
 
 class Answer(NamedTuple):

@@ -1,6 +1,6 @@
 """What drives the lanes of an episode kernel, each lane with its own parameters: arrays and two kernels.
 
-It runs a circuit (here), a network (``networks.py``) or a classical law (``laws.py``).
+A lane runner runs a circuit (here), a network (``networks.py``) or a classical law (``laws.py``).
 """
 
 from collections.abc import Callable, Sequence
@@ -47,7 +47,7 @@ class CircuitLanes(NamedTuple):
     """(n, L) in mV."""
 
 
-def circuit_runner(policy: Policy) -> LaneRunner:
+def circuit_lane_runner(policy: Policy) -> LaneRunner:
     """Return what runs a policy's circuit on lanes."""
     program = make_program(policy)
 
@@ -75,9 +75,9 @@ def tick_circuits(lanes: CircuitLanes, observations: FloatArray, commands: Float
 class OneLaneRunner:
     """A ``LaneRunner`` with one lane, run tick by tick: a driver's ``Runner`` without neurons."""
 
-    def __init__(self, runner: LaneRunner, vector: FloatArray) -> None:
-        self._runner, self._vector = runner, vector
-        self._lane = runner.allocate(1)
+    def __init__(self, lane_runner: LaneRunner, vector: FloatArray) -> None:
+        self._lane_runner, self._vector = lane_runner, vector
+        self._lane = lane_runner.allocate(1)
         self._command = np.empty((2, 1))
         self.reset()
 
@@ -88,10 +88,10 @@ class OneLaneRunner:
 
     def reset(self) -> None:
         """Go back to an episode's start."""
-        self._runner.start_lane(self._lane, 0, self._vector)
+        self._lane_runner.start_lane(self._lane, 0, self._vector)
 
     def tick(self, observation: Sequence[float] | FloatArray) -> tuple[float, ...]:
         """Run one control tick on an observation (inputs,) and return v in m/s and omega in rad/s."""
         seen = np.array(observation, np.float64)[:, None]
-        self._runner.tick_lanes(self._lane, seen, self._command)
+        self._lane_runner.tick_lanes(self._lane, seen, self._command)
         return tuple(self._command[:, 0].tolist())

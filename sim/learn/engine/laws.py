@@ -107,7 +107,7 @@ def tick_laws(lanes: LawLanes, observations: FloatArray, commands: FloatArray) -
             commands[axis, lane] = 0.0 if still else part
 
 
-def law_runner(law: Law) -> LaneRunner:
+def law_lane_runner(law: Law) -> LaneRunner:
     """Return the runner of a law, with the limits of a circuit's commands. Its vectors are the gains."""
     limits = np.array(COMMAND_MAX)
 

@@ -276,6 +276,6 @@ def update_cells(lanes: NetLanes, count: int) -> None:
             hidden[c, lane] = output_gate * tanh(value)
 
 
-def network_runner(net: Net) -> LaneRunner:
+def network_lane_runner(net: Net) -> LaneRunner:
     """Return the runner of a network."""
     return LaneRunner(net.layout().size, partial(allocate_networks, net), start_network, tick_networks)

@@ -17,7 +17,7 @@ def test_page_has_the_present_tables():
 def test_page_is_short_and_its_answers_come_first():
     assert len(PAGE.splitlines()) <= 300
     assert len(PAGE.split()) <= 4000
-    assert PAGE.index("| 10. ") < PAGE.index("\n## ")
+    assert PAGE.index("| **10. ") < PAGE.index("\n## ")
 
 
 def test_cited_claims_exist():

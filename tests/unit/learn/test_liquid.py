@@ -5,7 +5,7 @@ import pytest
 
 from sim.learn.engine.lane_runner import OneLaneRunner
 from sim.learn.engine.liquid import BACKBONE
-from sim.learn.engine.networks import NetKind, net_for, network_runner
+from sim.learn.engine.networks import NetKind, net_for, network_lane_runner
 from sim.learn.search.random_search import perturb
 from sim.paper.tasks import TASKS
 
@@ -43,7 +43,7 @@ def test_kernel_computes_what_the_library_does(kind, task):
     for _ in range(6):
         vector = perturb(net.layout(), net.start(rng), rng)
         seen = rng.uniform(-1.2, 1.2, (30, len(net.scale))) * net.scale
-        runner = OneLaneRunner(network_runner(net), vector)
+        runner = OneLaneRunner(network_lane_runner(net), vector)
         got = np.array([runner.tick(row)[: len(net.high)] for row in seen])
         np.testing.assert_allclose(got, library_outputs(net, vector, seen), rtol=1e-9, atol=1e-12)
         varied += np.ptp(got, axis=0)

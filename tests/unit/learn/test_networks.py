@@ -11,7 +11,7 @@ from sim.learn.engine.networks import (
     NetKind,
     allocate_networks,
     net_for,
-    network_runner,
+    network_lane_runner,
     start_network,
     tick_networks,
 )
@@ -81,7 +81,7 @@ def test_sizes_ranges_and_limits_are_those_of_the_circuit():
 def test_a_course_gives_the_same_return_in_any_company(kind):
     course = load_course("parking")
     net = net_for(PARKING, kind)
-    engine = Evaluator(PARKING, course, runner=network_runner(net))
+    engine = Evaluator(PARKING, course, lane_runner=network_lane_runner(net))
     vectors = np.array([net.start(np.random.default_rng(i)) for i in range(20)])
     together = engine.returns(vectors)
     assert len(set(together.tolist())) == 20
@@ -91,5 +91,5 @@ def test_a_course_gives_the_same_return_in_any_company(kind):
 
 def test_a_network_that_asks_for_nothing_stays():
     net = net_for(PARKING, NetKind.MLP)
-    engine = Evaluator(PARKING, load_course("parking"), runner=network_runner(net))
+    engine = Evaluator(PARKING, load_course("parking"), lane_runner=network_lane_runner(net))
     assert engine.returns(np.zeros(net.layout().size))[0] == pytest.approx(-14.18, abs=0.01)

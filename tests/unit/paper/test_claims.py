@@ -1,6 +1,7 @@
 """Verdicts on the paper's claims, and the report."""
 
 import json
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,7 +17,7 @@ from sim.paper.agents import build_agent
 from sim.paper.claims import Claim, Verdict, judge_claims, load_claims
 from sim.paper.curves import average, curves_png
 from sim.paper.interpretation import counts, readings
-from sim.paper.report import LAYOUTS, claims_table, short_report
+from sim.paper.report import LAYOUTS, long_report, short_report, summary_of
 from sim.paper.results import Packed, ResultStore
 from sim.paper.selection import grid
 from sim.paper.tasks import TASKS
@@ -150,14 +151,27 @@ def test_sign_has_a_verdict_only_where_all_readings_agree(store, monkeypatch):
     sign = {"source": "AVA", "destination": "RGT", "expected": "positive"}
     assert verdict(store, "sign", **sign).verdict is Verdict.REPRODUCED
     found = verdict(store, "sign", **sign)
-    assert (found.verdict, found.why) == (Verdict.INCONCLUSIVE, "no evidence, n = 0")
+    assert (found.verdict, found.why) == (Verdict.INCONCLUSIVE, "fewer than 5 have a sign")
 
 
 def test_report_of_an_empty_folder_says_that_nothing_is_tested(store):
     file = load_claims()
     judged = judge_claims(store, file.claims)
     assert short_report(store, file, judged).count("not tested") > 20
-    assert "| park-all |" in claims_table(judged)
+    assert "| park-all |" in long_report(store, judged)
+
+
+def test_each_claim_that_answers_a_question_is_named_under_its_verdict_and_the_others_are_counted(store):
+    untuned = Packed.of(build_agent(TASKS["pendulum"], "circuit", 0).parameters())
+    fill(store, "pendulum", "circuit", [1190.0 + seed for seed in range(10)], parameters=untuned)
+    file = load_claims()
+    judged = judge_claims(store, file.claims)
+    lines = summary_of(file, judged).splitlines()
+    words = {claim.name: claim.words for claim in judged}
+    assert words["rate-pendulum"] in lines[0]
+    assert words["ppo-pendulum"] in lines[3]
+    counted = [int(number) for line in lines for number in re.findall(r"\d+", line.partition(":")[0])]
+    assert sum(counted) == len(judged)
 
 
 def test_command_reports_runs_and_draws_their_curves(store, tmp_path, capsys):

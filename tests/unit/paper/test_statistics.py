@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.paper.statistics import Summary, fisher, holm, improvement, interquartile_mean, permutation, welch
+from sim.paper.statistics import Summary, fisher, holm, improvement, interquartile_mean, welch
 
 
 def test_holms_correction_is_that_of_the_textbook():
@@ -11,16 +11,6 @@ def test_holms_correction_is_that_of_the_textbook():
     assert holm([0.01, 0.04, 0.03, 0.02]) == pytest.approx([0.04, 0.06, 0.06, 0.06])
     assert holm([0.4, 0.9]) == pytest.approx([0.8, 0.9])
     assert holm([]) == []
-
-
-def test_permutation_test_of_few_runs_is_exact():
-    # 6 against 2 of 8 runs: 28 ways to divide them, of which one each way is as far apart.
-    effect = permutation(np.arange(10.0, 16.0), np.array([1.0, 2.0]))
-    assert effect.p == pytest.approx(2 / 28)
-    assert effect.value == pytest.approx(12.5 - 1.5)
-    assert effect.low > 8.0
-    equal = permutation(np.full(10, 1000.0), np.full(5, 1000.0))
-    assert equal == (0.0, 0.0, 0.0, 1.0)
 
 
 def test_interval_of_a_difference_of_rates_is_newcombes():

@@ -1,5 +1,7 @@
 """Faults of the mock: how they are written, when they begin, what a client sees of them."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -209,3 +211,17 @@ def test_gyro_fault_adds_to_what_the_gyro_reads() -> None:
     rates = [read_imu(data).rate for name, data in ros2_reports("gyro=2@2-2.1") if name == "imu"]
     assert 1 <= sum(rate > 1.9 for rate in rates) < 0.2 * len(rates)
     assert sum(abs(rate) < 0.1 for rate in rates) > 0.8 * len(rates)
+
+
+def test_readings_of_a_gyro_are_late_and_those_on_their_way_are_lost_in_silence() -> None:
+    newest_ns, behind_ms, stamps_s = None, set(), []
+    for name, data in ros2_reports("mute@2-2.5"):
+        if name == "imu":
+            newest_ns = read_imu(data).stamp_ns
+            stamps_s.append(newest_ns / 1e9)
+        elif name == "odom" and newest_ns is not None:
+            behind_ms.add((read_odometry(data).stamp_ns - newest_ns) // 1_000_000)
+    assert min(behind_ms) >= 20
+    before, after = next(pair for pair in pairwise(stamps_s) if pair[1] - pair[0] > 0.3)
+    # The fault begins 2 s after the first command, which is given at 0.1 s.
+    assert (before, after) == (pytest.approx(2.08, abs=0.011), pytest.approx(2.6, abs=0.011))

@@ -8,7 +8,7 @@ import pytest
 from rover_ncp.course.course import load_course
 from rover_ncp.course.signals import REFERENCE_SIGNALS
 from sim.learn.engine.evaluator import Evaluator
-from sim.learn.engine.laws import KANAYAMA, LAWS, PURE_PURSUIT, SMOOTH, law_command, law_runner
+from sim.learn.engine.laws import KANAYAMA, LAWS, PURE_PURSUIT, SMOOTH, law_command, law_lane_runner
 from sim.world.described import default_rover
 from sim.world.randomization import draw_trials, load_randomization
 
@@ -55,6 +55,8 @@ def test_the_smooth_law_leads_into_the_pose(seen):
 @pytest.mark.parametrize("law", LAWS)
 def test_a_law_stands_still_below_its_thresholds(law):
     trials = draw_trials(load_randomization("none"), default_rover(), 0, count=1, ticks=COURSE.ticks)
-    engine = Evaluator(REFERENCE_SIGNALS, [COURSE], default_rover(), trials, runner=law_runner(LAWS[law]))
+    engine = Evaluator(
+        REFERENCE_SIGNALS, [COURSE], default_rover(), trials, lane_runner=law_lane_runner(LAWS[law])
+    )
     asleep = np.array([*LAWS[law].tuned[:-2], 9.0, 9.0])
     assert engine.outcomes([asleep]).error_m[0, 0] == pytest.approx(math.hypot(*COURSE.goal[:2]))

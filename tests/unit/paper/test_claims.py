@@ -163,7 +163,7 @@ def test_report_of_an_empty_folder_says_that_nothing_is_tested(store):
 
 def test_each_claim_that_answers_a_question_is_named_under_its_verdict_and_the_others_are_counted(store):
     untuned = Packed.of(build_agent(TASKS["pendulum"], "circuit", 0).parameters())
-    fill(store, "pendulum", "circuit", [1190.0 + seed for seed in range(10)], parameters=untuned)
+    fill(store, "pendulum", "circuit", [1150.0 + seed for seed in range(40)], parameters=untuned)
     file = load_claims()
     judged = judge_claims(store, file.claims)
     lines = summary_of(file, judged).splitlines()

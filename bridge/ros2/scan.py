@@ -38,7 +38,8 @@ class ScanRoom:
         measured_ns = self._clock.measured_ns(stamp_ns, now_ns) if stamp_ns else now_ns
         if measured_ns is None:
             return
-        ranges = np.asarray(message.ranges, np.float64)
+        with np.errstate(invalid="ignore"):  # a signalling NaN is one among others
+            ranges = np.asarray(message.ranges, np.float64)
         step = float(message.angle_increment)
         limits = (float(message.angle_min), step, float(message.range_min), float(message.range_max))
         if not len(ranges) or not all(map(math.isfinite, limits)) or step == 0.0:

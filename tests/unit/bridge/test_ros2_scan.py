@@ -1,12 +1,16 @@
 """The room around a ROS 2 robot by its laser, from scans that an independent library encodes."""
 
 import math
+import struct
 
 import pytest
 from kit.ros2_world import EPOCH_S, World
 from kit.ros_cdr import LaserScan, header
 
 from rover_ncp.robot.description import load_description
+
+SIGNALLING_NAN = bytes.fromhex("0100807f")
+"""As a float32. numpy warns when it casts one."""
 
 
 def scan(*hits, first_deg=0.0, count=360, step_deg=1.0, else_m=math.inf, least_m=0.1):
@@ -42,6 +46,7 @@ def room(world, payload, **odometry):
         (scan((10, 1.0)), math.inf, math.inf),  # 0.174 m
         (scan((0, 0.05)), math.inf, math.inf),  # below the least range
         (scan((0, math.nan)), math.inf, math.inf),
+        (scan((0, 1.25)).replace(struct.pack("<f", 1.25), SIGNALLING_NAN), math.inf, math.inf),
         (scan((0, -math.inf)), 0.1 - 0.032 - 0.041, math.inf),  # REP 117: nearer than the least range, 0.1 m
         (scan((0, 2.0), first_deg=-90.0, count=181), 2.0 - 0.073, math.nan),  # it looks ahead only
         # A laser that is covered, blinded or broken: beams to the sides do not show the way.

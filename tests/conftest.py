@@ -18,8 +18,8 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, lambda *_: None)
 
 # How long an example takes says more about the machine's other work than about the code.
-# `make test` tries a quarter of the examples, always the same, so that its result is about the change; `make nightly`
-# loads the profile "full", which draws new ones.
+# `make test` tries a quarter of the examples, always the same, so that its result is about the change.
+# `make nightly` loads the profile "full", which draws new ones.
 settings.register_profile("full", deadline=None)
 settings.register_profile("quick", deadline=None, max_examples=25, derandomize=True)
 settings.load_profile("quick")

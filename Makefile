@@ -33,12 +33,12 @@ dock: $(STAMP) ## Dock a simulated robot at a place, by a camera and tags.
 
 .PHONY: test
 test: $(STAMP) ## The quick tests, which plain pytest runs too.
-# Unit tests compute and process tests wait: they run beside each other, those that wait with precedence.
+# The others compute and process tests wait: they run beside each other, those that wait with precedence.
 	$(MAKE) --jobs 2 --output-sync=line test-unit test-process
 
 .PHONY: test-unit test-process
 test-unit: $(STAMP)
-	nice -n 10 $(BIN)/pytest tests/unit --durations=25 --numprocesses 2 --dist worksteal
+	nice -n 10 $(BIN)/pytest tests/unit tests/computing --durations=25 --numprocesses 2 --dist worksteal
 
 test-process: $(STAMP)
 	$(BIN)/pytest tests/process --durations=25 --numprocesses 3 --dist worksteal
@@ -58,7 +58,7 @@ contracts: $(STAMP) ## Which package may import which.
 
 .PHONY: test-long
 test-long: $(STAMP) ## The long tests that measure no times: they mostly wait.
-	$(BIN)/pytest tests/unit tests/process tests/system -m "long and not browser and not timed" \
+	$(BIN)/pytest tests/unit tests/computing tests/process tests/system -m "long and not browser and not timed" \
 		--ignore=tests/system/test_tutorials.py --numprocesses 3 --dist worksteal
 
 # In an environment of its own: 77 says that it cannot be made on this machine.
@@ -191,7 +191,7 @@ nightly-waits:
 	$(MAKE) soak
 
 nightly-cpu:
-	nice -n 19 $(BIN)/pytest tests/unit -m "not browser" --hypothesis-profile=full
+	nice -n 19 $(BIN)/pytest tests/unit tests/computing -m "not browser" --hypothesis-profile=full
 	nice -n 19 $(MAKE) mutate
 	nice -n 19 $(MAKE) fuzz
 	nice -n 19 $(MAKE) test-torch

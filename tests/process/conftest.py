@@ -24,12 +24,6 @@ def described_results():
         yield
 
 
-@pytest.fixture
-def no_git(monkeypatch):
-    """Hide git: a commit during the tests would change the records."""
-    monkeypatch.setenv("PATH", "")
-
-
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory):
     folder = tmp_path_factory.mktemp("keys")

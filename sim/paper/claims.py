@@ -131,8 +131,10 @@ def _judged(claim: Claim, outcome: Outcome) -> Judged:
         why = outcome.why if outcome.p is None else f"p = {outcome.p:.2g}, {outcome.why}"
     elif verdict is Verdict.NOT_TESTED:
         why = claim.why or outcome.why
+    from_paper = outcome.against and claim.test != "compare"
+    against = f"{claim.where}: {outcome.against}" if from_paper else outcome.against
     data = claim.model_dump(include=set(Statement.model_fields))
-    return Judged(**data, verdict=verdict, figure=outcome.figure, against=outcome.against, why=why)
+    return Judged(**data, verdict=verdict, figure=outcome.figure, against=against, why=why)
 
 
 def _too_few(count: int) -> Outcome:
@@ -180,7 +182,11 @@ def value(
     found = welch(ours, Summary(mean, std, of))
     verdict = Verdict.REPRODUCED if found.within(TASKS[task].margin) else None
     return Outcome(
-        mean_text(ours.mean, ours.std), mean_text(mean, std), verdict, f"n = {ours.runs} and {of}", found.p
+        mean_text(ours.mean, ours.std),
+        mean_text(mean, std),
+        verdict,
+        f"n = {ours.runs} and {of}",
+        found.p,
     )
 
 
@@ -201,7 +207,7 @@ def compare(
     reproduced = not better and found.low > -TASKS[task].margin
     return Outcome(
         mean_text(float(ours.mean())),
-        f"{mean_text(float(theirs.mean()))}; difference {found.text()}",
+        f"{other}: {mean_text(float(theirs.mean()))}, difference {found.text()}",
         Verdict.REPRODUCED if reproduced else None,
         f"n = {len(ours)} and {len(theirs)}",
         found.p,
@@ -216,14 +222,13 @@ def sign(store: ResultStore, *, source: str, destination: str, expected: str) ->
         return _too_few(len(found))
     clear = clear_signs(found)
     hits = sum(each == expected for each in clear)
-    figure = f"{expected} in {hits} of {len(clear)} circuits"
-    none = f"no clear sign in {len(found) - len(clear)} of {len(found)}"
+    figure = f"{expected} in {hits} of {len(clear)} circuits, no clear sign in {len(found) - len(clear)}"
     if len(clear) < MIN_RUNS:
-        return Outcome(figure, none, Verdict.INCONCLUSIVE, f"fewer than {MIN_RUNS} have a sign")
+        return Outcome(figure, "", Verdict.INCONCLUSIVE, f"fewer than {MIN_RUNS} have a sign")
     low, high = wilson(hits, len(clear))
     against = Verdict.DIFFERS if high < 0.5 else Verdict.INCONCLUSIVE
     verdict = Verdict.REPRODUCED if low > 0.5 else against
-    return Outcome(f"{figure} [{low:.0%}, {high:.0%}]", none, verdict, f"n = {len(clear)}")
+    return Outcome(f"{figure} [{low:.0%}, {high:.0%}]", "", verdict, f"n = {len(clear)}")
 
 
 def fact(store: ResultStore, of: str, expected: Any, **arguments: Any) -> Outcome:
@@ -231,16 +236,14 @@ def fact(store: ResultStore, of: str, expected: Any, **arguments: Any) -> Outcom
     found = _FACTS[of](store, **arguments)
     if found is None:
         return _too_few(0)
-    verdict = Verdict.REPRODUCED if found == expected else Verdict.DIFFERS
-    return Outcome(str(found), str(expected), verdict)
+    return Outcome(str(found), str(expected), Verdict.REPRODUCED if found == expected else Verdict.DIFFERS)
 
 
 def _fewest_parameters(_: ResultStore, task: str) -> str:
     circuit = TASKS[task].policy(TASKS[task].circuit())
     sizes = {"circuit": circuit.layout().size}
     sizes |= {agent: net_for(circuit, NetKind(agent)).layout().size for agent in NETWORKS}
-    fewest = min(sizes, key=sizes.__getitem__)
-    if fewest == "circuit":
+    if min(sizes, key=sizes.__getitem__) == "circuit":
         return "the circuit has the fewest"
     return ", ".join(f"{agent} {size}" for agent, size in sizes.items())
 

@@ -82,7 +82,7 @@ def summary_of(file: ClaimsFile, judged: Sequence[Judged]) -> str:
         shown = [claim for claim in judged if claim.verdict is verdict and claim.name in answering]
         others = sum(claim.verdict is verdict for claim in judged) - len(shown)
         words = "; ".join(claim.words for claim in shown) or "none"
-        lines.append(f"- **{head.capitalize()}** ({len(shown)}, and {others} of the other claims): {words}.")
+        lines.append(f"- **{head.capitalize()}** ({len(shown)}; in `--long` {others} more): {words}.")
     return "\n".join(lines)
 
 

@@ -111,6 +111,8 @@ class Measurements:
     def _read(
         self, topic: str, read: Callable[[bytes], SampleT], arrivals: list[Arrival]
     ) -> list[Measurement[SampleT]]:
+        if not arrivals:
+            return []
         clock, found = self._clocks[topic], list[Measurement[SampleT]]()
         for arrival in arrivals:
             try:

@@ -158,8 +158,9 @@ class DriveTrain:
             self.rover.command(*self._driven)
             self._commanded = wanted
         self.rover.substep()
-        self._count_way()
-        self._watch_stall()
+        measured = self.measured
+        self._count_way(measured)
+        self._watch_stall(measured)
         if self._braking and not self.rover.moving:
             self._braking = False
             self.rover.change_limits(**self._real(self.limits))
@@ -186,8 +187,8 @@ class DriveTrain:
         braking = math.sqrt(2 * BRAKING_SHARE * decel * abs(left))
         return math.copysign(min(gain * abs(left), braking), left)
 
-    def _count_way(self) -> None:
-        v, omega = self.measured
+    def _count_way(self, measured: Velocity) -> None:
+        v, omega = measured
         x, y, theta = self.odometry
         step = v * SUBSTEP_S
         # As the simulator moves: with the heading before the turn.
@@ -199,11 +200,11 @@ class DriveTrain:
         if self._way_left is not None:
             self._way_left -= step
 
-    def _watch_stall(self) -> None:
+    def _watch_stall(self, measured: Velocity) -> None:
         self._resting_s = max(0.0, self._resting_s - SUBSTEP_S)
         if self._resting_s > 0.0:
             return
-        asked, real = self._wheels(*self.rover.target), self.wheel_speeds
+        asked, real = self._wheels(*self.rover.target), self._wheels(*measured)
         stuck = [
             abs(want) >= STALL_WHEEL_M_S and have * want < STALL_SHARE * want * want
             for want, have in zip(asked, real, strict=True)

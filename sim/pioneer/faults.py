@@ -84,6 +84,9 @@ class Faults:
         self._faults = list(faults)
         self._random = random.Random(seed)
 
+    def __bool__(self) -> bool:
+        return bool(self._faults)
+
     def add(self, fault: Fault, enabled_s: float | None) -> None:
         """Add a fault; its times count from now, if the motors were ever enabled."""
         began_s = enabled_s or 0.0

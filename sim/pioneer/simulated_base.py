@@ -27,7 +27,7 @@ class SimulatedBase(ABC):
         self.drive = DriveTrain(robot, rover, self._trial)
         self.observe: Callable[[float], None] | None = None
         """Called after each substep with its time in s."""
-        self._faults = faults or Faults()
+        self._faults = Faults() if faults is None else faults
         self._start_s, self._substeps = start_s, 0
         self._first_s: float | None = None
         """When a client first let it drive: faults and the trial count from then."""
@@ -62,7 +62,7 @@ class SimulatedBase(ABC):
         return None if self._first_s is None else self.now - self._first_s
 
     def _fault(self, name: str) -> float | None:
-        return self._faults.value(name, self._driven_s)
+        return self._faults.value(name, self._driven_s) if self._faults else None
 
     def _reset_begins(self) -> bool:
         was_reset, self._was_reset = self._was_reset, self._fault("reset") is not None

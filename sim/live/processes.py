@@ -2,6 +2,7 @@
 
 import functools
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -102,11 +103,15 @@ class Finished(NamedTuple):
 
 
 class Applied(NamedTuple):
-    """A child's answer to a line of input: when it applied the line, on the machine's monotonic clock, and
-    the longest delay of its loop since the answer before; both in ns."""
+    """A child's answer to a line of input, in ns.
+
+    When it applied the line, and the longest delay of its loop since the answer before. A mock says when its
+    base last received anything. Moments are of the machine's monotonic clock.
+    """
 
     t_ns: int
     late_ns: int
+    heard_ns: int = 0
 
 
 class Process(ClosedAtExit):
@@ -183,9 +188,8 @@ class Process(ClosedAtExit):
         """Wait for the process's answer to an action. Raises as `wait_for_line`."""
         known = len(self._lines_that_begin(APPLIED))
         action()
-        words = self._wait_for_line(APPLIED, known, APPLIED_TIMEOUT_S).split()
-        fields = dict(word.split("=", 1) for word in words[:2])
-        return Applied(int(fields["t_ns"]), int(fields["late_ns"]))
+        answer = self._wait_for_line(APPLIED, known, APPLIED_TIMEOUT_S)
+        return Applied(**{name: int(value) for name, value in re.findall(r"(\w+_ns)=(\d+)", answer)})
 
     def send_signal(self, number: int) -> None:
         """Send it a signal, if it still runs."""

@@ -17,8 +17,9 @@ def mock(options: MockOptions) -> None:
     and stop-button do nothing; reset restarts it.
 
     --truth writes t_ns (since the epoch), t_s, x, y, theta, v, omega, contact and clock_ns (the simulation's
-    clock). With --fault - each fault is answered by a line "applied t_ns=... late_ns=... FAULT": when it
-    began on that clock, and the longest stall of the mock since the line before.
+    clock). With --fault - each fault is answered by a line "applied t_ns=... late_ns=... heard_ns=... FAULT":
+    when it began on that clock, the longest stall of the mock since the line before, and when the robot last
+    received anything.
 
     With --randomize the mock has the errors of one random trial: its delays, gains, noise and start, lost
     commands and a push, for as long as the --course lasts. They begin when the motors are first enabled.

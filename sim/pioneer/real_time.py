@@ -101,6 +101,8 @@ class RealTimeLoop:
         """Receives the true pose of each step with its moment by the wall clock; never waits."""
         self.touched = False
         """Whether the rover ever touched anything."""
+        self.heard_s = 0.0
+        """When the base last received anything, in s of its clock."""
         # Not epoll, which takes no files: fault lines may come from one, or from /dev/null.
         self.selector = selectors.PollSelector()
         """Calls the data of each key when there is something to read."""
@@ -116,8 +118,9 @@ class RealTimeLoop:
     def serve(self, stopping: Callable[[], bool], fault_lines: FileIO | None = None) -> None:
         """Serve until ``stopping``; each line of ``fault_lines`` is one more fault.
 
-        Each line is answered by ``applied t_ns=… late_ns=…``: the simulation clock when the fault began, and
-        how late the loop ended a turn at worst since the line before. An empty line asks only for the answer.
+        Each line is answered by ``applied t_ns=… late_ns=… heard_ns=…``: the simulation clock when the fault
+        began, how late the loop ended a turn at worst since the line before, and the simulation clock when
+        the base last received anything. An empty line asks only for the answer.
         """
         if fault_lines is not None:
             self.selector.register(fault_lines, selectors.EVENT_READ, lambda: self._read_faults(fault_lines))
@@ -156,8 +159,9 @@ class RealTimeLoop:
         self._base.advance(time.monotonic())
         if fault is not None:
             self._base.inject(fault)
-        late_ns = clock_ns(self._lateness.take())
-        _LOGGER.info(f"applied t_ns={clock_ns(self._base.now)} late_ns={late_ns} {text}".rstrip())
+        began_s, late_s, heard_s = self._base.now, self._lateness.take(), self.heard_s
+        answer = f"t_ns={clock_ns(began_s)} late_ns={clock_ns(late_s)} heard_ns={clock_ns(heard_s)}"
+        _LOGGER.info(f"applied {answer} {text}".rstrip())
 
     def _observe(self, now: float) -> None:
         contact = self._base.drive.rover.in_contact

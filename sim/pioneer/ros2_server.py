@@ -60,7 +60,8 @@ class Ros2Server(RealTimeLoop):
     def send(self) -> None:
         """Take the commands that arrived, and publish what the robot has to say."""
         while not self._commands.empty():
-            self.robot.command(self._commands.get(), time.monotonic())
+            self.heard_s = time.monotonic()
+            self.robot.command(self._commands.get(), self.heard_s)
         for name, payload in self.robot.messages():
             self.bytes_out += len(payload)
             self._publishers[name].put(payload)

@@ -76,7 +76,8 @@ class Server(RealTimeLoop):
             self._hang_up()
             return
         self.bytes_in += len(data)
-        self.firmware.receive(data, time.monotonic())
+        self.heard_s = time.monotonic()
+        self.firmware.receive(data, self.heard_s)
 
     def send(self) -> None:
         """Send what the firmware has for the client."""

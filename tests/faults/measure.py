@@ -9,7 +9,8 @@ Fault and standstill are timed on one clock, the machine's monotonic clock:
 - Simulated time is real time, as in the requirement. When the machine keeps the mock or the line to it from
   running, the bridge's bytes lie in a buffer, and the base receives them later than a real one would. That
   delay belongs to the measurement, not to the bridge. Mock and line report the longest, and it is part of the
-  resolution.
+  resolution. The same holds for what reaches the base after its bridge was killed: it was on its way, through
+  threads of Zenoh whose delays nothing else shows.
 - A resolution worse than `MAX_LATE_S` could hide a late stop. Such a measurement is repeated, and never
   counts as in time.
 """
@@ -46,7 +47,7 @@ class Measured(NamedTuple):
 
     The rover has to stand within ``bound_s`` and ``braking_s``, from its greatest speeds since the fault.
     ``seconds`` may be too long by one sample and by ``late_s``, the longest time for which the machine kept
-    mock and line from running.
+    mock and line from running, or commands on their way.
     """
 
     row: Row
@@ -76,6 +77,8 @@ def time_stop(rig: Rig, row: Row, act: Callable[[], int | None]) -> Measured:
     began_ns = act() or called_ns
     seconds = rig.stood(began_ns)
     late_s = rig.late_s()
+    if row.silences:
+        late_s = max(late_s, rig.heard_after_s(began_ns))
     states, bound_s = rig.truth.since(began_ns), row.bound_s(rig.description)
     velocities = [s.velocity for s in states if s.clock_ns <= began_ns + bound_s * 1e9]
     v, omega = np.abs(velocities).max(axis=0).tolist()

@@ -117,6 +117,10 @@ class Rig(LiveRun):
         """Return the greatest delay of line and mock, in s, since each last received a line."""
         return (self.line.tell("").late_ns + self.mock.tell("").late_ns) * 1e-9
 
+    def heard_after_s(self, since_ns: int) -> float:
+        """Return how long after ``since_ns`` (machine's monotonic clock) the base still received anything."""
+        return max(self.mock.tell("").heard_ns - since_ns, 0) * 1e-9
+
     def end(self, driver: ScriptedDriver | Process) -> None:
         """End a driver."""
         if isinstance(driver, Process):

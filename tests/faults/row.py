@@ -51,6 +51,11 @@ class Row(NamedTuple):
         """The drivers under which the fault can be injected."""
         return (self.only,) if self.only else (SCRIPTED, CIRCUIT)
 
+    @property
+    def silences(self) -> bool:
+        """Whether the base hears nothing more: what it receives after the fault was on its way before."""
+        return self.layer == "bridge"
+
     def bound_s(self, robot: RobotDescription) -> float:
         """Return the time in s, plus braking, within which the robot stands."""
         if self.layer in {"line", "bridge"}:

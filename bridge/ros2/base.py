@@ -33,7 +33,6 @@ from bridge.ros2.discovery import Announced
 from bridge.ros2.gyro import GyroTurns
 from bridge.ros2.odometry import CLOCK_BACK_S, LOSS_S, MIN_IN_RATE, RATE_S, Moved, RosOdometer
 from bridge.ros2.scan import ScanRoom
-from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.robot.description import RobotDescription, Topics
@@ -47,6 +46,7 @@ from rover_ncp.wire.messages import (
     TWIST,
     TWIST_STAMPED,
     WHEEL_DROP,
+    header_of,
     read_battery,
     read_hazards,
 )
@@ -115,9 +115,7 @@ def command(topics: Topics, velocity: Velocity, stamp_ns: int) -> bytes:
     twist = {"linear": {"x": velocity.v, "z": -0.0}, "angular": {"z": velocity.omega}}
     if topics.cmd_vel_type == "Twist":
         return encode(TWIST, **twist)
-    seconds, nanoseconds = divmod(stamp_ns, NS_PER_S)
-    header = {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": topics.base_frame}
-    return encode(TWIST_STAMPED, header=header, twist=twist)
+    return encode(TWIST_STAMPED, header=header_of(stamp_ns, topics.base_frame), twist=twist)
 
 
 class Ros2Base:

@@ -5,11 +5,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.core.clock_offset import NS_PER_S, StampClock
+from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.errors import FormatError
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.cdr import decode
-from rover_ncp.wire.messages import LASER_SCAN
+from rover_ncp.wire.messages import LASER_SCAN, read_stamp_ns
 
 VALID_S = 1.0
 """How long a scan counts from its stamp on, as a sonar's range does."""
@@ -34,7 +34,7 @@ class ScanRoom:
         """Take a LaserScan. Raises FormatError."""
         message = decode(LASER_SCAN, payload)
         now_ns = round(now * 1e9)
-        stamp_ns = message.header.stamp.sec * NS_PER_S + message.header.stamp.nanosec
+        stamp_ns = read_stamp_ns(message.header)
         measured_ns = self._clock.measured_ns(stamp_ns, now_ns) if stamp_ns else now_ns
         if measured_ns is None:
             return

@@ -10,11 +10,10 @@ import zenoh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import FormatError, NoRobot, UsageError
 from rover_ncp.wire.address import parse_ros_endpoint
 from rover_ncp.wire.cdr import decode
-from rover_ncp.wire.messages import TF, read_yaw
+from rover_ncp.wire.messages import TF, read_stamp_ns, read_yaw
 from rover_ncp.wire.zenoh import PORT, client_config, reason
 
 
@@ -71,8 +70,8 @@ class Frames:
             pose[:3, 3] = shift.x, shift.y, shift.z
             if not np.isfinite(pose).all():
                 raise FormatError(f"the transform to {each.child_frame_id!r} is not finite")
-            parent, stamp = each.header.frame_id.lstrip("/"), each.header.stamp
-            self.links[each.child_frame_id.lstrip("/")] = parent, pose, stamp.sec * NS_PER_S + stamp.nanosec
+            parent = each.header.frame_id.lstrip("/")
+            self.links[each.child_frame_id.lstrip("/")] = parent, pose, read_stamp_ns(each.header)
             parents.add(parent)
         return parents
 

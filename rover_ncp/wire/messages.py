@@ -129,7 +129,7 @@ def odometry(
     v, omega = velocity_variance
     return encode(
         ODOMETRY,
-        header=_header(stamp_ns, frames[0]),
+        header=header_of(stamp_ns, frames[0]),
         child_frame_id=frames[1],
         pose={"pose": _pose(pose), "covariance": np.diag([x, y, *[_UNKNOWN] * 3, theta]).ravel()},
         twist={
@@ -144,7 +144,7 @@ def read_odometry(data: bytes) -> OdometrySample:
     message = decode(ODOMETRY, data)
     twist = message.twist.twist
     return OdometrySample(
-        _stamp_ns(message.header),
+        read_stamp_ns(message.header),
         _read_pose(message.pose.pose),
         Velocity(twist.linear.x, twist.angular.z),
         message.header.frame_id,
@@ -154,7 +154,7 @@ def read_odometry(data: bytes) -> OdometrySample:
 
 def twist_stamped(velocity: Velocity, stamp_ns: int) -> bytes:
     """Return a TwistStamped in base_link."""
-    return encode(TWIST_STAMPED, header=_header(stamp_ns, BASE_FRAME), twist=_twist(velocity))
+    return encode(TWIST_STAMPED, header=header_of(stamp_ns, BASE_FRAME), twist=_twist(velocity))
 
 
 def read_twist(data: bytes) -> TwistSample:
@@ -166,13 +166,13 @@ def read_twist(data: bytes) -> TwistSample:
         twist, stamp_ns = decode(TWIST, data), None
     else:
         message = decode(TWIST_STAMPED, data, max_bytes=512)
-        twist, stamp_ns = message.twist, _stamp_ns(message.header) or None
+        twist, stamp_ns = message.twist, read_stamp_ns(message.header) or None
     return TwistSample(Velocity(twist.linear.x, twist.angular.z), stamp_ns)
 
 
 def pose_stamped(pose: Pose, stamp_ns: int, frame: str) -> bytes:
     """Return a PoseStamped, which viewers draw (they do not draw Odometry)."""
-    return encode(POSE_STAMPED, header=_header(stamp_ns, frame), pose=_pose(pose))
+    return encode(POSE_STAMPED, header=header_of(stamp_ns, frame), pose=_pose(pose))
 
 
 def read_pose_stamped(data: bytes) -> Pose:
@@ -182,7 +182,7 @@ def read_pose_stamped(data: bytes) -> Pose:
 
 def path(poses: Sequence[Pose], stamp_ns: int, frame: str) -> bytes:
     """Return a Path through poses, all with one stamp."""
-    header = _header(stamp_ns, frame)
+    header = header_of(stamp_ns, frame)
     stamped = [{"header": header, "pose": _pose(pose)} for pose in poses]
     return encode("nav_msgs/msg/Path", header=header, poses=stamped)
 
@@ -193,7 +193,7 @@ def pose_with_covariance(pose: Pose, covariance: FloatArray, stamp_ns: int, fram
     full[np.ix_(_PLANAR, _PLANAR)] = covariance
     return encode(
         POSE_WITH_COVARIANCE,
-        header=_header(stamp_ns, frame),
+        header=header_of(stamp_ns, frame),
         pose={"pose": _pose(pose), "covariance": full.ravel()},
     )
 
@@ -203,7 +203,7 @@ def read_pose(data: bytes) -> PoseSample:
     message = decode(POSE_WITH_COVARIANCE, data)
     full = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)
     return PoseSample(
-        _stamp_ns(message.header),
+        read_stamp_ns(message.header),
         message.header.frame_id,
         _read_pose(message.pose.pose),
         full[np.ix_(_PLANAR, _PLANAR)],
@@ -214,7 +214,7 @@ def laser_scan(ranges: FloatArray, range_limits: tuple[float, float], stamp_ns: 
     """Return a LaserScan of a whole turn, the first beam ahead; infinite ranges met nothing."""
     return encode(
         LASER_SCAN,
-        header=_header(stamp_ns, "base_scan"),
+        header=header_of(stamp_ns, "base_scan"),
         angle_max=math.tau * (len(ranges) - 1) / len(ranges),
         angle_increment=math.tau / len(ranges),
         range_min=range_limits[0],
@@ -227,7 +227,7 @@ def transforms(items: Sequence[Transform], stamp_ns: int) -> bytes:
     """Return a TFMessage."""
     stamped = [
         {
-            "header": _header(stamp_ns, item.parent),
+            "header": header_of(stamp_ns, item.parent),
             "child_frame_id": item.child,
             "transform": {
                 "translation": {"x": item.x, "y": item.y, "z": item.z},
@@ -243,7 +243,7 @@ def imu(rate: float, variance: float, stamp_ns: int) -> bytes:
     """Return an Imu in base_link whose only measurement is the rate of turn; variance in (rad/s)²."""
     return encode(
         IMU,
-        header=_header(stamp_ns, BASE_FRAME),
+        header=header_of(stamp_ns, BASE_FRAME),
         orientation=_rotation(0.0),
         orientation_covariance=_NONE,
         angular_velocity={"z": rate},
@@ -255,7 +255,7 @@ def imu(rate: float, variance: float, stamp_ns: int) -> bytes:
 def read_imu(data: bytes) -> TurnSample:
     """Read the rate of turn of an Imu. Raises FormatError."""
     message = decode(IMU, data)
-    return TurnSample(_stamp_ns(message.header), message.angular_velocity.z)
+    return TurnSample(read_stamp_ns(message.header), message.angular_velocity.z)
 
 
 def battery_state(voltage: float, stamp_ns: int, charging: bool | None = None) -> bytes:
@@ -263,7 +263,7 @@ def battery_state(voltage: float, stamp_ns: int, charging: bool | None = None) -
     unknown = ("temperature", "current", "charge", "capacity", "design_capacity", "percentage")
     return encode(
         BATTERY_STATE,
-        header=_header(stamp_ns, BASE_FRAME),
+        header=header_of(stamp_ns, BASE_FRAME),
         voltage=voltage,
         **dict.fromkeys(unknown, math.nan),
         power_supply_status=0 if charging is None else 1 if charging else 2,
@@ -282,7 +282,7 @@ def read_battery(data: bytes) -> BatterySample:
 
 def hazards(kinds: Sequence[int], stamp_ns: int) -> bytes:
     """Return a HazardDetectionVector."""
-    header = _header(stamp_ns, BASE_FRAME)
+    header = header_of(stamp_ns, BASE_FRAME)
     return encode(HAZARDS, header=header, detections=[{"header": header, "type": kind} for kind in kinds])
 
 
@@ -296,7 +296,7 @@ def point_cloud(points: Sequence[tuple[float, float, float]], stamp_ns: int) -> 
     cloud = np.asarray(points, dtype="<f4").reshape(-1, 3)
     return encode(
         "sensor_msgs/msg/PointCloud2",
-        header=_header(stamp_ns, BASE_FRAME),
+        header=header_of(stamp_ns, BASE_FRAME),
         height=1,
         width=len(cloud),
         fields=[{"name": name, "offset": 4 * i, "datatype": 7, "count": 1} for i, name in enumerate("xyz")],
@@ -330,7 +330,9 @@ def diagnostics(items: Sequence[Diagnostic], stamp_ns: int, hardware_id: str = "
         }
         for item in items
     ]
-    return encode("diagnostic_msgs/msg/DiagnosticArray", header=_header(stamp_ns, BASE_FRAME), status=status)
+    return encode(
+        "diagnostic_msgs/msg/DiagnosticArray", header=header_of(stamp_ns, BASE_FRAME), status=status
+    )
 
 
 def neurons(potentials: Sequence[float] | FloatArray, names: Sequence[str]) -> bytes:
@@ -358,15 +360,14 @@ def read_text(data: bytes) -> str:
     return str(decode(STRING, data).data)
 
 
-# Messages within messages, as `encode` takes them.
-
-
-def _header(stamp_ns: int, frame: str) -> dict[str, Any]:
+def header_of(stamp_ns: int, frame: str) -> dict[str, Any]:
+    """Return a Header, as `encode` takes one."""
     seconds, nanoseconds = divmod(stamp_ns, NS_PER_S)
     return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame}
 
 
-def _stamp_ns(header: Any) -> int:
+def read_stamp_ns(header: Any) -> int:
+    """Return the stamp of a Header, in ns. Raises FormatError."""
     if header.stamp.nanosec >= NS_PER_S:
         raise FormatError(f"a stamp of {header.stamp.nanosec} ns beyond its seconds, expected less than 10⁹")
     return int(header.stamp.sec) * NS_PER_S + int(header.stamp.nanosec)

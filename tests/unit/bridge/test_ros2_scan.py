@@ -79,7 +79,16 @@ def test_an_old_scan_and_none_at_all_are_no_room(ready):
     assert math.isnan(ready.reports[-1].clear_ahead_m)
 
 
-@pytest.mark.parametrize("payload", [b"", LaserScan().serialize(), LaserScan(ranges=[1.0]).serialize()])
+def stamped_beyond_its_second():
+    message = LaserScan.deserialize(scan())
+    message.header.stamp.nanosec = 2_000_000_000
+    return message.serialize()
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [b"", LaserScan().serialize(), LaserScan(ranges=[1.0]).serialize(), stamped_beyond_its_second()],
+)
 def test_a_scan_that_is_none_is_counted(ready, payload):
     assert math.isnan(room(ready, payload)[0])
     assert ready.base.health().counters["unreadable"] == 1

@@ -127,6 +127,12 @@ def test_transforms_give_a_pose_each_time_the_localiser_corrects():
     assert poses.take(transforms([odom], 6)) is None
     with pytest.raises(FormatError, match="is not a rotation"):
         poses.take(encode(TF, transforms=[{"header": {"frame_id": "map"}, "child_frame_id": "odom"}]))
+    beyond = {"frame_id": "map", "stamp": {"sec": 1, "nanosec": 1_000_000_000}}
+    upright = {"rotation": {"w": 1.0}}
+    with pytest.raises(FormatError, match="beyond its seconds"):
+        poses.take(
+            encode(TF, transforms=[{"header": beyond, "child_frame_id": "odom", "transform": upright}])
+        )
 
 
 @pytest.mark.parametrize("frame", ["base_link", "base_footprint"])

@@ -27,7 +27,7 @@ from rover_ncp.core.config import (
     read_yaml,
 )
 from rover_ncp.core.errors import ConfigError
-from rover_ncp.core.files import resolve, write_atomic
+from rover_ncp.core.files import resolve, shipped_names, write_atomic
 
 
 def _number(kind: ParameterKind, meaning: str) -> Any:
@@ -127,8 +127,12 @@ def load_circuit(name_or_path: str | Path) -> Circuit:
 
 
 def load_start(name_or_path: str | Path) -> Circuit | Policy:
-    """Load what a training starts from: a circuit, or a policy file, which also has sensing and motors."""
-    path = resolve("circuits", name_or_path)
+    """Load what a training starts from: a circuit, or a policy, which also has sensing and motors.
+
+    A name that both have is the circuit's.
+    """
+    is_policy = str(name_or_path) in {*shipped_names("policies")} - {*shipped_names("circuits")}
+    path = resolve("policies" if is_policy else "circuits", name_or_path)
     if path.suffix == ".bnn":
         return load_circuit(path)
     data = read_yaml(read_filled(path), str(path))

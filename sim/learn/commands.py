@@ -99,6 +99,14 @@ class TrainOptions:
         int | None,
         typer.Option(min=0, max=10_000, help="Courses beside the given one.", show_default="400 if random"),
     ] = None
+    refine: Annotated[
+        bool | None,
+        typer.Option(
+            "--refine",
+            help="Begin with small steps: --circuit is a policy that parks already. 500 --iterations do.",
+            show_default=False,
+        ),
+    ] = None
     profile: Annotated[
         Path | None,
         typer.Option(
@@ -161,6 +169,10 @@ def train(options: TrainOptions) -> None:
 
         rover-ncp train --randomize full --out runs/robust
         rover-ncp train --randomize full --profile mine.yaml --out runs/for-mine
+
+    With --refine, a policy that parks already learns the robots of the trials in a fifth of the time.
+
+        rover-ncp train --randomize full --circuit course --refine --iterations 500
 
     With --task, a circuit learns any Gymnasium environment. The circuit is a policy file: an entry of the
     observation is an input of it, an entry of the action an output. A score is the mean return of the

@@ -40,7 +40,7 @@ class _Settings(StrictModel):
         options = [
             part
             for name, value in self.model_dump().items()
-            for part in (f"--{name.replace('_', '-')}", str(value))
+            for part in (f"--{name.replace('_', '-')}", *([] if value is True else [str(value)]))
         ]
         return shlex.join(["rover-ncp", "train", *options])
 
@@ -85,6 +85,11 @@ class RobustSettings(_CourseSettings):
     random_courses: int = Field(default=400, ge=0, description="random courses beside the given one")
     profile: str | None = Field(
         default=None, exclude_if=lambda path: path is None, description="rover profile"
+    )
+    refine: bool = Field(
+        default=False,
+        exclude_if=lambda refine: not refine,
+        description="whether the start was trained before",
     )
 
     @model_validator(mode="before")

@@ -60,13 +60,20 @@ few of a hundred, which takes many trials to see and small steps. Quantised comm
 some generations: they hide the small twitches of a motor neuron that should be at rest. A policy trained with
 nothing else twitches on bases without quantisation."""
 
+_REFINING = (
+    Stage(0, 2, 0.005, 6.0, 0.09, 0.012, False),
+    Stage(333, 1, 0.002, 20.0, 0.095, 0.006, False),
+    Stage(450, 1, 0.002, 20.0, 0.095, 0.006, True),
+)
+"""For a trained policy: it parks already, and large steps or few trials would lose what it has."""
+
 _USUAL_RULE = ParkedRule()
 """The limits of stages are for its 0.1 m and 0.1 rad."""
 
 Drive = Callable[[FloatArray, int, int, Stage], FloatArray]
 """Vectors (k, P), the first trial, how many, and the stage: the costs (k, trials)."""
 
-_FIRST_SIGMA, _MAX_SIGMA = 0.04, 0.1
+_SIGMAS, _REFINING_SIGMAS = (0.04, 0.1), (0.02, 0.05)
 """First and greatest sigma. Where all costs are equal, noise would let it grow beyond the box."""
 _POPULATION = 1.8
 """Candidates, times the usual number: what is measured is noisy."""
@@ -186,7 +193,7 @@ def drive_trials(engine: Evaluator, ranges: Randomization, model: RoverModel, se
 class RobustSearch:
     """A search from the box's start, generation by generation. The same seed gives the same search.
 
-    ``sigmas`` are the first step size and the greatest.
+    ``sigmas`` are the first step size and the greatest. ``refine``: the start is a trained policy's.
     """
 
     def __init__(
@@ -196,9 +203,12 @@ class RobustSearch:
         seed: int,
         rollouts: int,
         worst: int,
-        stages: Sequence[Stage] = _STAGES,
-        sigmas: tuple[float, float] = (_FIRST_SIGMA, _MAX_SIGMA),
+        refine: bool = False,
+        stages: Sequence[Stage] | None = None,
+        sigmas: tuple[float, float] | None = None,
     ) -> None:
+        stages = stages or (_REFINING if refine else _STAGES)
+        sigmas = sigmas or (_REFINING_SIGMAS if refine else _SIGMAS)
         self._box, self._stages, self._max_sigma = box, stages, sigmas[1]
         self._rollouts, self._worst = rollouts, worst
         start = box.start

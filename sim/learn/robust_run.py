@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.policy import Policy, course_policy
 from rover_ncp.circuit.policy_file import load_start
 from rover_ncp.circuit.rover_interface import RoverInterface
+from rover_ncp.core.errors import UsageError
 from rover_ncp.course.course import Course
 from rover_ncp.course.reference import plan_reference
 from sim.learn.engine.evaluator import Evaluator
@@ -60,9 +61,16 @@ def _drive_parts(workers: Workers, drive: Drive, vectors: FloatArray, *which: An
 
 
 def start_of(settings: RobustSettings) -> tuple[Policy, Course, Randomization]:
-    """Return the untuned policy, the course and the randomization. Raises ConfigError or FileError."""
+    """Return the policy to start from, the course and the randomization.
+
+    Raises UsageError, ConfigError or FileError.
+    """
     ranges = ranges_for(settings.randomize, Path(settings.profile) if settings.profile else None)
     loaded = load_start(settings.circuit)
+    if settings.refine and not isinstance(loaded, Policy):
+        raise UsageError(
+            f"--refine needs a policy in --circuit, and {settings.circuit} is an untrained circuit"
+        )
     start = loaded if isinstance(loaded, Policy) else course_policy(loaded)
     RoverInterface(start)  # raises for a policy that drives none
     return start, course_of(settings), ranges
@@ -86,7 +94,11 @@ def train_robust(
     record = Record[RobustSettings].of(settings, start, course)
     make = partial(_drive, settings, start, course, ranges)
     search = RobustSearch(
-        policy_box(start), seed=settings.seed, rollouts=settings.rollouts, worst=settings.worst
+        policy_box(start),
+        seed=settings.seed,
+        rollouts=settings.rollouts,
+        worst=settings.worst,
+        refine=settings.refine,
     )
     courses = (course.name, *(["random"] if settings.random_courses else []))
     with open_run(out, record, resume) as folder:

@@ -6,8 +6,7 @@ import pytest
 from kit.paths import DATA, ROOT
 
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.errors import ConfigError
-from rover_ncp.core.files import resolve
+from rover_ncp.core.errors import ConfigError, UsageError
 from sim import api
 
 SHORT = str(DATA / "short_course.yaml")
@@ -35,12 +34,21 @@ def test_a_run_is_not_resumed_after_its_start_has_changed(tmp_path):
         api.train(tmp_path / "run", **settings, processes=1, resume=True)
 
 
-def test_robust_training_goes_on_from_a_shipped_policy(tmp_path):
-    start = tmp_path / "start.yaml"
-    shutil.copy(resolve("policies", "course"), start)
-    settings = {"course": SHORT, "iterations": 1, "rollouts": 2, "random_courses": 0}
-    found = api.train_robust(tmp_path / "run", circuit=str(start), **settings, processes=1)
-    assert found.policy.sensing == load_policy("course").sensing
+def test_robust_training_goes_on_from_a_shipped_policy_in_small_steps(tmp_path):
+    settings = {"course": SHORT, "iterations": 1, "rollouts": 2, "random_courses": 0, "circuit": "course"}
+    start, moved = load_policy("course"), []
+    for refine in (True, False):
+        found = api.train_robust(tmp_path / f"{refine}", **settings, refine=refine, processes=1)
+        assert found.policy.sensing == start.sensing
+        assert ("--refine" in found.policy.provenance["command"].split()) == refine
+        moved.append(abs(found.policy.parameters() - start.parameters()).max())
+    assert 0.0 < moved[0] < 0.7 * moved[1]
+
+
+def test_only_a_policy_is_refined(tmp_path):
+    with pytest.raises(UsageError, match="parking is an untrained circuit"):
+        api.train_robust(tmp_path / "run", circuit="parking", refine=True)
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_start_that_drives_no_rover_is_refused(tmp_path):

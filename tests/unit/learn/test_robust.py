@@ -28,8 +28,8 @@ def engine():
     return Evaluator(START, COURSE, MODEL, trials)
 
 
-def searching(seed=3):
-    return RobustSearch(policy_box(START), seed=seed, rollouts=128, worst=128)
+def searching(seed=3, **options):
+    return RobustSearch(policy_box(START), seed=seed, rollouts=128, worst=128, **options)
 
 
 def vector(place):
@@ -156,13 +156,20 @@ def test_commands_are_rounded_from_their_stage_on_every_other_generation():
 
 
 @pytest.mark.parametrize(
-    ("number", "count", "turning"), [(0, 8, False), (1900, 32, False), (2000, 128, True)]
+    ("refine", "number", "count", "turning"),
+    [
+        (False, 0, 8, False),
+        (False, 1900, 32, False),
+        (False, 2000, 128, True),
+        (True, 0, 64, False),
+        (True, 333, 128, True),
+    ],
 )
-def test_all_courses_take_their_turn_once_all_rollouts_are_driven(number, count, turning):
+def test_all_courses_take_their_turn_once_all_rollouts_are_driven(refine, number, count, turning):
     judge, seen = engine(), []
     judge.change_trials = lambda trials, first_course: seen.append((trials.size, first_course))
     judge.outcomes = lambda vectors: outcome()
-    drive, going = drive_trials(judge, FULL, MODEL, 3), searching()
+    drive, going = drive_trials(judge, FULL, MODEL, 3), searching(refine=refine)
     for generation in (number, number + 1):
         at_generation(going, generation).advance(
             lambda vectors, *which: np.repeat(drive(vectors[:1], *which), len(vectors), axis=0)

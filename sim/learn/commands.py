@@ -103,7 +103,7 @@ class TrainOptions:
         bool | None,
         typer.Option(
             "--refine",
-            help="Begin with small steps: --circuit is a policy that parks already. 500 --iterations do.",
+            help="Begin with small steps: --circuit is a policy that parks already. 600 --iterations do.",
             show_default=False,
         ),
     ] = None
@@ -172,7 +172,7 @@ def train(options: TrainOptions) -> None:
 
     With --refine, a policy that parks already learns the robots of the trials in a fifth of the time.
 
-        rover-ncp train --randomize full --circuit course --refine --iterations 500
+        rover-ncp train --randomize full --circuit course --refine --iterations 600
 
     With --task, a circuit learns any Gymnasium environment. The circuit is a policy file: an entry of the
     observation is an input of it, an entry of the action an output. A score is the mean return of the

@@ -62,8 +62,8 @@ nothing else twitches on bases without quantisation."""
 
 _REFINING = (
     Stage(0, 2, 0.005, 6.0, 0.09, 0.012, False),
-    Stage(333, 1, 0.002, 20.0, 0.095, 0.006, False),
-    Stage(450, 1, 0.002, 20.0, 0.095, 0.006, True),
+    Stage(250, 1, 0.002, 20.0, 0.095, 0.004, False),
+    Stage(500, 1, 0.002, 20.0, 0.095, 0.004, True),
 )
 """For a trained policy: it parks already, and large steps or few trials would lose what it has."""
 

@@ -76,7 +76,7 @@ class TrainOptions:
     randomize: Annotated[
         str | None,
         typer.Option(
-            help="Train on random trials: mild, full, harsh, skid, docking or a YAML file.",
+            help="Train on random trials: mild, full, harsh, skid, far, docking or a YAML file.",
             show_default=False,
         ),
     ] = None
@@ -103,7 +103,7 @@ class TrainOptions:
         bool | None,
         typer.Option(
             "--refine",
-            help="Begin with small steps: --circuit is a policy that parks already. 600 --iterations do.",
+            help="Begin with small steps: --circuit is a policy that parks already. 450 --iterations do.",
             show_default=False,
         ),
     ] = None
@@ -170,9 +170,9 @@ def train(options: TrainOptions) -> None:
         rover-ncp train --randomize full --out runs/robust
         rover-ncp train --randomize full --profile mine.yaml --out runs/for-mine
 
-    With --refine, a policy that parks already learns the robots of the trials in a fifth of the time.
+    With --refine, a policy that parks already learns the robots of the trials in a tenth of the time.
 
-        rover-ncp train --randomize full --circuit course --refine --iterations 600
+        rover-ncp train --randomize full --circuit course --refine --iterations 450
 
     With --task, a circuit learns any Gymnasium environment. The circuit is a policy file: an entry of the
     observation is an input of it, an entry of the action an output. A score is the mean return of the

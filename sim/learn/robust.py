@@ -61,9 +61,9 @@ some generations: they hide the small twitches of a motor neuron that should be 
 nothing else twitches on bases without quantisation."""
 
 _REFINING = (
-    Stage(0, 2, 0.005, 6.0, 0.09, 0.012, False),
-    Stage(250, 1, 0.002, 20.0, 0.095, 0.004, False),
-    Stage(500, 1, 0.002, 20.0, 0.095, 0.004, True),
+    Stage(0, 2, 0.00375, 6.0, 0.09, 0.012, False),
+    Stage(300, 1, 0.0015, 20.0, 0.095, 0.006, False),
+    Stage(405, 1, 0.0015, 20.0, 0.095, 0.006, True),
 )
 """For a trained policy: it parks already, and large steps or few trials would lose what it has."""
 
@@ -73,7 +73,7 @@ _USUAL_RULE = ParkedRule()
 Drive = Callable[[FloatArray, int, int, Stage], FloatArray]
 """Vectors (k, P), the first trial, how many, and the stage: the costs (k, trials)."""
 
-_SIGMAS, _REFINING_SIGMAS = (0.04, 0.1), (0.02, 0.05)
+_SIGMAS, _REFINING_SIGMAS = (0.04, 0.1), (0.015, 0.05)
 """First and greatest sigma. Where all costs are equal, noise would let it grow beyond the box."""
 _POPULATION = 1.8
 """Candidates, times the usual number: what is measured is noisy."""

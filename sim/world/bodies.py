@@ -13,7 +13,7 @@ class Body(StrEnum):
 
 
 PRESETS = {
-    Body.PYMUNK: ("none", "mild", "full", "harsh", "skid", "docking"),
+    Body.PYMUNK: ("none", "mild", "full", "harsh", "skid", "far", "docking"),
     Body.MUJOCO: ("nominal", "varied", "slope", "rough"),
 }
 """The first changes nothing."""

@@ -162,7 +162,7 @@ def test_commands_are_rounded_from_their_stage_on_every_other_generation():
         (False, 1900, 32, False),
         (False, 2000, 128, True),
         (True, 0, 64, False),
-        (True, 250, 128, True),
+        (True, 300, 128, True),
     ],
 )
 def test_all_courses_take_their_turn_once_all_rollouts_are_driven(refine, number, count, turning):

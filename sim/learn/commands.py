@@ -170,7 +170,7 @@ def train(options: TrainOptions) -> None:
         rover-ncp train --randomize full --out runs/robust
         rover-ncp train --randomize full --profile mine.yaml --out runs/for-mine
 
-    With --refine, a policy that parks already learns the robots of the trials in a tenth of the time.
+    With --refine, a policy that parks already learns the robots of the trials in a fifth of the time.
 
         rover-ncp train --randomize full --circuit course --refine --iterations 450
 

@@ -13,6 +13,7 @@ import typer
 from rover_ncp.core.console import MAX_SEED, Json, Output, command
 from rover_ncp.core.errors import UsageError
 from sim.learn.search.strategies import SearchName
+from sim.world.bodies import PRESETS, Body
 
 if TYPE_CHECKING:
     from sim.learn.agents import Snapshot
@@ -76,7 +77,7 @@ class TrainOptions:
     randomize: Annotated[
         str | None,
         typer.Option(
-            help="Train on random trials: mild, full, harsh, skid, far, docking or a YAML file.",
+            help=f"Train on random trials: {', '.join(PRESETS[Body.PYMUNK][1:])} or a YAML file.",
             show_default=False,
         ),
     ] = None
@@ -170,7 +171,7 @@ def train(options: TrainOptions) -> None:
         rover-ncp train --randomize full --out runs/robust
         rover-ncp train --randomize full --profile mine.yaml --out runs/for-mine
 
-    With --refine, a policy that parks already learns the robots of the trials in a fifth of the time.
+    With --refine, a policy that parks already learns the robots of the trials in a third of the episodes.
 
         rover-ncp train --randomize full --circuit course --refine --iterations 450
 

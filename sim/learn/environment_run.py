@@ -19,7 +19,7 @@ from rover_ncp.core.errors import UsageError
 from rover_ncp.core.streams import Domain, episode_seeds
 from sim.learn.engine.environment import Environment, EnvironmentEvaluator, make_environment, require_fit
 from sim.learn.record import Record, TaskSettings
-from sim.learn.robust import Drive, Generation, RobustSearch, Stage, policy_box
+from sim.learn.robust import Drive, Generation, RobustSearch, Schedule, Stage, policy_box
 from sim.learn.robust_run import RobustResult, SearchRun
 from sim.learn.run_folder import open_run
 
@@ -27,8 +27,7 @@ FloatArray = NDArray[np.float64]
 
 EPISODES = 100
 """Fresh episodes that score a policy."""
-_STAGES = (Stage(0, 1, 0.005, 0.0, 0.0, 0.0, False),)
-_SIGMAS = (0.15, 0.3)
+_SCHEDULE = Schedule((Stage(0, 1, 0.005, 0.0, 0.0, 0.0, False),), 0.15, 0.3)
 """A circuit of one's own begins far from any solution."""
 
 
@@ -85,8 +84,7 @@ def train_task(
         seed=settings.seed,
         rollouts=settings.rollouts,
         worst=settings.rollouts,
-        stages=_STAGES,
-        sigmas=_SIGMAS,
+        schedule=_SCHEDULE,
     )
     with open_run(out, record, resume) as folder:
         run = SearchRun(folder, start, search)

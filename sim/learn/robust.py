@@ -47,6 +47,15 @@ class Stage(NamedTuple):
     """Whether commands come in whole steps, in trials that have them, every other generation."""
 
 
+class Schedule(NamedTuple):
+    """How a search goes: its stages, the first step size (sigma) and the greatest."""
+
+    stages: Sequence[Stage]
+    first_sigma: float
+    max_sigma: float
+    """Where all costs are equal, noise would let sigma grow beyond the box."""
+
+
 _STAGES = (
     Stage(0, 16, 0.01, 6.0, 0.09, 0.012, False),
     Stage(150, 8, 0.01, 6.0, 0.09, 0.012, False),
@@ -60,10 +69,15 @@ few of a hundred, which takes many trials to see and small steps. Quantised comm
 some generations: they hide the small twitches of a motor neuron that should be at rest. A policy trained with
 nothing else twitches on bases without quantisation."""
 
-_REFINING = (
-    Stage(0, 2, 0.00375, 6.0, 0.09, 0.012, False),
-    Stage(300, 1, 0.0015, 20.0, 0.095, 0.006, False),
-    Stage(405, 1, 0.0015, 20.0, 0.095, 0.006, True),
+TRAINING = Schedule(_STAGES, 0.04, 0.1)
+REFINING = Schedule(
+    (
+        Stage(0, 2, 0.00375, 6.0, 0.09, 0.012, False),
+        Stage(300, 1, 0.0015, 20.0, 0.095, 0.006, False),
+        Stage(405, 1, 0.0015, 20.0, 0.095, 0.006, True),
+    ),
+    0.015,
+    0.05,
 )
 """For a trained policy: it parks already, and large steps or few trials would lose what it has."""
 
@@ -73,8 +87,6 @@ _USUAL_RULE = ParkedRule()
 Drive = Callable[[FloatArray, int, int, Stage], FloatArray]
 """Vectors (k, P), the first trial, how many, and the stage: the costs (k, trials)."""
 
-_SIGMAS, _REFINING_SIGMAS = (0.04, 0.1), (0.015, 0.05)
-"""First and greatest sigma. Where all costs are equal, noise would let it grow beyond the box."""
 _POPULATION = 1.8
 """Candidates, times the usual number: what is measured is noisy."""
 _STILL = (0.003, 0.0006)
@@ -191,10 +203,7 @@ def drive_trials(engine: Evaluator, ranges: Randomization, model: RoverModel, se
 
 
 class RobustSearch:
-    """A search from the box's start, generation by generation. The same seed gives the same search.
-
-    ``sigmas`` are the first step size and the greatest. ``refine``: the start is a trained policy's.
-    """
+    """A search from the box's start, generation by generation. The same seed gives the same search."""
 
     def __init__(
         self,
@@ -203,17 +212,13 @@ class RobustSearch:
         seed: int,
         rollouts: int,
         worst: int,
-        refine: bool = False,
-        stages: Sequence[Stage] | None = None,
-        sigmas: tuple[float, float] | None = None,
+        schedule: Schedule = TRAINING,
     ) -> None:
-        stages = stages or (_REFINING if refine else _STAGES)
-        sigmas = sigmas or (_REFINING_SIGMAS if refine else _SIGMAS)
-        self._box, self._stages, self._max_sigma = box, stages, sigmas[1]
+        self._box, self._schedule = box, schedule
         self._rollouts, self._worst = rollouts, worst
         start = box.start
         self.population = round(_POPULATION * default_population(len(start)))
-        self._cma = Cma(start, sigmas[0], seed=seed, population=self.population)
+        self._cma = Cma(start, schedule.first_sigma, seed=seed, population=self.population)
         self._means: list[list[float]] = []
 
     @property
@@ -224,7 +229,7 @@ class RobustSearch:
     def advance(self, drive: Drive) -> Generation:
         """Do one generation, whose trials are driven by ``drive``."""
         stage = self._stage(self.number)
-        self._cma.limits = stage.min_sigma, self._max_sigma
+        self._cma.limits = stage.min_sigma, self._schedule.max_sigma
         vectors = self._box.vectors(reflected(self._cma.ask()))
         count, worst = self._rollouts // stage.divisor, self._worst // stage.divisor
         found = drive(vectors, self.number * self._rollouts, max(count, 1), stage)
@@ -234,7 +239,7 @@ class RobustSearch:
         return Generation(self.number, self.winner, self._cma.sigma, float(values.min()))
 
     def _stage(self, number: int) -> Stage:
-        stage = [stage for stage in self._stages if stage.since <= number][-1]
+        stage = [stage for stage in self._schedule.stages if stage.since <= number][-1]
         return stage._replace(rounded=stage.rounded and number % 2 == 1)
 
     @property

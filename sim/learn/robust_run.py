@@ -18,6 +18,8 @@ from rover_ncp.course.reference import plan_reference
 from sim.learn.engine.evaluator import Evaluator
 from sim.learn.record import Record, RobustSettings, TaskSettings, course_of
 from sim.learn.robust import (
+    REFINING,
+    TRAINING,
     Drive,
     Generation,
     RobustSearch,
@@ -98,7 +100,7 @@ def train_robust(
         seed=settings.seed,
         rollouts=settings.rollouts,
         worst=settings.worst,
-        refine=settings.refine,
+        schedule=REFINING if settings.refine else TRAINING,
     )
     courses = (course.name, *(["random"] if settings.random_courses else []))
     with open_run(out, record, resume) as folder:

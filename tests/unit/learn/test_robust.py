@@ -12,7 +12,15 @@ from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
 from sim.learn.engine.evaluator import Evaluator, Outcomes
-from sim.learn.robust import RobustSearch, costs, drive_trials, policy_box, training_courses
+from sim.learn.robust import (
+    REFINING,
+    TRAINING,
+    RobustSearch,
+    costs,
+    drive_trials,
+    policy_box,
+    training_courses,
+)
 from sim.learn.search.unit_box import reflected
 from sim.world.described import default_rover
 from sim.world.random_course import random_course
@@ -156,20 +164,20 @@ def test_commands_are_rounded_from_their_stage_on_every_other_generation():
 
 
 @pytest.mark.parametrize(
-    ("refine", "number", "count", "turning"),
+    ("schedule", "number", "count", "turning"),
     [
-        (False, 0, 8, False),
-        (False, 1900, 32, False),
-        (False, 2000, 128, True),
-        (True, 0, 64, False),
-        (True, 300, 128, True),
+        (TRAINING, 0, 8, False),
+        (TRAINING, 1900, 32, False),
+        (TRAINING, 2000, 128, True),
+        (REFINING, 0, 64, False),
+        (REFINING, 300, 128, True),
     ],
 )
-def test_all_courses_take_their_turn_once_all_rollouts_are_driven(refine, number, count, turning):
+def test_all_courses_take_their_turn_once_all_rollouts_are_driven(schedule, number, count, turning):
     judge, seen = engine(), []
     judge.change_trials = lambda trials, first_course: seen.append((trials.size, first_course))
     judge.outcomes = lambda vectors: outcome()
-    drive, going = drive_trials(judge, FULL, MODEL, 3), searching(refine=refine)
+    drive, going = drive_trials(judge, FULL, MODEL, 3), searching(schedule=schedule)
     for generation in (number, number + 1):
         at_generation(going, generation).advance(
             lambda vectors, *which: np.repeat(drive(vectors[:1], *which), len(vectors), axis=0)

@@ -14,6 +14,9 @@ SLIDE = """t => {
   slider.value = t;
   slider.dispatchEvent(new Event('input'));
 }"""
+CLICKED = """addEventListener('click', event => {
+  window.clicked = performance.timeOrigin + event.timeStamp;
+}, true);"""
 VESSEL = """name => {
   const group = document.querySelector(`[data-neuron=${name}]`), level = group.querySelector('rect');
   const number = group.querySelector('.value').textContent;
@@ -45,6 +48,7 @@ class Watched:
         self.page.on("console", lambda said: self.complaints.append(f"{said.type}: {said.text}"))
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.on("request", lambda asked: self.requests.append(asked.url))
+        self.page.add_init_script(CLICKED)
         self.page.goto(address)
         self.page.wait_for_selector(shown)
 
@@ -54,6 +58,15 @@ class Watched:
         while not self.page.evaluate(script):
             assert time.monotonic() < deadline, f"never true: {script}"
             self.page.wait_for_timeout(20)
+
+    def click(self, selector, timeout_s=TIMEOUT_S):
+        """Click; return when the browser took the click, in s since the epoch.
+
+        What playwright does before (waiting for frames, finding the place) is no part of the page; what the
+        page's own script lets the click wait for is.
+        """
+        self.page.click(selector, timeout=1000 * timeout_s, no_wait_after=True)
+        return self.page.evaluate("window.clicked") / 1000
 
     def to(self, t):
         """Move the slider, and wait until the page is there."""

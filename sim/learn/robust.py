@@ -54,6 +54,8 @@ class Schedule(NamedTuple):
     first_sigma: float
     max_sigma: float
     """Where all costs are equal, noise would let sigma grow beyond the box."""
+    kept: float = 0.0
+    """Share of the start in the winner, which lies between it and what was found (Wortsman et al. 2022)."""
 
 
 _STAGES = (
@@ -78,8 +80,10 @@ REFINING = Schedule(
     ),
     0.015,
     0.05,
+    0.35,
 )
-"""For a trained policy: it parks already, and large steps or few trials would lose what it has."""
+"""For a trained policy: it parks already, and large steps or few trials would lose what it has. What is found
+is better at the new trials and worse at others; between it and the start, both are kept."""
 
 _USUAL_RULE = ParkedRule()
 """The limits of stages are for its 0.1 m and 0.1 rad."""
@@ -254,7 +258,8 @@ class RobustSearch:
         count = max(min(len(self._means), self.number // _AVERAGED_SHARE), 1)
         last = self._means[-count:] or [self._cma.mean.tolist()]
         mean = np.array([math.fsum(column) / len(last) for column in zip(*last, strict=True)])
-        winner: FloatArray = self._box.vectors(reflected(mean[None]))[0]
+        found = reflected(mean[None])
+        winner: FloatArray = self._box.vectors(found + self._schedule.kept * (self._box.start - found))[0]
         return winner
 
     def state(self) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
+from rover_ncp.circuit.compiled import dead_parameters
 from rover_ncp.circuit.policy import course_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.cli import run
@@ -21,7 +22,7 @@ from sim.learn.robust import (
     policy_box,
     training_courses,
 )
-from sim.learn.search.unit_box import reflected
+from sim.learn.search.unit_box import UnitBox, reflected
 from sim.world.described import default_rover
 from sim.world.random_course import random_course
 from sim.world.randomization import draw_trials, load_randomization
@@ -57,6 +58,23 @@ def search(generations, seed=3):
 @pytest.fixture(scope="module")
 def searched():
     return search(8)
+
+
+def test_a_schedule_keeps_a_share_of_the_start():
+    box, drive = policy_box(START), drive_trials(engine(), FULL, MODEL, 3)
+
+    def place(kept):
+        going = searching(schedule=REFINING._replace(kept=kept))
+        for _ in range(2):
+            going.advance(drive)
+        shifted = UnitBox.of(START.layout(), going.winner, dead_parameters(START))
+        return shifted.start
+
+    found, between, start = (place(kept) for kept in (0.0, 0.25, 1.0))
+    assert start == pytest.approx(box.start, abs=1e-12)
+    assert np.abs(found - start).max() > 1e-3
+    assert between == pytest.approx(0.75 * found + 0.25 * start, abs=1e-9)
+    assert 0.0 < REFINING.kept < 1.0 and TRAINING.kept == 0.0
 
 
 def test_inert_parameters_change_no_outcome():

@@ -80,7 +80,7 @@ def deploy(
     them, and later poses correct odometry. Ctrl-C stops the rover first. The motors are off after every end
     of the drive.
 
-    Poses farther than 0.2 m in x or y or 20° from the course's start end the command (4, start-pose). With
+    Poses farther than 0.3 m in x or y or 20° from the course's start end the command (4, start-pose). With
     --pose required it waits 10 s for a pose (3 without one), and 3 s of motion without a pose that fits end
     the drive (4, pose-age).
 

@@ -63,7 +63,7 @@ class DriveConfig(Timeouts):
         default=3.0, gt=0, description="longest motion without an external pose, if required"
     )
     start_m: float = Field(
-        default=0.2, gt=0, description="largest distance from the course's start, per axis (m)"
+        default=0.3, gt=0, description="largest distance from the course's start, per axis (m)"
     )
     start_rad: float = Field(default=0.35, gt=0, description="largest turn from the start's heading (rad)")
     require_certainty: bool = Field(default=False, description="whether 'parked, uncertain' is a failure")

@@ -36,7 +36,8 @@ from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
 FORECAST_TICKS = 2
 """Steps of a forecast; a gyro's readings may be 0.25 s apart."""
 HOLD = Velocity(0.004, math.radians(1.0))
-"""Near the end of a course, commands below both follow only noise of the estimate: a parked rover holds."""
+"""Near the end of a course, commands below both follow only noise of the estimate: a parked rover holds. It
+also holds where commands would be pulses, as each moves the rover by more than was asked."""
 COMING_TO_REST_S = 1.0
 """Time to come to rest before the verdict's standstill; until then, small commands correct the pose."""
 
@@ -104,6 +105,8 @@ class Controller:
         self.estimator = Estimator(settings)
         self._gains = _gains(rover)
         self._dead_zone = DeadZone(rover, described)
+        least = self._dead_zone.least
+        self._hold = Velocity(max(HOLD.v, least.v), max(HOLD.omega, least.omega))
         self._times: list[float] = []
         self._estimates: list[Estimate] = []
 
@@ -148,7 +151,7 @@ class Controller:
         v, omega = self._runner.tick(self._observation(self._steered(estimate), index, start))
         turn_gain = float(np.clip(estimate.turn_gain, *TURN_GAINS))
         command = Velocity(float(v) / self._gains.v, float(omega) / (self._gains.omega * turn_gain))
-        tiny = abs(command.v) < HOLD.v and abs(command.omega) < HOLD.omega
+        tiny = abs(command.v) < self._hold.v and abs(command.omega) < self._hold.omega
         if index * TICK_S > self._hold_s:
             self._holds = (tiny or self._holds) and self._is_parked(estimate.pose)
             command = STANDSTILL if self._holds else command

@@ -63,6 +63,10 @@ class DeadZone:
         self._wheel_least = clear_of(wheel, 0.0)
         self.band = Velocity(max(v, wheel), max(omega, wheel / self._half_track))
         """Least speed and least turn rate that the base follows, each by itself; 0: it follows all."""
+        self.least = Velocity(
+            max(self._least[0], self._wheel_least), max(self._least[1], self._wheel_least / self._half_track)
+        )
+        """Speed and turn rate below which a command becomes pulses; 0: never."""
         self._pulses = [Pulse()] * 4
         """Of v, omega, the left and the right wheel."""
 

@@ -68,7 +68,7 @@ def test_external_pose_places_the_rover_on_the_course(tmp_path):
     [
         (Pose(-3.25, 0.0, 2.48), "required"),
         (Pose(0.0, 0.0, math.pi), "auto"),
-        (Pose(0.1, -0.21, 0.0), "required"),
+        (Pose(0.1, -0.31, 0.0), "required"),
         (Pose(0.5, 0.1, 0.3), "auto"),
     ],
 )
@@ -78,7 +78,7 @@ def test_start_for_which_no_rate_is_known_is_refused_before_the_motors(there, po
     result = virtual.run()
     assert (result.exit_code, result.stopped_by, virtual.link.requests) == (4, "start-pose", 0)
     assert f"x {there.x:.2f} m, y {there.y:.2f} m" in result.reason
-    assert "(limit ±0.2 m and ±20°)" in result.reason
+    assert "(limit ±0.3 m and ±20°)" in result.reason
 
 
 def test_readings_of_a_gyro_count_are_recorded_and_recomputed(tmp_path):

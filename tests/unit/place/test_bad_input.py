@@ -105,7 +105,7 @@ CASES = {
     "the camera is covered on the way": Case(UNCERTAIN, see=lambda: Camera(gain=0.0)),
     "the camera is over-exposed on the way": Case(UNCERTAIN, see=lambda: Camera(gain=12.0)),
     "the camera freezes on the way": Case(UNCERTAIN, see=lambda: Camera(frozen=True)),
-    "the camera lags 2 s": Case("5 external poses rejected", "external-pose", see=lambda: late(2.0)),
+    "the camera lags 1.5 s": Case("5 external poses rejected", "external-pose", see=lambda: late(1.5)),
     "poses jump by 0.5 m on the way": Case(
         "5 external poses rejected",
         "external-pose",

@@ -83,7 +83,7 @@ def test_sensory_neuron_onto_a_motor_neuron_stays_sensory():
 def test_labels_name_the_largest_parts_of_a_mixture():
     policy = load_policy("course")
     found = labels(policy)
-    assert (found["FWD"], found["REV"]) == ("forward, right", "forward, left")
+    assert (found["FWD"], found["REV"]) == ("right", "forward, left")
     assert (found["PLM"], found["AVM"]) == ("speed − heading > 0", "speed − heading < 0")
     # Of the row below, the second is less than a quarter of the first.
     alone = policy.input_layer * [[0.0, 0.0, 0.0, 1.0, 0.3], [1.0, 1.0, 1.0, 1.0, 1.0]]

@@ -63,7 +63,9 @@ def train_robust(
     """Train on random robots and courses, as ``rover-ncp train --randomize``.
 
     ``settings`` are those of `sim.learn.record.RobustSettings`: course, circuit, randomize, seed, iterations,
-    rollouts, worst (by default all rollouts), random_courses and profile. Raises as `train` does.
+    rollouts, worst (by default all rollouts), random_courses, refine and profile. The command's bytes need
+    ``OPENBLAS_NUM_THREADS=1`` in the environment: with more threads the last bits differ. Raises as `train`
+    does.
     """
     from rover_ncp.core.config import validated
     from sim.learn.record import RobustSettings

@@ -154,7 +154,7 @@ class SafetyMonitor:
         if missing := self._response.tick(command, motion):
             gate = self._link.gate
             held = f" (the gate reports {in_words(gate.held)})" if gate.held else ""
-            raise SafetyStop("no-response", f"the rover drove {missing}{held}")
+            raise SafetyStop("no-response", f"by the estimate the rover drove {missing}{held}")
 
 
 def revoked(gate: GateStatus) -> SafetyStop:

@@ -8,6 +8,7 @@ are ns of one clock that is never set: in a recording that of `steady`, live the
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -147,7 +148,7 @@ class Timeline:
             signal = self.ticks[0].wall_ns + round(self.course.start_signal_s * 1e9)
             if self.ticks[-1].wall_ns >= signal:
                 events.append(Event(signal, "start", "start signal"))
-        return sorted(events, key=lambda event: event.wall_ns)
+        return list(_joined(sorted(events, key=lambda event: event.wall_ns)))
 
     def in_words(self, state: str) -> str:
         """Return the driver's state; of a docking that succeeded, the driver says parked."""
@@ -312,6 +313,17 @@ def _driver_events(before: DriverStatus | None, now: DriverStatus) -> Iterator[t
         yield "stop" if now.state == "fault" else "state", now.state + _because(now.reason)
     if before is not None and now.overruns > before.overruns:
         yield "late", f"tick {now.tick} was late: this computer was busy; the drive went on"
+
+
+def _joined(events: Sequence[Event]) -> Iterator[Event]:
+    """Return the events with each row of late ticks as one: a busy computer is late many times."""
+    for late, row in groupby(events, key=lambda event: event.kind == "late"):
+        first, *more = row
+        if late and more:
+            span_s = (more[-1].wall_ns - first.wall_ns) * 1e-9
+            yield first._replace(text=f"{first.text}; {len(more)} more within {span_s:.1f} s")
+        else:
+            yield from (first, *more)
 
 
 def _gate_events(before: GateStatus, now: GateStatus) -> Iterator[tuple[str, str]]:

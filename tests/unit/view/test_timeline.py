@@ -67,6 +67,8 @@ def test_events_are_the_changes_of_driver_and_gate(short):
         GateStatus(lease=1, accepted=11, held="bumper"),
         GateStatus(lease=1, accepted=12),
         DriverStatus(state="driving", tick=14, overruns=1),
+        DriverStatus(state="driving", tick=16, overruns=2),
+        DriverStatus(state="driving", tick=19, overruns=3),
         GateStatus(lease=1, accepted=12, limited={"speed": 1}),
         GateStatus(lease=1, accepted=13, limited={"speed": 2}, dropped={"stale": 1}),
         GateStatus(lease=1, **held, stop_reason="a person"),
@@ -79,12 +81,12 @@ def test_events_are_the_changes_of_driver_and_gate(short):
         (2, "state", "driving"),
         (4, "stop", "the gate holds the rover, bumper"),
         (6, "gate", "the gate passes commands again"),
-        (7, "late", "tick 14 was late: this computer was busy; the drive went on"),
-        (8, "gate", "the gate limited a command for the first time, speed"),
-        (9, "gate", "the gate dropped a command for the first time, stale"),
-        (10, "stop", "the gate holds the rover, stopped: a person"),
-        (11, "stop", "the gate revoked the lease, stopped"),
-        (12, "stop", "fault: stopped by lease"),
+        (7, "late", "tick 14 was late: this computer was busy; the drive went on; 2 more within 0.0 s"),
+        (10, "gate", "the gate limited a command for the first time, speed"),
+        (11, "gate", "the gate dropped a command for the first time, stale"),
+        (12, "stop", "the gate holds the rover, stopped: a person"),
+        (13, "stop", "the gate revoked the lease, stopped"),
+        (14, "stop", "fault: stopped by lease"),
     ]
 
 

@@ -101,6 +101,10 @@ class Controller:
             assert isinstance(policy, Policy)  # signals come with a runner
             runner = Runner(policy)
         self._runner: RunnerLike = runner
+        self._rests = False
+        self._last_moving = course.ticks
+        if self._reference is not None:
+            self._last_moving = int(np.flatnonzero(self._reference.motion.any(axis=1)).max(initial=0))
         self._runner.tick([0.0] * len(self._interface.places))  # compiles now, before the rover waits for it
         self.estimator = Estimator(settings)
         self._gains = _gains(rover)
@@ -126,7 +130,7 @@ class Controller:
 
     def begin(self, pose: Pose) -> None:
         """Begin the course at ``pose``, anew after an earlier drive; the estimator goes on."""
-        self._times, self._estimates, self._holds = [], [], False
+        self._times, self._estimates, self._holds, self._rests = [], [], False, False
         self._runner.reset()
         self._runner.tick(self._observation(pose, 0, 0.0))
 
@@ -151,18 +155,26 @@ class Controller:
         v, omega = self._runner.tick(self._observation(self._steered(estimate), index, start))
         turn_gain = float(np.clip(estimate.turn_gain, *TURN_GAINS))
         command = Velocity(float(v) / self._gains.v, float(omega) / (self._gains.omega * turn_gain))
-        tiny = abs(command.v) < self._hold.v and abs(command.omega) < self._hold.omega
+        self._rests = self._rests or (index > self._last_moving and _slower(command, HOLD))
         if index * TICK_S > self._hold_s:
-            self._holds = (tiny or self._holds) and self._is_parked(estimate.pose)
+            slow = _slower(command, self._hold)
+            self._holds = (slow or self._holds) and self._is_parked(estimate.pose)
             command = STANDSTILL if self._holds else command
         sent = self._dead_zone.pass_on(command)
         return Tick(index, index * TICK_S, estimate, sent, self._runner.potentials)
 
     def _steered(self, estimate: Estimate) -> Pose:
-        """Return the pose of the centre of rotation, which does not slide, shifted to meet the goal."""
-        (x, y, theta), goal, behind = estimate.pose, self._course.goal.theta, estimate.rotation_center_m
-        x += behind * (math.cos(goal) - math.cos(theta))
-        y += behind * (math.sin(goal) - math.sin(theta))
+        """Return the pose of the centre of rotation, which does not slide, shifted to meet the goal.
+
+        Once the rover has come to rest at the end, the lateral error is hidden: no turn on the spot reduces
+        it, and a circuit rests where lateral and heading error balance.
+        """
+        (x, y, theta), goal, behind = estimate.pose, self._course.goal, estimate.rotation_center_m
+        cos, sin = math.cos(goal.theta), math.sin(goal.theta)
+        x, y = x + behind * (cos - math.cos(theta)), y + behind * (sin - math.sin(theta))
+        if self._rests:
+            left = (y - goal.y) * cos - (x - goal.x) * sin
+            x, y = x + left * sin, y - left * cos
         return Pose(x, y, theta)
 
     def _is_parked(self, pose: Pose) -> bool:
@@ -221,6 +233,10 @@ def take(estimator: Estimator, sample: OdometrySample | TurnSample | PoseSample,
         case TurnSample(_, rate):
             estimator.gyro(rate, t)
             return None
+
+
+def _slower(command: Velocity, limit: Velocity) -> bool:
+    return abs(command.v) < limit.v and abs(command.omega) < limit.omega
 
 
 def _gains(rover: RoverProfile | None) -> Velocity:

@@ -80,7 +80,7 @@ REFINING = Schedule(
     ),
     0.015,
     0.05,
-    0.2,
+    0.35,
 )
 """For a trained policy: it parks already, and large steps or few trials would lose what it has. What is found
 is better at the new trials and worse at others; between it and the start, both are kept."""

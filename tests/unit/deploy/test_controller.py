@@ -113,6 +113,39 @@ class Turning:
         return 0.0, 0.3
 
 
+class Resting(Turning):
+    """Stands in for a circuit that stops at a tick; keeps what it observes."""
+
+    def __init__(self, stops):
+        self.observed, self.stops = [], stops
+
+    def reset(self):
+        self.observed = []
+
+    def tick(self, observation):
+        self.observed.append(tuple(observation))
+        return (0.0, 0.0) if len(self.observed) > self.stops + 1 else (0.1, 0.0)
+
+
+@pytest.mark.parametrize("stops", [0, COURSE.ticks - 40, COURSE.ticks])
+def test_a_rover_at_rest_at_the_end_sees_its_heading_error_alone(stops):
+    runner, off = Resting(stops), Pose(-0.02, 0.04, 0.06)
+    seen = ("longitudinal", "lateral", "heading")
+    controller = Controller(seen, COURSE, EstimatorSettings(), runner=runner)
+    controller.start(ORIGIN, -DT, compose(COURSE.goal, off))
+    for index in range(COURSE.ticks):
+        controller.estimator.odometry(ORIGIN, Velocity(0, 0), index * DT)
+        controller.tick(index, index * DT)
+    *_, before, moving = np.flatnonzero(plan_reference(COURSE).motion.any(axis=1))
+    observed = runner.observed[1:]
+    assert all(lateral != 0.0 for _, lateral, _ in observed[before:moving])
+    rests = max(stops, moving + 1) + 1
+    for longitudinal, lateral, heading in observed[rests:]:
+        # Hidden is what the goal is to the side of its own axis; the rover is turned by 0.06 rad from it.
+        assert (longitudinal, lateral, heading) == pytest.approx((0.02, 0.0, -0.06), abs=0.002)
+    assert all(abs(lateral) > 0.03 for _, lateral, _ in observed[moving + 1 : rests])
+
+
 @pytest.mark.parametrize(("gain", "sent"), [(7.4, 0.15), (2.0, 0.15), (1.2, 0.25), (0.5, 0.6), (-1.0, 0.6)])
 def test_turn_commands_are_divided_by_a_possible_gain(gain, sent):
     policy = course_policy(load_circuit("tracking"))

@@ -99,7 +99,9 @@ def test_the_stack_drives_the_trials_of_plain_simulation(parking):
         assert plain.verdict.parked
         # What differs: whole mm/s and deg/s, encoder steps, and an estimate that is less noisy.
         assert apart(plain.poses[-1], trial.pose) < 0.005
-        assert plain.poses[-1][2] == pytest.approx(trial.pose.theta, abs=0.02)
+        # A driver hides the lateral error of a rover at rest, so that it turns further towards the goal.
+        goal, heading = driven.course(number).goal.theta, plain.poses[-1][2]
+        assert min(goal, heading) - 0.02 < trial.pose.theta < max(goal, heading) + 0.02
 
 
 @pytest.mark.long

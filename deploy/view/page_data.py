@@ -150,11 +150,9 @@ def event_rows(timeline: Timeline) -> list[dict[str, Any]]:
     """Return the events with their times."""
     if timeline.began_ns is None:
         return []
-    times = _since(timeline, [event.wall_ns for event in timeline.events])
-    return [
-        {"t": t, "kind": event.kind, "text": event.text}
-        for t, event in zip(times, timeline.events, strict=True)
-    ]
+    events = timeline.events
+    times = _since(timeline, [event.wall_ns for event in events])
+    return [{"t": t, "kind": event.kind, "text": event.text} for t, event in zip(times, events, strict=True)]
 
 
 def _ticks(timeline: Timeline, ticks: Sequence[Tick]) -> dict[str, Any]:

@@ -316,7 +316,7 @@ def _driver_events(before: DriverStatus | None, now: DriverStatus) -> Iterator[t
 
 
 def _joined(events: Sequence[Event]) -> Iterator[Event]:
-    """Return the events with each row of late ticks as one: a busy computer is late many times."""
+    """Return the events, those of ticks that were late in a row as one: a busy computer has many."""
     for late, row in groupby(events, key=lambda event: event.kind == "late"):
         first, *more = row
         if late and more:

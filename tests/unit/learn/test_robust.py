@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import yaml
 
-from rover_ncp.circuit.compiled import dead_parameters
 from rover_ncp.circuit.policy import course_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.cli import run
@@ -22,7 +21,7 @@ from sim.learn.robust import (
     policy_box,
     training_courses,
 )
-from sim.learn.search.unit_box import UnitBox, reflected
+from sim.learn.search.unit_box import reflected
 from sim.world.described import default_rover
 from sim.world.random_course import random_course
 from sim.world.randomization import draw_trials, load_randomization
@@ -67,8 +66,7 @@ def test_a_schedule_keeps_a_share_of_the_start():
         going = searching(schedule=REFINING._replace(kept=kept))
         for _ in range(2):
             going.advance(drive)
-        shifted = UnitBox.of(START.layout(), going.winner, dead_parameters(START))
-        return shifted.start
+        return policy_box(START.with_parameters(going.winner)).start
 
     found, between, start = (place(kept) for kept in (0.0, 0.25, 1.0))
     assert start == pytest.approx(box.start, abs=1e-12)

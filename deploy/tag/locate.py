@@ -41,8 +41,8 @@ class Rejection(StrEnum):
     DARK = "the picture is dark: is the lens covered?"
     BRIGHT = "the picture is over-exposed"
     NO_TAG = "no tag of the map in the picture"
-    DISAGREE = "tags disagree: the size, place or id of one is wrong, or the calibration"
-    MISFIT = "the tag does not fit: its size, place or id is wrong, or the calibration"
+    DISAGREE = "tags disagree: the size, place or id of one is wrong, or the camera's intrinsics or mount"
+    MISFIT = "the tag does not fit: its size, place or id is wrong, or the camera's intrinsics or mount"
     AMBIGUOUS = "two poses fit about as well"
 
 

@@ -25,6 +25,8 @@ from rover_ncp.wire.address import ROS2
 from rover_ncp.wire.key_table import KeySpec
 from rover_ncp.wire.messages import pose_with_covariance, read_odometry
 
+UNMEASURED = Mount(x=0.0, y=0.0, z=0.0)
+"""What `calibrate` writes where a file has no mount yet."""
 PICTURE_S = 1.0
 """Time between two pictures for people."""
 
@@ -43,7 +45,7 @@ def run_localiser(
     """See ``commands.run``; return the exit code."""
     tag_map = load_yaml(map_file, TagMap)
     if camera_file is not None:
-        camera = load_yaml(camera_file, CameraFile)
+        camera = _mounted(camera_file)
     elif source.startswith(ROS2):
         camera = ros_camera_file(source)
         output.say(f"by camera_info and tf_static: {camera.intrinsics}; mount {camera.mount}")
@@ -88,7 +90,6 @@ def calibrate_intrinsics(
 ) -> None:
     """Write a camera's intrinsics, from ROS's file or pictures of the board; keep a file's other keys."""
     require_writable(camera_file)
-    origin = Mount(x=0.0, y=0.0, z=0.0)
     known = load_yaml(camera_file, CameraFile) if camera_file.exists() else None
     if camera_info is not None:
         intrinsics, rms, used = load_camera_info(camera_info), None, 0
@@ -103,18 +104,32 @@ def calibrate_intrinsics(
                 found.append(detector.detect(each.grey))
                 output.say(f"picture {len(found)}: {len(found[-1])} tags of the board")
         intrinsics, rms, used = find_intrinsics(found, size)
-    camera = CameraFile(intrinsics=intrinsics, mount=origin) if known is None else known
-    _write(camera_file, camera.model_copy(update={"intrinsics": intrinsics}))
+    camera = CameraFile(intrinsics=intrinsics, mount=UNMEASURED) if known is None else known
+    camera = camera.model_copy(update={"intrinsics": intrinsics})
+    _write(camera_file, camera)
     result = TagCalibration(out=str(camera_file), rms_px=rms, pictures=used, fx=intrinsics.fx)
     quality = "" if rms is None else f"; corners fit to {rms:.2f} px in {used} pictures"
-    output.result(result.model_dump(), f"wrote {camera_file}: focal length {intrinsics.fx:.1f} px{quality}")
+    todo = "; its mount is all zero: measure it by hand" if camera.mount == UNMEASURED else ""
+    output.result(
+        result.model_dump(), f"wrote {camera_file}: focal length {intrinsics.fx:.1f} px{quality}{todo}"
+    )
+
+
+def _mounted(camera_file: Path) -> CameraFile:
+    """Load a camera's file whose mount was measured. Raises UsageError when it is still all zero."""
+    camera = load_yaml(camera_file, CameraFile)
+    if camera.mount == UNMEASURED:
+        raise UsageError(
+            f"{camera_file}: mount: all zero; measure x, y, z (m) and yaw, pitch, roll (rad) by hand"
+        )
+    return camera
 
 
 def calibrate_mount(
     source: str, camera_file: Path, map_file: Path, *, address: BridgeAddress, seconds: float, output: Output
 ) -> None:
     """Improve the mount in a camera's file by a drive in which it sees tags."""
-    camera, tag_map = load_yaml(camera_file, CameraFile), load_yaml(map_file, TagMap)
+    camera, tag_map = _mounted(camera_file), load_yaml(map_file, TagMap)
     if tag_map.tags_on == "rover":
         raise UsageError(f"{map_file}: tags_on: rover: the mount of a ceiling's camera is measured by hand")
     require_writable(camera_file)

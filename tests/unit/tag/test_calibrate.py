@@ -12,6 +12,8 @@ from deploy.tag.detector import Detection, Detector
 from deploy.tag.locate import Locator
 from deploy.tag.sheet import BOARD, BOARD_TAG_M, board_page, pattern, tag_pages
 from deploy.tag.tag_map import CameraFile, Intrinsics, Mount, Tag, TagMap, load_camera_info
+from rover_ncp import cli
+from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import ConfigError, UsageError
 from rover_ncp.core.geometry import Pose, compose, relative
 from sim.camera.render import Renderer
@@ -153,14 +155,19 @@ def test_all_patterns_of_a_few_ids_differ():
     assert len({pattern(tag).tobytes() for tag in range(20)}) == 20
 
 
+CAMERA_INFO = """\
+image_width: 640
+image_height: 480
+camera_name: cam
+camera_matrix: {rows: 3, cols: 3, data: [500.5, 0, 320, 0, 501, 241, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [0.1, -0.2, 0.001, 0.002, 0.0]}
+"""
+
+
 def test_intrinsics_of_ros_are_read(tmp_path):
     file = tmp_path / "info.yaml"
-    file.write_text(
-        "image_width: 640\nimage_height: 480\ncamera_name: cam\n"
-        "camera_matrix: {rows: 3, cols: 3, data: [500.5, 0, 320, 0, 501, 241, 0, 0, 1]}\n"
-        "distortion_model: plumb_bob\n"
-        "distortion_coefficients: {rows: 1, cols: 5, data: [0.1, -0.2, 0.001, 0.002, 0.0]}\n"
-    )
+    file.write_text(CAMERA_INFO)
     found = load_camera_info(file)
     assert (found.fx, found.fy, found.cx, found.cy) == (500.5, 501.0, 320.0, 241.0)
     assert found.distortion == (0.1, -0.2, 0.001, 0.002, 0.0)
@@ -170,3 +177,15 @@ def test_intrinsics_of_ros_are_read(tmp_path):
     file.write_text(file.read_text() + "camera_matrix: 3\n")
     with pytest.raises(ConfigError, match="camera_info"):
         load_camera_info(file)
+
+
+def test_camera_whose_mount_nobody_measured_gives_no_poses(tmp_path, capsys):
+    for name, text in (("info", CAMERA_INFO), ("tags", dump_yaml(WALL.model_dump(mode="json")))):
+        (tmp_path / f"{name}.yaml").write_text(text)
+    file, tags = str(tmp_path / "camera.yaml"), str(tmp_path / "tags.yaml")
+    source = ["--camera", str(tmp_path), "--camera-file", file]
+    assert cli.run(["tag", "calibrate", *source, "--camera-info", str(tmp_path / "info.yaml")]) == 0
+    assert "its mount is all zero" in capsys.readouterr().out
+    for command in (["run"], ["calibrate", "--robot", "tcp/127.0.0.1"]):
+        assert cli.run(["tag", *command, *source, "--map", tags]) == 2
+        assert f"{file}: mount: all zero" in capsys.readouterr().err

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Protocol
 
 from bridge.base import Base
 from bridge.gate.limits import Limits
@@ -31,19 +30,8 @@ from rover_ncp.wire.address import ROS2
 BASES = "rover_ncp.bases"
 
 
-class ByteCounts(Protocol):
-    """Numbers of bytes from and to a base."""
-
-    bytes_in: int
-    bytes_out: int
-
-
-class CountedBase(Base, ByteCounts, Protocol):
-    """A base of another package."""
-
-
-OpenBase = Callable[[str, RobotDescription, Callable[[object], None]], CountedBase]
-"""Opens a base. Arrivals may be put from any thread; only `Base.receive` looks at them."""
+OpenBase = Callable[[str, RobotDescription, Callable[[object], None]], Base]
+"""Opens a base of another package. Arrivals may be put from any thread; only `Base.receive` looks at them."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +115,7 @@ def open_base(
     no_base_watchdog: bool,
     interrupted: Callable[[], bool],
     say: Callable[[str], None],
-) -> tuple[ByteCounts, Base, str]:
+) -> tuple[Base, str]:
     """Open the line to the base; also return what a user has to know of it.
 
     Raises UsageError, FileError, ConfigError, NoRobot, and KeyboardInterrupt while it waits for a Pioneer.
@@ -145,13 +133,13 @@ def open_base(
             raise
         except Exception as error:
             raise NoRobot(f"{chosen.address}: the base failed: {error}") from error
-        return base, base, ""
+        return base, ""
     if chosen.ros2 is None:
         session = Session(chosen.description, MotionLimits(v=limits.v_max, omega=limits.omega_max))
         connection = first_connection(chosen.address, inbox, interrupted, say)
-        return connection, ArcosBase(connection, session), ""
+        return ArcosBase(connection, session), ""
     assert chosen.description is not None and chosen.description.topics is not None  # choose_base checks it
     line = RosConnection(chosen.ros2, chosen.description.topics, inbox)
     link.watch_robot_side(f"{LOOP_KEY}/{line.nonce}", lambda there: inbox.put(LoopSeen(there)))
     ros2 = Ros2Base(line, chosen.description, unsafe=no_base_watchdog)
-    return line, ros2, ros2.note
+    return ros2, ros2.note

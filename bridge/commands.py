@@ -114,7 +114,7 @@ def bridge(
             listen, namespace, zenoh_config, inbox, insecure=insecure, ros=ros or [Convention.ROS2DDS]
         ) as link,
     ):
-        line, driven, note = open_base(
+        driven, note = open_base(
             chosen,
             allowed,
             inbox,
@@ -136,8 +136,6 @@ def bridge(
     result = BridgeResult(
         zenoh=link.locator,
         base=base,
-        bytes_to_base=line.bytes_out,
-        bytes_from_base=line.bytes_in,
         accepted=status.accepted,
         dropped=status.dropped,
         limited=status.limited,
@@ -148,7 +146,7 @@ def bridge(
     output.result(
         result.model_dump(),
         f"{status.accepted} commands passed, {sum(status.dropped.values())} dropped, "
-        f"{sum(status.stops.values())} stops; {line.bytes_out} bytes to the base, {line.bytes_in} from it",
+        f"{sum(status.stops.values())} stops",
     )
     return INTERRUPTED if signal.SIGINT in interrupts.received else 0
 

@@ -59,8 +59,6 @@ class BridgeResult(BaseModel):
 
     zenoh: str = Field(description="the locator for drivers")
     base: str = Field(description="its address")
-    bytes_to_base: int = Field(description="those of payloads, if the base is a ROS 2 robot")
-    bytes_from_base: int = Field(description="those of payloads, if the base is a ROS 2 robot")
     accepted: int = Field(description="commands that the gate passed")
     dropped: dict[str, int] = Field(description="commands, by reason")
     limited: dict[str, int] = Field(description="commands, by reason")

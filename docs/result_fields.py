@@ -27,7 +27,7 @@ RESULTS = {
     "paper run": "sim.paper.results:MadeResult",
     "paper replay": "sim.paper.results:ReplayResult",
     "paper report": "sim.paper.report:ReportResult",
-    "mock": "sim.pioneer.run:PioneerMockResult sim.pioneer.run:Ros2MockResult",
+    "mock": "sim.pioneer.run:MockResult",
     "bridge": "bridge.node:BridgeResult",
     "export": "rover_ncp.export.commands:Exported",
     "tag print": "deploy.tag.localiser:TagPrintResult",

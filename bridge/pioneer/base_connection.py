@@ -74,8 +74,6 @@ class BaseConnection:
         self._current: Transport | None = None
         """The line that the loop writes to."""
         self._all: list[Transport] = []
-        self.bytes_in = self.bytes_out = 0
-        """Bytes from and to the base, over all lines so far."""
         self._broken: NoRobot | None = None
         """Reason for giving up the line although reading does not fail."""
         self._closing, self._dropped = threading.Event(), threading.Event()
@@ -98,8 +96,8 @@ class BaseConnection:
 
     def write(self, data: bytes) -> None:
         """Send bytes to the base; without a line they are lost. A failure arrives as `Broken`."""
-        if data and self._try(lambda line: line.write(data)):
-            self.bytes_out += len(data)
+        if data:
+            self._try(lambda line: line.write(data))
 
     def set_baudrate(self, baudrate: int) -> None:
         """Let the line run at another rate. A failure arrives as `Broken`."""
@@ -120,15 +118,13 @@ class BaseConnection:
             else:
                 transport.close()
 
-    def _try(self, action: Callable[[Transport], None]) -> bool:
+    def _try(self, action: Callable[[Transport], None]) -> None:
         if self._current is None:
-            return False
+            return
         try:
             action(self._current)
         except NoRobot as error:
             self._current, self._broken = None, error
-            return False
-        return True
 
     def _open(self) -> Transport:
         transport = open_transport(self.endpoint)
@@ -158,7 +154,6 @@ class BaseConnection:
                     wait_s = min(2 * wait_s, MAX_RETRY_S)
                 else:
                     if data:
-                        self.bytes_in += len(data)
                         self._inbox.put(Received(data))
                         wait_s = RETRY_S
         except BaseException as error:

@@ -33,7 +33,6 @@ class RosConnection:
 
     def __init__(self, address: RosAddress, topics: Topics, inbox: Inbox) -> None:
         self.endpoint, self._inbox = address.endpoint, inbox
-        self.bytes_in = self.bytes_out = 0
         self._session = _open(address.endpoint, address.zenoh_config)
         self.zid = str(self._session.info.zid())
         self.nonce = secrets.token_hex(8)
@@ -64,7 +63,6 @@ class RosConnection:
 
     def publish(self, payload: bytes) -> None:
         """Send a command; it is dropped if it cannot leave at once."""
-        self.bytes_out += len(payload)
         self._commands.put(payload)
 
     def wait(self, seconds: float) -> None:
@@ -79,7 +77,6 @@ class RosConnection:
     def _receiver(self, name: str) -> Callable[[zenoh.Sample], None]:
         def receive(sample: zenoh.Sample) -> None:
             payload = sample.payload.to_bytes()[:MAX_BYTES]
-            self.bytes_in += len(payload)
             self._inbox.put(RobotMessage(name, payload, time.monotonic(), _source(sample)))
 
         return self._inbox.guarded(receive)

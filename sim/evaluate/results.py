@@ -31,8 +31,6 @@ class TrialsResult(Evaluation):
 class StackResult(BaseModel):
     """Fields of trials through the stack, beside those of all trials."""
 
-    bytes_to_base: int = Field(description="of all trials")
-    bytes_from_base: int = Field(description="of all trials")
     overruns: int = Field(description="of all trials")
     wall_s: float = Field(description="how long it took")
     times_real_time: float = Field(description="driven time over computing time")

@@ -23,8 +23,6 @@ def evaluate_stack(
     wall_s = time.monotonic() - began
     driven_s = sum(stack.course(number).horizon_s for number in range(trials))
     return tally(driven), StackResult(
-        bytes_to_base=sum(trial.bytes_to_base for trial in driven),
-        bytes_from_base=sum(trial.bytes_from_base for trial in driven),
         overruns=sum(trial.overruns for trial in driven),
         wall_s=wall_s,
         times_real_time=driven_s / wall_s,
@@ -53,6 +51,5 @@ def result_words(found: Evaluation, stack: StackResult | None) -> Iterator[str]:
     for reason, count in found.failures.items():
         yield f"not parked, {reason}: {count}"
     if stack:
-        yield f"{stack.bytes_to_base} bytes to the bases, {stack.bytes_from_base} from them"
         yield from words(stack.estimate)
         yield f"{stack.times_real_time:.0f} times real time"

@@ -81,8 +81,6 @@ class ParkResult(NotTrained):
     report: str = Field(description="the page of the drive")
     policy: str = Field(description="its name or file")
     pids: dict[str, int] = Field(description="process ids of mock, bridge and deploy")
-    bytes_to_base: int | None = Field(description="over the bridge's line")
-    bytes_from_base: int | None = Field(description="over the bridge's line")
 
 
 _FROM_DEPLOY = ("verdict", "probability", "estimate_error_m", "estimate_error_rad", "ticks", "overruns")
@@ -128,7 +126,7 @@ def run_park(
             f"the circuit drives for {slow_course.horizon_s:.0f} s"
         )
         described = ["--model", model] if model != DEFAULT_ROBOT else []
-        done, bridge = _drive(
+        done = _drive(
             run,
             ["--policy", policy, "--course", course, "--record", str(recording), *described, *overwriting],
             slow_course.horizon_s,
@@ -154,8 +152,6 @@ def run_park(
         report=str(report),
         policy=policy,
         pids={process.command: process.pid for process in run.processes},
-        bytes_to_base=bridge.result.get("bytes_to_base"),
-        bytes_from_base=bridge.result.get("bytes_from_base"),
     )
     ending = "parked" if verdict.parked else f"not parked: {verdict.reason}"
     output.result(
@@ -231,8 +227,8 @@ def _clear(folder: Path, *, overwrite: bool) -> None:
     shutil.rmtree(folder)
 
 
-def _drive(run: LiveRun, arguments: list[str], horizon_s: float) -> tuple[Finished, Finished]:
-    """Drive a course; return how driver and bridge ended. Raises ProcessError."""
+def _drive(run: LiveRun, arguments: list[str], horizon_s: float) -> Finished:
+    """Drive a course; return how the driver ended. Raises ProcessError."""
     driver = run.deploy(*arguments)
     try:
         done = driver.wait(horizon_s + _DEPLOY_EXTRA_S)
@@ -240,8 +236,8 @@ def _drive(run: LiveRun, arguments: list[str], horizon_s: float) -> tuple[Finish
         driver.send_signal(signal.SIGINT)
         driver.wait(_DEPLOY_EXTRA_S)
         raise
-    bridge = run.bridge.stop()
+    run.bridge.stop()
     run.mock.stop()
     if done.code not in {0, 1} or not done.result:
         raise ProcessError("deploy", done.code, done.last_line)
-    return done, bridge
+    return done

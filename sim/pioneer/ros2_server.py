@@ -42,7 +42,6 @@ class Ros2Server(RealTimeLoop):
     ) -> None:
         super().__init__(robot)
         self.host, self.port, self.robot = host, port or free_port(host), robot
-        self.bytes_in = self.bytes_out = 0
         self._session = _open(host, self.port)
         self._commands: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._arrived, self._woken = socket.socketpair()
@@ -63,7 +62,6 @@ class Ros2Server(RealTimeLoop):
             self.heard_s = time.monotonic()
             self.robot.command(self._commands.get(), self.heard_s)
         for name, payload in self.robot.messages():
-            self.bytes_out += len(payload)
             self._publishers[name].put(payload)
 
     def close(self) -> None:
@@ -75,9 +73,7 @@ class Ros2Server(RealTimeLoop):
         self._woken.close()
 
     def _receive(self, sample: zenoh.Sample) -> None:
-        payload = sample.payload.to_bytes()
-        self.bytes_in += len(payload)
-        self._commands.put(payload)
+        self._commands.put(sample.payload.to_bytes())
         with suppress(BlockingIOError):  # full: the mock will wake
             self._arrived.send(b"\0")
 

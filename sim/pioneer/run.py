@@ -6,7 +6,7 @@ import os
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, Field
 
@@ -55,28 +55,9 @@ class MockResult(BaseModel):
 
     listen: str = Field(description="its address")
     model: str = Field(description="the robot's description")
-    bytes_in: int = Field(description="of commands")
-    bytes_out: int = Field(description="of reports")
     touched: bool = Field(description="whether the rover touched anything")
     pose: TruePose = Field(description="the true one at the end")
     truth: str | None = Field(description="the file of true poses")
-
-
-class PioneerMockResult(MockResult):
-    """Result of the mock of a Pioneer."""
-
-    connections: int = Field(description="on the line; a Pioneer's, as the other counters")
-    packets: int = Field(description="that were received whole")
-    bad_checksums: int = Field(description="packets that were dropped for it")
-    skipped_bytes: int = Field(description="between packets")
-    unknown_commands: int = Field(description="commands that a Pioneer does not have")
-    bad_arguments: int = Field(description="known commands with an argument of a wrong kind or size")
-
-
-class Ros2MockResult(MockResult):
-    """Result of the mock of a ROS 2 robot."""
-
-    ignored: int = Field(description="commands that were not applied, with --ros2")
 
 
 def run_mock(options: MockOptions) -> None:
@@ -114,39 +95,14 @@ def run_mock(options: MockOptions) -> None:
         output.announce(f"listening on {server.host}:{server.port}")
         server.serve(lambda: interrupts.raised, fault_lines)
     x, y, theta = rover.pose
-    fields: dict[str, Any] = {
-        "listen": f"{server.host}:{server.port}",
-        "model": model,
-        "bytes_in": server.bytes_in,
-        "bytes_out": server.bytes_out,
-        "touched": server.touched,
-        "pose": TruePose(x=x, y=y, theta=theta),
-        "truth": str(truth) if truth else None,
-    }
-    result: PioneerMockResult | Ros2MockResult
-    if isinstance(server, Server):
-        result = _of_pioneer(server, fields)
-        came = f"{result.connections} connections, {result.packets} packets"
-    else:
-        result = Ros2MockResult(**fields, ignored=server.robot.ignored)
-        came = f"{result.bytes_in} bytes of commands"
-    output.result(
-        result.model_dump(), f"{came}; the rover stands at x={x:.3f} m, y={y:.3f} m, theta={theta:.3f} rad"
+    result = MockResult(
+        listen=f"{server.host}:{server.port}",
+        model=model,
+        touched=server.touched,
+        pose=TruePose(x=x, y=y, theta=theta),
+        truth=str(truth) if truth else None,
     )
-
-
-def _of_pioneer(server: Server, fields: dict[str, Any]) -> PioneerMockResult:
-    """Return the result with the counters of a Pioneer's line."""
-    firmware, decoder = server.firmware, server.firmware.decoder
-    return PioneerMockResult(
-        **fields,
-        connections=server.connections,
-        packets=decoder.packets,
-        bad_checksums=decoder.bad_checksums,
-        skipped_bytes=decoder.skipped_bytes,
-        unknown_commands=sum(firmware.unknown.values()),
-        bad_arguments=sum(firmware.bad_arguments.values()),
-    )
+    output.result(result.model_dump(), f"the rover stands at x={x:.3f} m, y={y:.3f} m, theta={theta:.3f} rad")
 
 
 def _camera(camera: Path, tags: Path, options: MockOptions) -> "MockCamera":

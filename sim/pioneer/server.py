@@ -36,7 +36,6 @@ class Server(RealTimeLoop):
         self._listener = _listen(host, port)
         name = self._listener.getsockname()
         self.host, self.port = str(name[0]), int(name[1])
-        self.connections = self.bytes_in = self.bytes_out = 0
         self.firmware = firmware
         self._client: socket.socket | None = None
         self._backlog = bytearray()
@@ -59,7 +58,6 @@ class Server(RealTimeLoop):
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._client = client
             self._backlog.clear()
-            self.connections += 1
             self.firmware.line_changed()
             self.selector.register(client, selectors.EVENT_READ, self._receive)
 
@@ -75,7 +73,6 @@ class Server(RealTimeLoop):
         if not data:
             self._hang_up()
             return
-        self.bytes_in += len(data)
         self.heard_s = time.monotonic()
         self.firmware.receive(data, self.heard_s)
 
@@ -96,7 +93,6 @@ class Server(RealTimeLoop):
             self._hang_up()
             return
         del self._backlog[:sent]
-        self.bytes_out += sent
 
     def _hang_up(self) -> None:
         if self._client is not None:

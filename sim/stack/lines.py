@@ -50,7 +50,6 @@ class VirtualConnection(ABC):
 
     def __init__(self, robot: SimulatedBase, limits: Limits) -> None:
         self._robot, self.limits, self._now = robot, limits, 0.0
-        self.bytes_to_base = self.bytes_from_base = 0
         self.arrivals: list[object] = []
         """What the base has not taken yet."""
 
@@ -85,12 +84,10 @@ class ArcosConnection(VirtualConnection):
 
     def _collect(self) -> None:
         if data := self._firmware.data_to_send():
-            self.bytes_from_base += len(data)
             self.arrivals.append(Received(data))
 
     def write(self, data: bytes) -> None:
         """Bring bytes to the base."""
-        self.bytes_to_base += len(data)
         self._firmware.receive(data, self._now)
         self._collect()
 
@@ -122,12 +119,10 @@ class Ros2Connection(VirtualConnection):
 
     def _collect(self) -> None:
         for topic, payload in self._ros2_robot.messages():
-            self.bytes_from_base += len(payload)
             self.arrivals.append(RobotMessage(topic, payload, self._now))
 
     def publish(self, payload: bytes) -> None:
         """Bring a command to the robot."""
-        self.bytes_to_base += len(payload)
         self._ros2_robot.command(payload, self._now)
 
     def wait(self, seconds: float) -> None:

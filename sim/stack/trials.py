@@ -59,8 +59,6 @@ class Driven(NamedTuple):
     pose: Pose
     ticks: int
     overruns: int
-    bytes_to_base: int
-    bytes_from_base: int
     belief: Belief
 
 
@@ -175,8 +173,6 @@ class Stack:
             rover.pose,
             report.ticks,
             report.overruns,
-            bridge.connection.bytes_to_base,
-            bridge.connection.bytes_from_base,
             belief_of(drive, rover.pose),
         )
 

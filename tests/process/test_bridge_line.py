@@ -74,7 +74,6 @@ def test_a_broken_line_is_reported_and_opened_again(server, opened):
     line.drop()
     line.write(b"lost")
     assert_opened_again(server, line, inbox)
-    assert line.bytes_out == len(b"12345again")
 
 
 def test_a_write_that_fails_breaks_the_line(opened, monkeypatch):
@@ -104,7 +103,6 @@ def test_a_line_that_is_reopened_is_closed_by_the_thread_and_the_loop_never_wait
     with pytest.raises(ConnectionResetError):  # bytes on their way are dropped
         first.recv(100)
     assert_opened_again(server, line, inbox)
-    assert line.bytes_out == len(b"again")
 
 
 def test_lines_on_which_nothing_arrives_are_opened_again_less_and_less_often(server, open_line, monkeypatch):
@@ -167,10 +165,11 @@ def test_line_that_does_not_take_the_last_zeros_delivers_no_setpoints_after_its_
         peer.settimeout(2.0)
         next_of(inbox, Opened)
         line.use()
+        sent = 0
         while line._broken is None:
             line.write(b"setpoint" * 500)
+            sent += 4000
             time.sleep(0.01)
-        sent = line.bytes_out
         line.write(b"zero")
         line.close()
         received = 0

@@ -84,8 +84,8 @@ def test_client_that_comes_before_the_end_of_the_last_one_is_reported_is_served(
         for _ in range(2):
             line = clients.enter_context(socket.create_connection((server.host, server.port), 5.0))
             server._accept()
+            assert server._client.getpeername() == line.getsockname()
             reset(line)
-    assert server.connections == 2
 
 
 @pytest.mark.parametrize("options", [[], ["--ros2", "--model", "turtlebot4"]])
@@ -112,8 +112,7 @@ def test_running_mock_takes_faults_from_its_input_and_answers_when_they_began(mo
     log = (tmp_path / "mock.log").read_text().splitlines()
     assert "expected NAME" in log[1]
     assert log[2].endswith(" mute")
-    code, report, _ = process.stop()
-    assert (code, report["connections"]) == (0, 0)
+    assert process.stop().code == 0
 
 
 def test_mock_serves_where_no_fault_can_come_from_its_input(mock):
@@ -121,8 +120,7 @@ def test_mock_serves_where_no_fault_can_come_from_its_input(mock):
     with closing(open_transport(endpoint)) as line:
         greet(line)
     process.send_signal(signal.SIGINT)
-    code, report, _ = process.wait(10.0)
-    assert (code, report["connections"]) == (0, 1)
+    assert process.wait(10.0).code == 0
 
 
 def test_no_client_connects_while_the_camera_starts(monkeypatch):

@@ -244,6 +244,7 @@ def test_a_base_that_falls_silent_is_there_again_soon_after(silent_s):
     rig.wait_for(lambda: driver.gate.held != "no-base")
     assert silent_s < rig.monotonic() - began_s < silent_s + RECOVERY_S
     driver.start()
+    assert not (rig.base.unknown or rig.base.bad_arguments or rig.base.decoder.bad_checksums)
 
 
 def test_a_ros2_robot_is_driven_within_its_own_speed():

@@ -58,14 +58,11 @@ def parking():
     return driven, drive_all(driven, 2, 1)
 
 
-def test_trials_park_and_what_went_over_the_line_is_counted(parking):
+def test_trials_park(parking):
     _, found = parking
     for trial in found:
         assert trial.parked
         assert (trial.reason, trial.ticks, trial.overruns) == ("", 80, 0)
-        # A SIP ten times a second, each some 50 bytes; setpoints five times a second and more.
-        assert 9 * 10 * 40 < trial.bytes_from_base < 10 * 10 * 80
-        assert 8 * 5 * 10 < trial.bytes_to_base < 8 * 50 * 20
 
 
 def test_driver_that_knows_the_dead_band_parks_and_another_does_not():
@@ -325,8 +322,6 @@ def test_the_command_line_drives_another_body(capsys):
     fields = json.loads(capsys.readouterr().out)
     assert (fields["body"], fields["randomize"], fields["success_rate"]) == ("mujoco", "nominal", 1.0)
     assert (fields["trials"], fields["course"], fields["overruns"]) == (1, BRIEF, 0)
-    assert fields["bytes_to_base"] > 500
-    assert fields["bytes_from_base"] > 3000
     assert math.isfinite(fields["times_real_time"])
 
 

@@ -14,9 +14,9 @@ STEP_S = 0.01
 class VirtualRig(VirtualBridge):
     """The bridge of one robot among ``walls``; each driver receives all that it publishes."""
 
-    def __init__(self, robot, *, accept_ros=False, limits=None, walls=(), firmware=Firmware):
+    def __init__(self, robot, *, accept_ros=False, limits=None, walls=()):
         self.rover = PymunkRover(described_rover(robot), Ground(walls))
-        self.base = firmware(robot, self.rover) if robot.arcos else Ros2Robot(robot, self.rover)
+        self.base = Firmware(robot, self.rover) if robot.arcos else Ros2Robot(robot, self.rover)
         super().__init__(self.base, limits, accept_ros=accept_ros)
         self.drivers = []
 

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rover_ncp.core.files import shipped_names
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.course.course import Checkpoint, Course, Obstacle, load_course
 from rover_ncp.course.feasibility import Cause, check_course
@@ -25,11 +26,21 @@ def course_of(*points, horizon_s=20.0, obstacles=()):
 AHEAD = ((0, 0, 0, 0), (8, 0.8, 0.0, 0.0), (14, 0.8, 0.0, 0.0))
 
 
-@pytest.mark.parametrize("name", ["parking", "mirrored", "bay", "reverse"])
+@pytest.mark.parametrize("name", shipped_names("courses"))
 def test_shipped_courses_can_be_driven(name):
-    found = check_course(load_course(name))
+    course = load_course(name)
+    found = check_course(course)
     assert found.drivable, found.problems
-    assert (found.clearance_m is None) == (name not in {"bay", "reverse"})
+    assert max(miss.error_m for miss in found.deviations) < 0.05
+    assert max(found.deviations[-1].error_m, found.deviations[-1].error_rad) < 0.001
+    assert (found.clearance_m is None) == (not course.obstacles)
+
+
+def test_mirrored_is_the_papers_course_to_the_other_side():
+    course, other = load_course("parking"), load_course("mirrored")
+    for point, mirrored in zip(course.checkpoints, other.checkpoints, strict=True):
+        assert (mirrored.t, mirrored.x) == (point.t, point.x)
+        assert (mirrored.y, mirrored.theta) == (-point.y, -point.theta)
 
 
 def test_the_clearance_is_that_of_the_simulators_rover():

@@ -11,6 +11,7 @@ from deploy.estimator.settings import EstimatorSettings
 from deploy.view.trace import motor_outputs
 from rover_ncp import api
 from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
+from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose
 from sim import api as sim_api
@@ -44,4 +45,4 @@ def test_an_unknown_name_is_answered_with_the_known_ones(old, new, problem):
     named = policy_to_yaml(api.load_policy("parking")).replace(f"name: {old}", f"name: {new}")
     policy = policy_from_yaml(re.sub(rf"(inputs|outputs)(.*)\b{old}\b", rf"\1\2{new}", named), "renamed")
     with pytest.raises(ConfigError, match=problem):
-        api.CourseDriver(policy, api.load_course(SHORT))
+        RoverInterface(policy)

@@ -26,7 +26,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[np.void]]:
     for message in steady(recording.messages):
         began_ns = message.log_ns if began_ns is None else began_ns
         read = _READERS.get(message.type)
-        if read is None or (message.layout is not None and message.layout.encoding != "cdr"):
+        if read is None:
             continue
         try:
             values = read(message.data)

@@ -9,7 +9,7 @@ import functools
 import json
 import struct
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from rover_ncp.core.clock_offset import NS_PER_S
@@ -31,27 +31,17 @@ CDR_ORDERS = (b"\x00\x00", b"\x00\x01")
 CDR_STAMP, CDR_STAMP_BIG = struct.Struct("<iI"), struct.Struct(">iI")
 
 
-class Layout(NamedTuple):
-    """Encoding of a channel's bytes as its file declares it: MCAP's Channel, with its Schema."""
-
-    encoding: str
-    metadata: tuple[tuple[str, str], ...]
-    schema: tuple[str, str, bytes] | None
-    """Name, encoding and text; None where a channel needs none."""
-
-
 @dataclass(frozen=True, slots=True)
 class Recorded:
     """One message: its bytes, when it arrived here and when it was sent (ns since the epoch)."""
 
     topic: str
     type: str
+    """ROS type of the bytes, which are CDR; empty for bytes of another encoding."""
     data: bytes
     log_ns: int
     publish_ns: int
     sequence: int = 0
-    layout: Layout | None = field(default=None, compare=False, repr=False)
-    """None for ours: ``type`` in CDR. A file may hold what we cannot read; `rewrite` keeps it as it is."""
 
 
 @functools.cache

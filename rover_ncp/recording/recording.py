@@ -7,7 +7,6 @@ damaged is read up to there. Specification: https://mcap.dev/spec and /spec/regi
 
 import contextlib
 import fcntl
-import functools
 import heapq
 import logging
 import os
@@ -25,12 +24,11 @@ from pydantic import BaseModel, Field
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import create, write_atomic
 from rover_ncp.recording.mcap_format import Damaged, read_records
-from rover_ncp.recording.recorded import Layout, Recorded, header_stamp_ns, steady
+from rover_ncp.recording.recorded import Recorded, header_stamp_ns, steady
 from rover_ncp.wire.cdr import definition
 from rover_ncp.wire.key_table import KEYS
 
 __all__ = [
-    "Layout",
     "Recorded",
     "Recording",
     "RecordingWriter",
@@ -43,6 +41,8 @@ __all__ = [
 ]
 
 _log = logging.getLogger(__name__)
+LIBRARY = "rover-ncp"
+"""What a recording's header names as its writer."""
 CHUNK_BYTES = 256 * 1024
 _MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json", ".bnn": "text/plain"}
 MEMORY_LIMIT, MESSAGE_BYTES = 1 << 30, 250
@@ -59,7 +59,6 @@ class Recording:
     metadata: Mapping[str, Mapping[str, str]]
     messages: tuple[Recorded, ...]
     complete: bool
-    profile: str = "ros2"
     damage: str = ""
 
     def topic(self, name: str) -> list[Recorded]:
@@ -93,22 +92,13 @@ _LATCHED = {row.name for row in KEYS if row.latched} | {"deploy/frames", "deploy
 """Topics of which one message counts for the whole recording."""
 
 
-@functools.cache
-def _our_layout(topic: str, ros_type: str) -> Layout:
-    # The key must be there (MCAP registry, ros2 profile).
-    metadata = (("offered_qos_profiles", _LATCHED_QOS if topic in _LATCHED else ""),)
-    return Layout("cdr", metadata, (ros_type, "ros2msg", definition(ros_type).encode()))
-
-
 class RecordingWriter:
     """Writes one file. Not for two threads at once; a failing disk shows as OSError from any method.
 
     Raises FileError for a path where a file exists, unless ``overwrite``, or where none can be made.
     """
 
-    def __init__(
-        self, target: Path | IO[bytes], *, overwrite: bool = False, profile: str = Recording.profile
-    ) -> None:
+    def __init__(self, target: Path | IO[bytes], *, overwrite: bool = False) -> None:
         self._owns = isinstance(target, Path)
         if isinstance(target, Path):
             self._file = create(target, overwrite=overwrite)
@@ -117,9 +107,9 @@ class RecordingWriter:
         else:
             self._file = target
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES)
-        self._writer.start(profile=profile, library="rover-ncp")
-        self._channels: dict[tuple[str, Layout | None], tuple[int, str]] = {}
-        self._schemas: dict[tuple[str, str, bytes], int] = {}
+        self._writer.start(profile="ros2", library=LIBRARY)
+        self._channels: dict[str, tuple[int, str]] = {}
+        self._schemas: dict[str, int] = {}
         self._latched = False
 
     def __enter__(self) -> Self:
@@ -143,26 +133,25 @@ class RecordingWriter:
 
     def write(self, message: Recorded) -> None:
         """Add a message. A topic of ours has one type; ValueError if another comes on it."""
-        known = (message.topic, message.layout)
-        if known not in self._channels:
-            layout = message.layout or _our_layout(message.topic, message.type)
-            if message.layout is None and message.topic in _LATCHED and not self._latched:
+        if message.topic not in self._channels:
+            if message.topic in _LATCHED and not self._latched:
                 self._latched = True
                 self.describe(*_ROSBAG2)
-            self._channels[known] = (self._channel(message.topic, layout), message.type)
-        channel, ros_type = self._channels[known]
+            self._channels[message.topic] = (self._channel(message.topic, message.type), message.type)
+        channel, ros_type = self._channels[message.topic]
         if ros_type != message.type:
             raise ValueError(f"{message.topic} holds {ros_type}, not {message.type}")
         self._writer.add_message(
             channel, message.log_ns, message.data, message.publish_ns, message.sequence % 2**32
         )
 
-    def _channel(self, topic: str, layout: Layout) -> int:
-        schema = layout.schema
-        if schema is not None and schema not in self._schemas:
-            self._schemas[schema] = self._writer.register_schema(*schema)
-        number = 0 if schema is None else self._schemas[schema]  # 0: MCAP's for none
-        return self._writer.register_channel(topic, layout.encoding, number, dict(layout.metadata))
+    def _channel(self, topic: str, ros_type: str) -> int:
+        if ros_type not in self._schemas:
+            text = definition(ros_type).encode()
+            self._schemas[ros_type] = self._writer.register_schema(ros_type, "ros2msg", text)
+        # The key must be there (MCAP registry, ros2 profile).
+        metadata = {"offered_qos_profiles": _LATCHED_QOS if topic in _LATCHED else ""}
+        return self._writer.register_channel(topic, "cdr", self._schemas[ros_type], metadata)
 
     def flush(self) -> None:
         """Put everything so far into the file as whole records, for other processes to read."""
@@ -189,31 +178,36 @@ class RecordingWriter:
                 self._file.close()
 
 
-Content = Recorded | Attachment | Metadata | Header
+Content = Recorded | Attachment | Metadata
 
 
-def _contents(path: Path) -> Iterator[Content]:
-    """Yield what a file holds, its header first. Raises Damaged at the end of what can be read; FileError."""
-    schemas: dict[int, tuple[str, str, bytes]] = {}
-    channels: dict[int, tuple[str, str, Layout]] = {}
+def _contents(path: Path, *, ours: bool = False) -> Iterator[Content]:
+    """Yield what a file holds. Raises Damaged at the end of what can be read; FileError.
+
+    With ``ours``, a file of other software is a FileError, too.
+    """
+    schemas: dict[int, str] = {}
+    channels: dict[int, tuple[str, str]] = {}
     headed = False
     try:
         with path.open("rb") as file:
             for record in read_records(path, file):
                 headed = headed or isinstance(record, Header)
+                if ours and isinstance(record, Header) and record.library != LIBRARY:
+                    raise FileError(
+                        f"{path}: was not written by rover-ncp, and only its recordings can be recovered"
+                    )
                 if isinstance(record, Message):
                     if record.channel_id not in channels:
                         raise Damaged("damaged: a message of an unknown channel")
-                    topic, ros_type, layout = channels[record.channel_id]
                     times = record.log_time, record.publish_time
-                    yield Recorded(topic, ros_type, record.data, *times, record.sequence, layout)
+                    yield Recorded(*channels[record.channel_id], record.data, *times, record.sequence)
                 elif isinstance(record, Schema):
-                    schemas[record.id] = (record.name, record.encoding, record.data)
+                    schemas[record.id] = record.name
                 elif isinstance(record, Channel):
-                    schema = schemas.get(record.schema_id)
-                    layout = Layout(record.message_encoding, tuple(record.metadata.items()), schema)
-                    channels[record.id] = (record.topic, schema[0] if schema else "", layout)
-                elif isinstance(record, Attachment | Metadata | Header):
+                    is_cdr = record.message_encoding == "cdr" and record.schema_id in schemas
+                    channels[record.id] = (record.topic, schemas[record.schema_id] if is_cdr else "")
+                elif isinstance(record, Attachment | Metadata):
                     yield record
     except Damaged as damage:
         if not headed:
@@ -230,7 +224,7 @@ def read_recording(path: Path, topics: Collection[str] | None = None) -> Recordi
     The log gets one line about damage. Raises FileError: unreadable, no recording, or larger than
     `MEMORY_LIMIT`.
     """
-    profile = damage = ""
+    damage = ""
     attachments: dict[str, bytes] = {}
     metadata: dict[str, dict[str, str]] = {}
     messages: list[Recorded] = []
@@ -245,16 +239,14 @@ def read_recording(path: Path, topics: Collection[str] | None = None) -> Recordi
             elif isinstance(item, Attachment):
                 attachments[item.name] = item.data
                 kept += len(item.data)
-            elif isinstance(item, Metadata):
-                metadata[item.name] = item.metadata
             else:
-                profile = item.profile
+                metadata[item.name] = item.metadata
             if kept > MEMORY_LIMIT:
                 raise FileError(f"{path}: holds more than the limit of {MEMORY_LIMIT >> 20} MiB of messages")
     except Damaged as error:
         damage = str(error)
         _log.warning("%s: %s; what precedes it is used", path, damage)
-    return Recording(path, attachments, metadata, tuple(messages), not damage, profile, damage)
+    return Recording(path, attachments, metadata, tuple(messages), not damage, damage)
 
 
 def require_finished(path: Path) -> None:
@@ -274,13 +266,12 @@ def rewrite(source: Recording, target: Path, more: Iterable[Recorded] = ()) -> N
     Messages of the source keep their order. The log times of ``more`` rise, by a clock that was never set.
     ``target`` may be the source's own file: it is replaced at once or not at all. Raises FileError.
     """
-    header = Header(profile=source.profile, library="")
     attachments = [Attachment(0, 0, name, "", content) for name, content in source.attachments.items()]
     metadata = [Metadata(name, dict(values)) for name, values in source.metadata.items()]
     own = zip((message.log_ns for message in steady(source.messages)), source.messages, strict=True)
     others = ((message.log_ns, message) for message in more)
     messages = (message for _, message in heapq.merge(own, others, key=lambda pair: pair[0]))
-    write_atomic(target, lambda file: _fill(file, chain([header, *attachments, *metadata], messages)))
+    write_atomic(target, lambda file: _fill(file, chain(attachments, metadata, messages)))
 
 
 class Recovery(BaseModel):
@@ -297,7 +288,7 @@ class Recovery(BaseModel):
 def recover(path: Path, target: Path) -> Recovery:
     """Write a whole copy of a recording, in its order, unless it is whole and ``target`` is its own file.
 
-    Memory does not grow with the length. Raises FileError.
+    Memory does not grow with the length. Raises FileError, also for a recording of other software.
     """
     damage: list[str] = []
     attachments: list[str] = []
@@ -327,21 +318,17 @@ def recover(path: Path, target: Path) -> Recovery:
 def _before_damage(path: Path, damage: list[str]) -> Iterator[Content]:
     """Yield what precedes the damage of a file, and append its description."""
     try:
-        yield from _contents(path)
+        yield from _contents(path, ours=True)
     except Damaged as error:
         damage.append(str(error))
 
 
 def _fill(file: IO[bytes], contents: Iterable[Content]) -> None:
-    """Write a recording; the header comes first."""
-    items = iter(contents)
-    header = next(items)
-    assert isinstance(header, Header)
-    with RecordingWriter(file, profile=header.profile) as writer:
-        for item in items:
+    with RecordingWriter(file) as writer:
+        for item in contents:
             if isinstance(item, Recorded):
                 writer.write(item)
             elif isinstance(item, Attachment):
                 writer.attach(item.name, item.data)
-            elif isinstance(item, Metadata):
+            elif item.name != _ROSBAG2[0]:  # the writer adds it
                 writer.describe(item.name, item.metadata)

@@ -1,16 +1,41 @@
 """A ROS 2 base on a virtual clock: its connection, its robot's odometry, its events."""
 
+import math
+
 from bridge.base import BaseReport, Setpoint, TurnRate
 from bridge.inbox import RobotMessage
 from bridge.ros2.base import Ros2Base, TokenSeen
 from bridge.ros2.discovery import Announced
-from kit.ros_cdr import TwistStamped, odometry
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.robot.description import load_description
+from rover_ncp.wire import messages
+from rover_ncp.wire.cdr import encode
 
 BURGER = load_description("turtlebot3-burger")
 EPOCH_S = 1.7e9
 OURS = b"o" * 16
+
+
+def header(stamp_s, frame="odom"):
+    """Return a Header's fields; ``stamp_s`` is of any clock."""
+    seconds = math.floor(stamp_s)
+    return {"stamp": {"sec": seconds, "nanosec": round((stamp_s - seconds) * 1e9)}, "frame_id": frame}
+
+
+def odometry(stamp_s, x=0.0, y=0.0, theta=0.0, v=0.0, omega=0.0, frames=("odom", "base_footprint")):
+    """Return an Odometry's bytes."""
+    stamp_ns = round(stamp_s * 1e9)
+    return messages.odometry(Pose(x, y, theta), Velocity(v, omega), stamp_ns, frames=frames)
+
+
+def twist(velocity):
+    """Return a Twist's bytes."""
+    return encode(messages.TWIST, linear={"x": velocity.v}, angular={"z": velocity.omega})
+
+
+def beyond_its_second(data):
+    """Return a message that begins with a Header, with 4 s in the nanoseconds of its stamp."""
+    return data[:8] + (4_000_000_000).to_bytes(4, "little") + data[12:]
 
 
 class Line:
@@ -80,14 +105,13 @@ class World:
         return self.events[-1] if self.events else None
 
     def sent_v(self, begin=0):
-        """The forward speeds of the commands, as TwistStamped, from the one numbered ``begin`` on."""
-        return [TwistStamped.deserialize(data).twist.linear.x for data in self.line.sent[begin:]]
+        """The forward speeds of the commands, from the one numbered ``begin`` on."""
+        return [messages.read_twist(data).velocity.v for data in self.line.sent[begin:]]
 
     @property
     def stamp_s(self):
         """The stamp of the last command."""
-        stamp = TwistStamped.deserialize(self.line.sent[-1]).header.stamp
-        return stamp.sec + stamp.nanosec * 1e-9
+        return messages.read_twist(self.line.sent[-1]).stamp_ns * 1e-9
 
 
 def announced(topic, ros_type, who="robot", published=True):

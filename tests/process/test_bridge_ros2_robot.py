@@ -1,6 +1,6 @@
 """The bridge and a ROS 2 robot on real Zenoh, in the form of either integration.
 
-The robot is the mock, or a network of plain Zenoh whose messages an independent library encodes.
+The robot is the mock, or a network of plain Zenoh.
 """
 
 import os
@@ -12,8 +12,7 @@ from contextlib import closing, contextmanager
 
 import pytest
 from kit.bridge_bench import Driver, wait_for
-from kit.ros2_world import BURGER
-from kit.ros_cdr import TwistStamped, odometry
+from kit.ros2_world import BURGER, odometry
 from kit.zenoh_session import open_router
 
 from bridge.inbox import Inbox, RobotMessage
@@ -24,7 +23,8 @@ from bridge.ros2.discovery import Announced
 from rover_ncp import cli
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import ClosedAtExit
-from rover_ncp.wire.messages import TWIST_STAMPED
+from rover_ncp.wire.cdr import encode
+from rover_ncp.wire.messages import TWIST_STAMPED, read_twist
 from rover_ncp.wire.zenoh import CLIENT
 from sim.live.live_run import RMW_ZENOH, ROS2DDS, LiveRun
 from sim.live.processes import Process
@@ -73,7 +73,7 @@ def connected(base):
 
 
 class RobotNetwork(ClosedAtExit):
-    """The Zenoh network of a robot that this process is: odometry by pycdr2, and all commands that arrive."""
+    """The Zenoh network of a robot that this process is: odometry, and all commands that arrive."""
 
     def __init__(self, form, *connect):
         self.form, self.commands, self.tokens = form, [], {}
@@ -119,8 +119,7 @@ def test_what_goes_over_the_wire_is_in_the_published_form(form):
         for _ in range(2):
             connection.publish(command(BURGER.topics, Velocity(0.1, 0.0), time.time_ns()))
         wait_for(lambda: len(network.commands) == 2 and "odom" in look()[0])
-        driven = [TwistStamped.deserialize(sample.payload.to_bytes()) for sample in network.commands]
-        assert driven[0].twist.linear.x == pytest.approx(0.1)
+        assert read_twist(network.commands[0].payload.to_bytes()).velocity == Velocity(0.1, 0.0)
         wait_for(lambda: len(network.tokens) > 5)
         tokens = [token.split("/") for token in network.tokens]
         if form == ROS2DDS:
@@ -145,7 +144,7 @@ def test_a_second_publisher_of_commands_arrives_with_its_name():
         token = network.session.liveliness().declare_token(f"@ros2_lv/0/joy/0/1/MP/%/%/joystick/{topic}")
         wait_for(lambda: Announced("joy", True, "cmd_vel", TWIST_STAMPED, "/joystick") in look()[1])
         attachment = struct.pack("<qqB16s", 1, time.time_ns(), 16, b"j" * 16)
-        network.session.put(network.cmd_key, TwistStamped().serialize(), attachment=attachment)
+        network.session.put(network.cmd_key, encode(TWIST_STAMPED), attachment=attachment)
         assert wait_for(lambda: look()[0].get("cmd_vel")).source == b"j" * 16
         token.undeclare()
 

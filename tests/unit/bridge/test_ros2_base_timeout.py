@@ -2,8 +2,7 @@
 
 import pytest
 from kit.driver_client import DriverClient
-from kit.ros2_world import BURGER, World
-from kit.ros_cdr import twist
+from kit.ros2_world import BURGER, World, twist
 from kit.virtual_bench import VirtualRig
 
 from bridge.base import Lost

@@ -4,8 +4,10 @@ import math
 import random
 
 import pytest
-from kit.ros2_world import World
-from kit.ros_cdr import Imu, Vector3, header
+from kit.ros2_world import World, header
+
+from rover_ncp.wire.cdr import encode
+from rover_ncp.wire.messages import IMU
 
 
 @pytest.fixture
@@ -18,7 +20,7 @@ def world():
 
 def imu(rate, stamp_s=None):
     stamp = {} if stamp_s is None else {"header": header(stamp_s, "imu_link")}
-    return Imu(**stamp, angular_velocity=Vector3(z=rate)).serialize()
+    return encode(IMU, **stamp, angular_velocity={"z": rate})
 
 
 def turned(world, messages):

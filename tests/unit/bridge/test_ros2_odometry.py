@@ -5,8 +5,7 @@ import math
 import tracemalloc
 
 import pytest
-from kit.ros2_world import BURGER, EPOCH_S, announced
-from kit.ros_cdr import odometry
+from kit.ros2_world import BURGER, EPOCH_S, announced, odometry
 
 from bridge.base import Lost, Notice, Ready, Recovered
 from bridge.ros2.odometry import RosOdometer

@@ -1,30 +1,34 @@
-"""The room around a ROS 2 robot by its laser, from scans that an independent library encodes."""
+"""The room around a ROS 2 robot by its laser."""
 
 import math
 import struct
 
+import numpy as np
 import pytest
-from kit.ros2_world import EPOCH_S, World
-from kit.ros_cdr import LaserScan, header
+from kit.ros2_world import EPOCH_S, World, beyond_its_second, header
 
 from rover_ncp.robot.description import load_description
+from rover_ncp.wire.cdr import encode
+from rover_ncp.wire.messages import LASER_SCAN
 
 SIGNALLING_NAN = bytes.fromhex("0100807f")
 """As a float32. numpy warns when it casts one."""
 
 
-def scan(*hits, first_deg=0.0, count=360, step_deg=1.0, else_m=math.inf, least_m=0.1):
+def scan(*hits, first_deg=0.0, count=360, step_deg=1.0, else_m=math.inf, least_m=0.1, stamp_s=0.0):
     """Return a LaserScan's bytes; ``hits`` are (degrees from the laser's x-axis, range in m)."""
     ranges = [else_m] * count
     for degrees, range_m in hits:
         ranges[round((degrees - first_deg) / step_deg) % 360] = range_m
-    return LaserScan(
+    return encode(
+        LASER_SCAN,
+        header=header(stamp_s, "base_scan"),
         angle_min=math.radians(first_deg),
         angle_increment=math.radians(step_deg),
         range_min=least_m,
         range_max=8.0,
-        ranges=ranges,
-    ).serialize()
+        ranges=np.array(ranges, np.float32),
+    )
 
 
 def room(world, payload, **odometry):
@@ -79,15 +83,9 @@ def test_an_old_scan_and_none_at_all_are_no_room(ready):
     assert math.isnan(ready.reports[-1].clear_ahead_m)
 
 
-def stamped_beyond_its_second():
-    message = LaserScan.deserialize(scan())
-    message.header.stamp.nanosec = 2_000_000_000
-    return message.serialize()
-
-
 @pytest.mark.parametrize(
     "payload",
-    [b"", LaserScan().serialize(), LaserScan(ranges=[1.0]).serialize(), stamped_beyond_its_second()],
+    [b"", encode(LASER_SCAN), encode(LASER_SCAN, ranges=np.ones(1, np.float32)), beyond_its_second(scan())],
 )
 def test_a_scan_that_is_none_is_counted(ready, payload):
     assert math.isnan(room(ready, payload)[0])
@@ -105,6 +103,5 @@ def test_scans_that_arrive_late_are_no_room(ready):
     """A link that became slow shows what was ahead then, not now."""
     for late_s, ahead in ((0.0, 0.927), (0.5, 0.927), (2.0, math.nan), (2.0, math.nan), (0.0, 0.927)):
         ready.run(3.0)
-        message = LaserScan.deserialize(scan((0, 1.0)))
-        message.header = header(EPOCH_S + ready.now - late_s, "base_scan")
-        assert room(ready, message.serialize())[0] == pytest.approx(ahead, abs=1e-3, nan_ok=True)
+        payload = scan((0, 1.0), stamp_s=EPOCH_S + ready.now - late_s)
+        assert room(ready, payload)[0] == pytest.approx(ahead, abs=1e-3, nan_ok=True)

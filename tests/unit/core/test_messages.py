@@ -100,6 +100,13 @@ def test_bumpers_have_the_bytes_of_ros():
     assert messages.bumpers(0b101, 0b10) == expected.done()
 
 
+def test_hazards_have_the_bytes_of_ros():
+    expected = Cdr().header("base_link").put("I", 2)
+    expected.header("base_link").put("B", 1).header("base_link").put("B", 3)
+    assert messages.hazards([1, 3], STAMP) == expected.done()
+    assert messages.read_hazards(expected.done()) == {1, 3}
+
+
 def test_diagnostics_have_the_bytes_of_ros():
     expected = Cdr().header("base_link").put("I", 1)
     expected.put("B", 1).text("bridge: gate").text("silence").text("Pioneer p3at-sh")

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kit.pioneer_bench import Pioneer
-from kit.ros_cdr import twist
+from kit.ros2_world import twist
 
 from bridge.pioneer.framing import Command, Decoder, Packet, encode_frame
 from bridge.pioneer.packets import Flag

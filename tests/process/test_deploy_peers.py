@@ -13,10 +13,11 @@ from deploy.drive.zenoh_link import ZenohLink
 from deploy.view.server import Viewer
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp import cli
+from rover_ncp.core.errors import NoBridge
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.messages import odometry, pose_with_covariance
-from rover_ncp.wire.protocol import BaseReply, StopReply, TimeoutState, dump_json
+from rover_ncp.wire.protocol import BaseReply, MotorsReply, StopReply, TimeoutState, dump_json
 from rover_ncp.wire.zenoh import client_config
 from sim.live.peers import Peer
 
@@ -88,6 +89,19 @@ def test_only_the_bridges_answer_counts(rig, false_answerer):
             assert time.monotonic() - began_s < 0.9  # it waits for no other answer
     with ZenohLink(BridgeAddress(rig.robot), lambda message: None) as link:
         assert [link.about_base().model for _ in range(5)] == ["p3at-sh"] * 5
+
+
+def test_a_driver_that_gets_two_answers_about_the_motors_does_not_start(rig):
+    grant = MotorsReply(granted=True, lease=99, key="5a" * 32, lease_s=5.0)
+    with client(rig.robot) as peer, ZenohLink(BridgeAddress(rig.robot), lambda message: None) as link:
+        peer.declare_queryable(
+            "rover/motors", lambda query: query.reply("rover/motors", dump_json(grant)), complete=True
+        )
+        time.sleep(0.3)
+        with pytest.raises(NoBridge, match="expected one: a peer beside the bridge answers") as error:
+            link.request_motors("test")
+        assert error.value.exit_code == 3
+        assert link.lease.number == 0
 
 
 def test_another_model_is_a_warning_to_a_driver_and_a_finding_of_check(rig, capsys):

@@ -1,4 +1,4 @@
-"""The bridge as a process: how it begins, how it ends, and a base that fails under it."""
+"""The bridge as a process: how it begins and how it ends."""
 
 import json
 import resource
@@ -9,7 +9,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from kit.bridge_bench import MACHINE_S, PERIOD_S, STOP_S, Driver, braking_s, wait_for
+from kit.bridge_bench import MACHINE_S, STOP_S, Driver, braking_s, wait_for
 
 from bridge.pioneer import base_connection
 from bridge.pioneer.transport import open_transport
@@ -19,12 +19,8 @@ from rover_ncp.core.geometry import Velocity
 from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import decode
 from sim.live.live_run import LiveRun
-from sim.live.processes import Process
-from sim.live.truth import TruthReader
 
 NO_ROBOT = "tcp/127.0.0.1:1"
-RECOVERY_S = 5.0
-"""The base is there again at the latest so long after it answers again."""
 FORGED = "ready zenoh=tcp/192.0.2.1:7447 base=tcp/192.0.2.1:8101"
 
 
@@ -96,47 +92,6 @@ def test_rover_drives_stops_in_time_and_stops_again_at_ctrl_c(tmp_path):
     assert [line for line in lines if line.startswith("ready ")] == lines[1:2]
     assert f"x\\x1b[2J\\n{FORGED} got the lease" in lines
     assert "\x1b" not in "".join(lines)
-
-
-@pytest.mark.long
-def test_a_restarted_base_is_found_again_and_stands_until_a_driver_asks(tmp_path):
-    with LiveRun(tmp_path) as rig, Driver(rig.robot) as driver:
-        driver.start()
-        rig.mock.send_signal(signal.SIGKILL)
-        rig.mock.wait(5.0)
-        wait_for(lambda: driver.gate.held == "no-base")
-        assert driver.motors().reason == "no-base"
-        truth = ["--truth", str(tmp_path / "truth.csv"), "--overwrite"]
-        mock = rig.start_process(lambda: Process("mock", ["--listen", rig.base, *truth], tmp_path))
-        mock.wait_for_line("listening on ")
-        rig.truth = TruthReader(tmp_path / "truth.csv")
-        began_ns = time.monotonic_ns()
-        wait_for(lambda: driver.drive(PERIOD_S) and driver.gate.held != "no-base", 8.0)
-        assert driver.gate.lease == 0
-        driver.drive(0.3)
-        assert rig.truth.stood_after(began_ns) == 0.0
-        sent_ns = driver.start().drive(0.1)
-        done = rig.bridge.stop()
-        assert (done.code, done.result["reconnects"]) == (0, 1)
-        assert rig.truth.stood_after(sent_ns) < STOP_S + braking_s(0.15) + MACHINE_S
-
-
-@pytest.mark.long
-def test_a_base_that_stops_for_a_while_is_there_again_soon_after_and_the_log_says_so_once(tmp_path):
-    with LiveRun(tmp_path) as rig, Driver(rig.robot) as driver:
-        driver.start()
-        rig.mock.send_signal(signal.SIGSTOP)
-        try:
-            wait_for(lambda: driver.gate.held == "no-base")
-            time.sleep(9.5)
-            assert driver.motors().reason == "no-base"  # the loop goes on while its thread opens lines
-        finally:
-            rig.mock.send_signal(signal.SIGCONT)
-        wait_for(lambda: driver.gate.held != "no-base", RECOVERY_S)
-        log = (tmp_path / "bridge.log").read_text().splitlines()
-        (line,) = [line for line in log if "reopens" in line]
-        assert line.startswith(f"tcp/{rig.base}: no packet from the base since it was lost; ")
-        driver.start()
 
 
 def test_no_robot_is_exit_3(fails):

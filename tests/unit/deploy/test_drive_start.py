@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from kit.virtual_drive import COURSE, VirtualDrive, short_course
 
+from deploy.drive import start
+from deploy.drive.config import settings_for
 from deploy.drive.records import TICKS_TOPIC, TickRecord
 from deploy.replay import replay
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.errors import NoBridge, NoPose, NoRobot
+from rover_ncp.core.clock_offset import NS_PER_S
+from rover_ncp.core.errors import AnotherDriver, NoBridge, NoPose, NoRobot
 from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, compose, distance, wrap_angle
 from rover_ncp.course.course import load_course
 from rover_ncp.course.scoring import SURE, Parked
@@ -113,6 +116,87 @@ def test_without_external_poses_the_start_is_an_error_or_the_origin():
     localised(virtual.link, Pose(9.0, 9.0, 1.0))
     virtual.run()
     assert distance(estimates(virtual)[0], ORIGIN) < 1e-6
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.001, 0.005, 0.02])
+@pytest.mark.parametrize("noise_rad", [0.0, 0.02])
+def test_noisy_odometry_at_rest_starts_if_its_noise_is_declared(noise_m, noise_rad):
+    profile = RoverProfile(name="noisy", noise_m=noise_m, noise_rad=noise_rad)
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        virtual = short_drive("none", ticks=1, estimator=settings_for(profile))
+        virtual.link.change_odometry(
+            lambda sample, rng=rng: (Pose(*rng.normal(size=3) * [noise_m, noise_m, noise_rad]), STANDSTILL)
+        )
+        virtual.run()
+        assert virtual.link.sent_ns[0] < 3.0 * NS_PER_S
+
+
+def moving(virtual, way, until_s=math.inf):
+    """Have odometry move by ``way`` a second until then."""
+    virtual.link.change_odometry(
+        lambda sample: (Pose(*np.array(way) * min(virtual.bridge.monotonic(), until_s)), STANDSTILL)
+    )
+
+
+@pytest.mark.parametrize("way", [(0.02, 0.0, 0.0), (0.0, -0.02, 0.0), (0.0, 0.0, 0.03)])
+def test_moving_rover_does_not_start(way):
+    virtual = short_drive("none")
+    moving(virtual, way)
+    result = virtual.run()
+    assert (result.exit_code, result.stopped_by, virtual.link.requests) == (4, "not-standing", 0)
+
+
+def test_poses_from_before_the_rover_stood_do_not_count():
+    virtual = short_drive("required", pose_wait_s=1.0)
+    moving(virtual, (1.0, 0.0, 0.0), until_s=4.0)
+    move = virtual.link.change["odom"]
+    put = []
+
+    def change(data):
+        if virtual.bridge.monotonic() < 3.5:
+            put.append(pose_with_covariance(ORIGIN, COVARIANCE, read_odometry(data).stamp_ns, "course"))
+            virtual.link.put("pose", put[-1])
+        return move(data)
+
+    virtual.link.change["odom"] = change
+    with pytest.raises(NoPose):
+        virtual.run()
+    assert len(put) > 5
+
+
+def test_each_pose_is_checked_once_and_invalid_ones_are_left_out(monkeypatch):
+    checked, put = [], []
+    once = start.completed
+    monkeypatch.setattr(start, "completed", lambda *given: checked.append(1) or once(*given))
+    there, virtual = Pose(0.2, 0.1, 0.3), short_drive("required", ticks=1)
+
+    def change(data):
+        for pose, covariance in (
+            (Pose(math.nan, 0.0, 0.0), COVARIANCE),
+            (Pose(9.0, 9.0, 1.0), -COVARIANCE),
+            (there, COVARIANCE),
+        ):
+            put.append(
+                pose_with_covariance(pose, covariance, read_odometry(data).stamp_ns + len(put) % 3, "course")
+            )
+            virtual.link.put("pose", put[-1])
+        return data
+
+    virtual.link.change["odom"] = change
+    virtual.run()
+    first = read_pose(virtual.messages("rover/estimate")[0])
+    assert first.pose == pytest.approx(there)
+    assert first.covariance == pytest.approx(COVARIANCE / 2, rel=1e-3)  # the start's, and one pose since
+    assert len(checked) <= len(put)
+
+
+def test_another_drivers_lease_is_named():
+    virtual = short_drive("none")
+    virtual.link.change_gate(lease=3, driver_name="a teleop")
+    with pytest.raises(AnotherDriver, match="a teleop holds the lease"):
+        virtual.run()
+    assert virtual.link.requests == 0
 
 
 def test_poses_that_come_only_after_the_start_are_not_used_and_that_is_said():

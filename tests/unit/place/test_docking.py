@@ -117,33 +117,11 @@ def test_dry_run_plans_the_way_and_moves_nothing(tmp_path):
     assert replay(drive.path).same
 
 
-def test_dry_run_without_a_way_says_why():
-    result = VirtualDocking(place(), Pose(-3.0, 1.0, 0.0), dry_run=True).run()
-    assert (result.exit_code, result.stopped_by) == (4, "start-pose")
-
-
-def test_charge_that_does_not_flow_is_no_docking():
-    drive = charging(VirtualDocking(place(proof="charging", retries=0), START), False)
-    result = drive.run()
-    assert (result.exit_code, result.dock.error_code) == (1, DockError.FAILED_TO_CHARGE)
-    assert "no charge within 10 s" in result.dock.error_msg
-    assert (result.dock.at, drive.stands()) == ("staging pose", True)
-    assert drive.off[0] == pytest.approx(-0.7, abs=0.1)
-
-
 def test_odometry_carries_the_rover_where_poses_are_lost_before_the_place():
     drive = VirtualDocking(place(), START, see=lambda pose, now: pose if pose.x < 1.65 else None)
     dock = drive.run().dock
     assert (dock.success, dock.by_proof) == (True, None)
     assert max(map(abs, drive.off[:2])) < 0.02
-
-
-def test_localiser_that_dies_early_is_no_docking():
-    drive = VirtualDocking(place(retries=0), START, see=lambda pose, now: pose if now < 4.0 else None)
-    result = drive.run()
-    assert not result.dock.success
-    assert result.exit_code in (1, 4)
-    assert drive.stands()
 
 
 def test_rover_that_stands_docked_stays_and_undocks_to_the_staging_pose(tmp_path):

@@ -7,14 +7,12 @@ import pytest
 from kit.virtual_docking import place
 
 from deploy.drive.measurements import pose_reader
-from deploy.place.docking import Docking, place_config
 from deploy.place.place import load_place
 from deploy.place.plan import approach, retreat, to_staging
 from deploy.place.survey import blurred, complaint, survey
 from deploy.zenoh_client import with_covariance
-from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.config import dump_yaml
-from rover_ncp.core.errors import FormatError, NoPose, SafetyStop
+from rover_ncp.core.errors import FormatError, NoPose
 from rover_ncp.core.geometry import ORIGIN, Pose, distance, wrap_angle
 from rover_ncp.course.feasibility import Cause, check_course
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX
@@ -68,25 +66,6 @@ def test_obstacle_in_the_way_leads_to_a_detour_and_one_at_the_staging_pose_to_a_
     none, problems = to_staging(place(obstacles=[wall | {"x": 1.3}]), start)
     assert none is None
     assert problems[0].cause is Cause.OBSTACLE
-
-
-@pytest.mark.parametrize(
-    ("where", "start", "words"),
-    [
-        (place(), Pose(-3.0, 1.0, 0.0), "4.30 m from the staging pose (at most 3 m)"),
-        (
-            place(obstacles=[{"x": 1.3, "y": 1.0, "length": 0.2, "width": 0.2}]),
-            Pose(0.0, 1.0, 0.0),
-            "touches obstacle 1",
-        ),
-    ],
-)
-def test_start_without_a_way_is_refused_with_the_reason(where, start, words):
-    policy = load_policy("course")
-    docking = Docking(place_config(where, None, None, robot="virtual", policy="course"), policy, policy)
-    with pytest.raises(SafetyStop, match="start-pose") as refused:
-        docking.start(ORIGIN, 0.0, start)
-    assert words in str(refused.value)
 
 
 def test_place_file_is_read_as_written(tmp_path, monkeypatch):

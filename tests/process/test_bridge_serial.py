@@ -12,7 +12,6 @@ from kit.paths import ROOT
 from kit.serial_base import SerialBase
 
 from sim.live.processes import Process
-from sim.pioneer.faults import parse_fault
 from sim.pioneer.firmware import ClientState
 
 
@@ -65,22 +64,3 @@ def test_a_bridge_on_a_serial_line_asks_for_a_faster_rate_and_drives(bridge_on):
         process.stop()
         assert (base.firmware.client, base.firmware.baudrate) == (ClientState.WAITING, 9600)
     assert base.rates[:2] == [9600, 38400]
-
-
-@pytest.mark.long
-def test_a_silent_serial_line_is_opened_again_and_the_base_found_at_its_rate(bridge_on, tmp_path):
-    with SerialBase(strict=True) as base:
-        _, zenoh = bridge_on(base)
-        with Driver(zenoh) as driver:
-            driver.start()
-            for fault in ("mute@0-10", "deaf@0-10"):
-                base.firmware.inject(parse_fault(fault))
-            wait_for(lambda: driver.gate.held == "no-base")
-            assert base.client_rate == 38400
-            log = tmp_path / "bridge.log"
-            wait_for(lambda: "reopens the line" in log.read_text(), 15.0)
-            # The session is still open at the faster rate when the base answers again.
-            wait_for(lambda: driver.gate.held != "no-base", 25.0)
-            assert log.read_text().count("reopens the line") == 1
-            driver.start()
-            assert base.client_rate == base.firmware.baudrate == 38400

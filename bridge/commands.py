@@ -144,7 +144,7 @@ def bridge(
         flooded=inbox.flooded,
     )
     output.result(
-        result.model_dump(),
+        result,
         f"{status.accepted} commands passed, {sum(status.dropped.values())} dropped, "
         f"{sum(status.stops.values())} stops",
     )
@@ -167,7 +167,7 @@ def urdf(
     from rover_ncp.robot.description import load_description
 
     text = urdf_of(load_description(model))
-    Output(json).result(UrdfResult(model=model, urdf=text).model_dump(), text.rstrip())
+    Output(json).result(UrdfResult(model=model, urdf=text), text.rstrip())
 
 
 def keys(
@@ -207,7 +207,7 @@ def keys(
         write_atomic(out / name, content, private=name != "ca.pem")
     result = KeysResult(folder=str(out), files=sorted(files), hosts=hosts, namespace=namespace)
     Output(json).result(
-        result.model_dump(),
+        result,
         f"wrote {', '.join(sorted(files))} into {out}\n"
         f"the bridge may be called {', '.join(hosts)}\n"
         f"next, on the robot: rover-ncp bridge --base ... --zenoh-config {out}/bridge.json5\n"

@@ -74,7 +74,7 @@ def run(
     result = result_of(drive, recorder.fields | {"recording_dropped": recorder.dropped})
     if output.as_json and result.exit_code:
         output.say(result.words.splitlines()[0])  # stderr shows the reason for an exit code other than 0
-    output.result(result.model_dump(), result.words)
+    output.result(result, result.words)
     return result.exit_code
 
 

@@ -175,7 +175,7 @@ def replay(
     from deploy.replay import replay as recompute
 
     found = recompute(run)
-    Output(json).result(found.model_dump(), str(found))
+    Output(json).result(found, str(found))
     return 0 if found.same else 1
 
 
@@ -246,7 +246,7 @@ def check(
     lines = [f"{'ok ' if each.ok else 'NO '} {each.name:9} {each.detail}" for each in found.findings]
     last = found.findings[-1]
     verdict = "yes: it may drive" if found.ready else f"no: {last.name}: {last.detail}"
-    output.result(found.model_dump(), "\n".join(map(printable, [*lines, verdict])))
+    output.result(found, "\n".join(map(printable, [*lines, verdict])))
     return 0 if found.ready else 1
 
 

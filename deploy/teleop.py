@@ -239,5 +239,5 @@ def run(address: BridgeAddress, recorder: Recorder, output: Output) -> int:
         lines.append(f"recording: {recorder.path}")
     if recorder.failure:
         lines.append(f"the recording failed: {recorder.failure}")
-    output.result(result.model_dump(), "\n".join(lines))
+    output.result(result, "\n".join(lines))
     return code

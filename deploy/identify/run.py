@@ -113,7 +113,7 @@ def _write_profile(
     profile = profile.model_copy(update={"measured": made | profile.measured})
     write_atomic(out, dump_yaml(profile.model_dump(mode="json", exclude_none=True)))
     result = IdentifyResult(**profile.model_dump(), out=str(out))
-    output.result(result.model_dump(mode="json"), "\n".join([*_lines(profile), str(out)]))
+    output.result(result, "\n".join([*_lines(profile), str(out)]))
     needed = (profile.delay_v_s, profile.delay_omega_s, profile.gain_v, profile.gain_omega)
     return 0 if None not in needed else 1
 

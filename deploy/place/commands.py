@@ -84,7 +84,7 @@ def place(
         off=stored.errors(pose) if checks else None,
         fits=not wrong,
     )
-    Output(json).result(result.model_dump(), words)
+    Output(json).result(result, words)
     return 1 if wrong else 0
 
 

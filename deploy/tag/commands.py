@@ -63,7 +63,7 @@ def print_tags(
     numbers = [] if board else parse_ids(ids)
     write_atomic(out, board_page(page) if board else tag_pages(numbers, size, page))
     result = TagPrintResult(out=str(out), ids=tuple(numbers), size=BOARD_TAG_M if board else size, page=page)
-    Output(json).result(result.model_dump(), f"wrote {out}: print it at 100 % and measure its ruler")
+    Output(json).result(result, f"wrote {out}: print it at 100 % and measure its ruler")
 
 
 @tag.command()

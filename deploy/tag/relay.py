@@ -99,5 +99,5 @@ def relay(source: str, *, address: BridgeAddress, frame: str, seconds: float | N
         del held
         result = RelayResult(poses=poses, rejected=dict(reasons), seconds=time.monotonic() - began)
     words = "" if poses or reasons else f"; no message arrived on '{where.topic}'"
-    output.result(result.model_dump(), f"{poses} poses sent{words}")
+    output.result(result, f"{poses} poses sent{words}")
     return INTERRUPTED if interrupts.raised else 0 if poses else 1

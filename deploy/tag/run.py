@@ -81,7 +81,7 @@ def run_localiser(
     lines += [f"{count} without a pose: {reason}" for reason, count in result.rejected.items()]
     if result.unknown_ids:
         lines.append(f"tags that are not in the map: {', '.join(map(str, result.unknown_ids))}")
-    output.result(result.model_dump(), "\n".join(lines))
+    output.result(result, "\n".join(lines))
     return INTERRUPTED if interrupts.raised else 0 if result.poses else 1
 
 
@@ -110,9 +110,7 @@ def calibrate_intrinsics(
     result = TagCalibration(out=str(camera_file), rms_px=rms, pictures=used, fx=intrinsics.fx)
     quality = "" if rms is None else f"; corners fit to {rms:.2f} px in {used} pictures"
     todo = "; its mount is all zero: measure it by hand" if camera.mount == UNMEASURED else ""
-    output.result(
-        result.model_dump(), f"wrote {camera_file}: focal length {intrinsics.fx:.1f} px{quality}{todo}"
-    )
+    output.result(result, f"wrote {camera_file}: focal length {intrinsics.fx:.1f} px{quality}{todo}")
 
 
 def _mounted(camera_file: Path) -> CameraFile:
@@ -164,7 +162,7 @@ def calibrate_mount(
     std = found.deviations
     values = ", ".join(f"{name} {value:.4f} ± {std[name]:.4f}" for name, value in found.mount)
     output.result(
-        result.model_dump(),
+        result,
         f"wrote {camera_file}: {values} (m, rad); corners fit to {found.rms:.2f} px; pictures "
         f"{found.late_s:.3f} ± {std['late_s']:.3f} s later than delay_s said, now {calibrated.delay_s:.3f} s",
     )

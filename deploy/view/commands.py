@@ -77,7 +77,7 @@ def course(
     if found.clearance_m is not None:
         words += f"; {1000 * found.clearance_m:.0f} mm from the nearest obstacle"
     output.result(
-        result.model_dump(),
+        result,
         "\n".join([*result.scaled, words, *map(str, found.problems), *([f"wrote {out}"] if out else [])]),
     )
     return 0 if found.drivable else 1
@@ -101,7 +101,7 @@ def report(
     from rover_ncp.core.files import existing_file
 
     found = write_report(source, out or existing_file(source).with_suffix(".html"))
-    Output(json).result(found.model_dump(), f"report: {found.page}")
+    Output(json).result(found, f"report: {found.page}")
 
 
 def _new(source: Path, out: Path | None, name: str | None) -> Any:

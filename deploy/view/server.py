@@ -130,7 +130,7 @@ def run(address: BridgeAddress, policy: str, course: str, port: int, output: Out
             with Interrupts():
                 server.run(sockets=[listener])
     result = WatchResult(address=url, robot=viewer.robot)
-    output.result(result.model_dump(), "interrupted; no longer watching")
+    output.result(result, "interrupted; no longer watching")
     return INTERRUPTED
 
 

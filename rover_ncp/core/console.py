@@ -17,14 +17,17 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
-from typing import Annotated, Any, TextIO
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 from pydantic_core import to_jsonable_python
 from rich.console import Console
 
 from rover_ncp.core.errors import UsageError
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace recordings that exist already.")]
@@ -244,12 +247,14 @@ class Output(logging.Handler):
         ):
             yield
 
-    def result(self, fields: Mapping[str, Any], text: str) -> None:
-        """End a command: the fields as JSON, or the text. A number that is not finite becomes null."""
+    def result(self, result: "BaseModel", text: str) -> None:
+        """End a command: its result as JSON, or the text. A number that is not finite becomes null."""
         Output.ended = True
         if self.as_json:
             # numpy's numbers and arrays have tolist.
-            plain = to_jsonable_python(fields, inf_nan_mode="null", fallback=lambda value: value.tolist())
+            plain = to_jsonable_python(
+                result.model_dump(by_alias=True), inf_nan_mode="null", fallback=lambda value: value.tolist()
+            )
             keep(sys.stdout, json.dumps(plain, allow_nan=False) + "\n")
         else:
             for line in text.split("\n"):

@@ -71,4 +71,4 @@ def export(
         write_atomic(out / file, content)
     paths = [str(out / file) for file in files]
     result = Exported(policy=policy, to=to, name=name, files=paths)
-    Output(json).result(result.model_dump(), "\n".join(paths))
+    Output(json).result(result, "\n".join(paths))

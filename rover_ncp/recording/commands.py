@@ -38,7 +38,7 @@ def recover(
     found = make_whole(run, target)
     said = f"is whole again ({run.name} was {found.damage})" if found.damage else "was whole already"
     Output(json).result(
-        found.model_dump(),
+        found,
         f"{target} {said}: {found.messages} messages over {found.seconds:.1f} s, "
         f"{len(found.attachments)} attachments",
     )

@@ -41,5 +41,5 @@ def bench(
         for rate in found.rates
         if rate.above_bare_ms is not None
     ]
-    output.result(found.model_dump(), "\n".join(words) or "no rate was measured")
+    output.result(found, "\n".join(words) or "no rate was measured")
     return 0 if len(words) == len(found.rates) and not found.fastest.stopped else 1

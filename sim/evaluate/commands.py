@@ -240,7 +240,7 @@ def _drive_once(options: EvalOptions) -> int:
     )
     ending = "parked" if verdict.parked else f"not parked: {verdict.reason}"
     Output(options.json).result(
-        result.model_dump(by_alias=True),
+        result,
         "".join(f"{line}\n" for line in scaled)
         + f"{ending}; return {run.total:.4f}; final errors {1000 * verdict.error_m:.0f} mm and "
         f"{1000 * verdict.error_rad:.0f} mrad; {1000 * run.rms_m:.0f} mm rms from the checkpoints",
@@ -253,7 +253,7 @@ def _drive_trials(options: EvalOptions) -> int:
     from rover_ncp.course.course import load_course
     from rover_ncp.robot.description import load_description
     from sim.evaluate.evaluate import drive_trials, fitted_courses, tally, unseen_courses
-    from sim.evaluate.results import TrialsResult
+    from sim.evaluate.results import StackTrialsResult, TrialsResult
     from sim.evaluate.trial_runs import evaluate_stack, result_words
     from sim.learn.engine.driver import load_driver
     from sim.stack.trials import Stack
@@ -275,7 +275,7 @@ def _drive_trials(options: EvalOptions) -> int:
     else:
         model = described_rover(robot) if robot else None
         found = tally(drive_trials(driver, courses, ranges, trials=trials, seed=seed, model=model))
-    result = TrialsResult(
+    fields = dict(
         **vars(found),
         randomize=options.randomization or ranges.name,
         model=options.model,
@@ -285,8 +285,8 @@ def _drive_trials(options: EvalOptions) -> int:
         random_courses=options.random_courses or 0,
         course=",".join(options.courses),
     )
-    fields = result.model_dump() | (in_stack.model_dump() if in_stack else {})
-    output.result(fields, "\n".join([*scaled, *result_words(found, in_stack)]))
+    result = StackTrialsResult(**fields, **vars(in_stack)) if in_stack else TrialsResult(**fields)
+    output.result(result, "\n".join([*scaled, *result_words(found, in_stack)]))
     return 1 if found.trials == 1 and found.success_rate < 1 else 0
 
 
@@ -324,7 +324,7 @@ def _dock(options: EvalOptions, name: str) -> int:
     about = {"randomize": options.randomization or ranges.name, "model": options.model}
     about["body"] = options.body.value
     found = evaluate_docking(trials, options.trials or 1, options.processes, output, **about)
-    output.result(found.model_dump(), "\n".join(docking_words(found)))
+    output.result(found, "\n".join(docking_words(found)))
     return 1 if found.trials == 1 and found.success_rate < 1 else 0
 
 
@@ -359,7 +359,7 @@ def _play_task(options: EvalOptions, task: str) -> int:
         return _play_environment(options, task, trials)
     found = score_circuit(options.policy, task, options.range_ or [], trials, options.seed)
     Output(options.json).result(
-        found.model_dump(by_alias=True),
+        found,
         f"{task}: return {found.return_:.2f} ± {found.std:.2f} in {found.episodes} episodes, "
         f"{found.successes} of them successful",
     )
@@ -384,5 +384,5 @@ def _play_environment(options: EvalOptions, task: str, trials: int) -> int:
     result = EnvironmentResult(
         task=task, episodes=trials, return_=score.mean, std=score.std, successes=score.successes
     )
-    Output(options.json).result(result.model_dump(by_alias=True), f"{task}: {score}")
+    Output(options.json).result(result, f"{task}: {score}")
     return 1 if trials == 1 and score.successes == 0 else 0

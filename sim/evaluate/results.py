@@ -37,6 +37,10 @@ class StackResult(BaseModel):
     estimate: EstimateSummary = Field(description="of the driver, against the truth")
 
 
+class StackTrialsResult(StackResult, TrialsResult):
+    """Result of random trials through the stack."""
+
+
 class BenchmarkResult(EpisodesResult):
     """Score of a circuit in one of the paper's benchmarks; returns have the task's bonus, if it has one."""
 

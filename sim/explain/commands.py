@@ -91,4 +91,4 @@ def explain(
         output.say(section.after.replace("\n", " "))
     written = write(found, out) if out is not None else []
     ending = f"{len(written)} files in {out}" if out is not None else "--out DIR writes a page and tables"
-    output.result(found.result(written).model_dump(by_alias=True), ending)
+    output.result(found.result(written), ending)

@@ -196,7 +196,7 @@ def train(options: TrainOptions) -> None:
         found, words = _train_robust(output, options, settings)
     else:
         found, words = _train_ensemble(output, options, settings)
-    output.result(found.model_dump(by_alias=True), f"{words}\n{found.policy}")
+    output.result(found, f"{words}\n{found.policy}")
 
 
 _NAMED_BY = {"TaskSettings": "task", "RobustSettings": "randomize"}

@@ -113,7 +113,7 @@ def run_experiments(
             left, store, circuit, processes=processes, cluster=cluster, every_s=every_s, on_result=on_result
         )
     found = MadeResult(made=made, found=len(names) - len(left))
-    output.result(found.model_dump(), f"{len(made)} runs made")
+    output.result(found, f"{len(made)} runs made")
 
 
 @paper.command("replay")
@@ -149,7 +149,7 @@ def replay_experiments(
     if not replayed:
         raise UsageError(f"{results}: has no such runs to replay")
     Output(json).result(
-        ReplayResult(replayed=replayed, exact=exact, differ=differ).model_dump(),
+        ReplayResult(replayed=replayed, exact=exact, differ=differ),
         f"{replayed} runs replayed, {exact} to the last bit, {len(differ)} differ",
     )
     return 1 if differ else 0
@@ -190,4 +190,4 @@ def report_experiments(
         write_atomic(curves, curves_png(store))
     judged = judge_claims(store, file.claims)
     text = long_report(store, judged) if long else short_report(store, file, judged)
-    Output(json).result(ReportResult(claims=judged, groups=coverage(store)).model_dump(), text)
+    Output(json).result(ReportResult(claims=judged, groups=coverage(store)), text)

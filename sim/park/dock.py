@@ -91,7 +91,7 @@ def run_dock(output: Output, out: Path, *, overwrite: bool) -> int:
     )
     words = "docked" if within else "not docked"
     output.result(
-        result.model_dump(),
+        result,
         f"{words} after {result.tries} tries; true errors {result.true_errors}; the driver says: "
         f"{result.driver}\nreport: {report}\nwhat the camera saw: {view}\nrecording: {recording}",
     )

@@ -102,7 +102,7 @@ def run_park(
         training, policy, reason = _train(output, course, model, seed, out / "train", overwrite=overwrite)
         if reason:
             output.result(
-                NotTrained(parked=False, reason=f"no agent parks: {reason}", train=training).model_dump(),
+                NotTrained(parked=False, reason=f"no agent parks: {reason}", train=training),
                 f"not parked: no agent parks in simulation: {reason} ({training}; the limit is "
                 f"{ITERATIONS}); try another --seed, or a trained policy: --policy {TRACKING_POLICY}",
             )
@@ -155,7 +155,7 @@ def run_park(
     )
     ending = "parked" if verdict.parked else f"not parked: {verdict.reason}"
     output.result(
-        result.model_dump(),
+        result,
         f"{ending}; true final errors {1000 * verdict.error_m:.0f} mm and "
         f"{1000 * verdict.error_rad:.0f} mrad; the driver's verdict: {result.verdict}\n"
         f"picture: {picture}\nrecording: {recording}\nreport: {report}",

@@ -102,7 +102,7 @@ def run_mock(options: MockOptions) -> None:
         pose=TruePose(x=x, y=y, theta=theta),
         truth=str(truth) if truth else None,
     )
-    output.result(result.model_dump(), f"the rover stands at x={x:.3f} m, y={y:.3f} m, theta={theta:.3f} rad")
+    output.result(result, f"the rover stands at x={x:.3f} m, y={y:.3f} m, theta={theta:.3f} rad")
 
 
 def _camera(camera: Path, tags: Path, options: MockOptions) -> "MockCamera":

@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from kit.json_fields import assert_on_page
 
 from rover_ncp.cli import run
 from sim.benchmarks import deploy as bench_deploy
@@ -21,8 +20,6 @@ def test_it_measures_driver_and_bare_way_and_a_fast_loop(capfd, monkeypatch):
     monkeypatch.setattr(bench_deploy, "CIRCUIT_REPEATS", 2)
     assert run(["bench", "deploy", "--seconds", "3", "--json"]) == 0
     found = json.loads(capfd.readouterr().out)
-    kinds = ("odometry_to_command", "bare_half_round_trip", "tick_jitter")
-    assert_on_page(found, "bench deploy", unseen=[f"rates.{kind}_ms.p99_9" for kind in kinds])
     assert found["circuit_us"] > 0.0
     (rate,) = found["rates"]
     assert rate["ticks"] + rate["missed"] == 320  # the course is no shorter than that

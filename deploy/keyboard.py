@@ -131,8 +131,6 @@ class Keyboard:
         self._key = ""
         self._at = float("-inf")
         self._repeats = False
-        self.count = 0
-        """Keys that drove."""
 
     def press(self, key: str, now: float) -> None:
         """Take in a key that was read at ``now``."""
@@ -142,7 +140,6 @@ class Keyboard:
         # Changing from one held key to another continues the drive; it is not a new press.
         self._repeats = now - self._at <= HOLD_S
         self._key, self._at = key, now
-        self.count += 1
 
     def release(self) -> None:
         """Clear the key: the rover stands from now on."""

@@ -10,7 +10,6 @@ Rules of this file:
 
 import codecs
 import contextlib
-import math
 import os
 import select
 import sys
@@ -32,7 +31,7 @@ from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.console import Output, printable
 from rover_ncp.core.errors import SafetyStop, UsageError
-from rover_ncp.core.geometry import STANDSTILL, Pose, distance, wrap_angle
+from rover_ncp.core.geometry import STANDSTILL
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Clock, Interrupts
 from rover_ncp.wire.protocol import in_words
@@ -50,10 +49,6 @@ class TeleopResult(RecordingResult):
     """Result of a person's drive."""
 
     seconds: float = Field(description="of driving")
-    driven_m: float = Field(description="by odometry")
-    turned_rad: float = Field(description="by odometry, to both sides")
-    keys: int = Field(description="that were pressed and drove")
-    commands: int = Field(description="that were sent")
     stopped_by: str | None = Field(description="the safety rule")
     exit_code: int = Field(description="of the command")
 
@@ -118,7 +113,7 @@ class Terminal:
 
 
 class Teleop:
-    """One person's drive over an open link; the attributes hold the result."""
+    """One person's drive over an open link; ``seconds`` is its duration."""
 
     def __init__(
         self, link: Link, terminal: Terminal, interrupted: Callable[[], bool], clock: Clock = time
@@ -126,12 +121,9 @@ class Teleop:
         self._link, self._terminal, self._clock = link, terminal, clock
         self._measurements = Measurements(link)
         self._monitor = SafetyMonitor(link, self._measurements, interrupted, clock=clock)
-        self.keyboard = Keyboard()
+        self._keyboard = Keyboard()
         self._reader = KeyReader()
-        self.seconds = self.driven_m = self.turned_rad = 0.0
-        """Duration, and motion by odometry."""
-        self.commands = 0
-        self._last: Pose | None = None
+        self.seconds = 0.0
         self._command = STANDSTILL
 
     @property
@@ -168,7 +160,7 @@ class Teleop:
             now = self._clock.monotonic()
             if now - read > LONGEST_LOOP_S:
                 self._terminal.discard()
-                self.keyboard.release()
+                self._keyboard.release()
                 text = ""
             read = now
             if text is None:
@@ -176,26 +168,14 @@ class Teleop:
             for key in self._reader.keys(text):
                 if key is Press.QUIT:
                     return
-                self.keyboard.press(key, now)
-            measured = self._measurements.odometry(0)
-            if measured is not None:
-                self._add(measured.sample.pose)
+                self._keyboard.press(key, now)
+            self._measurements.odometry(0)  # the safety monitor judges the newest
             self._monitor.check()
             if now >= due or text:
-                self._command = self.keyboard.velocity(now)
+                self._command = self._keyboard.velocity(now)
                 self._link.command(self._command)
-                self.commands += 1
                 due = now + PERIOD_S
             self.seconds = now - began
-
-    def _add(self, pose: Pose) -> None:
-        """Add the motion to an odometry pose."""
-        if not all(map(math.isfinite, pose)):
-            return
-        if self._last is not None:
-            self.driven_m += distance(self._last, pose)
-            self.turned_rad += abs(wrap_angle(pose.theta - self._last.theta))
-        self._last = pose
 
 
 def run(address: BridgeAddress, recorder: Recorder, output: Output) -> int:
@@ -223,18 +203,13 @@ def run(address: BridgeAddress, recorder: Recorder, output: Output) -> int:
             code, ending = INTERRUPTED, "interrupted; the rover was stopped"
     result = TeleopResult(
         seconds=teleop.seconds,
-        driven_m=teleop.driven_m,
-        turned_rad=teleop.turned_rad,
-        keys=teleop.keyboard.count,
-        commands=teleop.commands,
         stopped_by=stop.rule if stop else None,
         exit_code=code,
         **recorder.fields,
     )
     if output.as_json and code:
         output.say(ending)
-    driven = f"{teleop.driven_m:.2f} m and {teleop.turned_rad:.2f} rad driven in {teleop.seconds:.0f} s"
-    lines = [f"{printable(ending)}; {driven}"]
+    lines = [f"{printable(ending)}; driven for {teleop.seconds:.0f} s"]
     if recorder.path:
         lines.append(f"recording: {recorder.path}")
     if recorder.failure:

@@ -98,7 +98,7 @@ def test_ctrl_c_stops_the_rover_and_the_terminal_is_as_before(rig, sit_down, tmp
     assert (code, result["stopped_by"]) == (130, None)
     assert person.settings == person.before
     assert rig.truth.stood_after(left_ns) < 0.2 + braking_s(V_M_S) + MACHINE_S
-    assert result["driven_m"] > 0.0
+    assert result["seconds"] > 0.0
     recording = read_recording(tmp_path / "run.mcap")
     assert recording.complete
     assert {"odom", "cmd_vel", "rover/cmd_out", "rover/gate"} <= {m.topic for m in recording.messages}

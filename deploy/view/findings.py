@@ -69,7 +69,7 @@ def _told(trace: Trace, phases: Sequence[ExplainedPhase]) -> list[ExplainedPhase
 
 
 def sentence(explained: ExplainedPhase, labels: Mapping[str, str], sensory: Collection[str]) -> str:
-    """Describe a phase in one to three sentences; ``labels`` are inputs and outputs of neurons."""
+    """Describe a phase in one or two sentences; ``labels`` are inputs and outputs of neurons."""
 
     def named(neuron: str) -> str:
         return f"{neuron} [{labels[neuron]}]" if neuron in labels else neuron
@@ -94,8 +94,6 @@ def sentence(explained: ExplainedPhase, labels: Mapping[str, str], sensory: Coll
         text += " ".join(clauses) or alone
     if not explained.by_leak:
         text += f"; it puts {motor}"
-    if explained.rival is not None:
-        text += f"; against it {named(explained.rival.neuron)} at {_mv(explained.rival.mean_mV)}"
     text += "."
     if explained.behind is not None and (change := explained.change) is not None:
         verb = "grew" if abs(change.now_mV) > abs(change.before_mV) else "fell"
@@ -103,9 +101,6 @@ def sentence(explained: ExplainedPhase, labels: Mapping[str, str], sensory: Coll
             f" What changed: the pull of {named(change.neuron)} on {explained.behind.neuron} {verb} "
             f"from {_mv(change.before_mV, '+.0f')} to {_mv(change.now_mV, '+.0f')}."
         )
-    if explained.swinging:
-        swings = [f"{row.neuron} (by {_mv(row.mean_mV)})" for row in explained.swinging[:NAMED]]
-        text += f" From tick to tick {' and '.join(swings)} {'swings' if len(swings) == 1 else 'swing'}."
     return text
 
 

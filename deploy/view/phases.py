@@ -45,12 +45,8 @@ LABELS: dict[tuple[int, ...], str] = {
 
 WEAK_MV = 1.0
 """If all pulls on a motor neuron are weaker in a phase, the strongest in the whole run counts."""
-RIVAL_SHARE = 0.15
-"""Least share against the output, in shares of the largest for it."""
 CHANGE_MV = 3.0
 """Least change of a pull between phases that counts."""
-SWING_MV = 5.0
-"""Sensory neurons change by less in a tick of any drive, so a wider swing comes from the circuit."""
 LEAK_MV = 5.0
 """If no synapse pulls a motor neuron by more, its leak determines its potential."""
 
@@ -77,7 +73,7 @@ class Mean(ResultModel):
     """A neuron with a mean over a phase."""
 
     neuron: str = Field(description="its name")
-    mean_mV: float = Field(description="mean of its potential, its pull or its swing")
+    mean_mV: float = Field(description="mean of its potential or its pull")
 
 
 class Change(ResultModel):
@@ -92,7 +88,6 @@ class ExplainedPhase(Phase):
     """Explanation of the rover's motion in one phase."""
 
     motor: Mean = Field(description="motor neuron with the largest share in the output, and its potential")
-    rival: Mean | None = Field(description="motor neuron that acts most against the output, or null")
     behind: Mean | None = Field(
         default=None, description="neuron that pulls most on the motor neuron, or null"
     )
@@ -102,9 +97,6 @@ class ExplainedPhase(Phase):
     )
     pulls: tuple[Mean, ...] = Field(default=(), description="on the neuron behind, the strongest first")
     change: Change | None = Field(default=None, description="that changed most since the phase before")
-    swinging: tuple[Mean, ...] = Field(
-        default=(), exclude=True, description="by their mean change from tick to tick"
-    )
     sentence: str = Field(default="", description="all this in words")
 
 
@@ -209,13 +201,8 @@ def _explained(trace: Trace, currents: Currents, phase: Phase, before: Phase | N
         return Mean(neuron=neuron, mean_mV=float(trace.of(neuron)[phase.ticks].mean()))
 
     circuit = trace.policy.circuit
-    motor, rival = _motors(trace, phase)
-    found = ExplainedPhase(
-        **dict(phase),
-        motor=mean(motor),
-        rival=None if rival is None else mean(rival),
-        swinging=_swinging(trace, phase),
-    )
+    motor = _motor(trace, phase)
+    found = ExplainedPhase(**dict(phase), motor=mean(motor))
     synapse = _strongest(trace, currents, motor, phase)
     if synapse is None:
         return found
@@ -233,20 +220,18 @@ def _explained(trace: Trace, currents: Currents, phase: Phase, before: Phase | N
     return found.model_copy(update=more)
 
 
-def _motors(trace: Trace, phase: Phase) -> tuple[str, str | None]:
-    """Return the motor neuron with the largest share in a phase's output, and the strongest against it."""
+def _motor(trace: Trace, phase: Phase) -> str:
+    """Return the motor neuron with the largest share in a phase's output."""
     shares = motor_shares(trace.policy, trace.potentials)
     # A turn explains more than the speed; the first output that acts, where they are others.
     acting = [i for i, sign in enumerate(phase.signs) if sign]
     output = OMEGA if trace.outputs == Velocity._fields and OMEGA in acting else (acting or [V])[0]
     if not any(phase.signs):  # standing still: the neuron that could have moved it
         reach = [float(np.abs(share[:, V]).max()) for _, share in shares]
-        return shares[int(np.argmax(reach))][0], None
+        return shares[int(np.argmax(reach))][0]
     sign = phase.signs[output]
     share_of = [sign * float(share[phase.ticks, output].mean()) for _, share in shares]
-    best, worst = int(np.argmax(share_of)), int(np.argmin(share_of))
-    rival = shares[worst][0] if share_of[worst] < -RIVAL_SHARE * share_of[best] else None
-    return shares[best][0], rival
+    return shares[int(np.argmax(share_of))][0]
 
 
 def _strongest(trace: Trace, currents: Currents, neuron: str, phase: Phase) -> int | None:
@@ -279,17 +264,3 @@ def _change(before: Sequence[Mean], now: Sequence[Mean]) -> Change | None:
     changes = [Change(neuron=pull.neuron, before_mV=then[pull.neuron], now_mV=pull.mean_mV) for pull in now]
     most = max(changes, key=lambda change: abs(change.now_mV - change.before_mV), default=None)
     return most if most and abs(most.now_mV - most.before_mV) >= CHANGE_MV else None
-
-
-def _swinging(trace: Trace, phase: Phase) -> tuple[Mean, ...]:
-    steps = np.diff(trace.potentials[phase.ticks], axis=0)
-    if len(steps) < 2:
-        return ()
-    # A single jump at the start of a phase is no swing: the potential must alternate.
-    turning = np.minimum(np.abs(steps[1:]), np.abs(steps[:-1])) * (steps[1:] * steps[:-1] < 0)
-    rows = [
-        Mean(neuron=name, mean_mV=width)
-        for name, width in zip(trace.neurons, turning.mean(axis=0).tolist(), strict=True)
-        if width > SWING_MV
-    ]
-    return tuple(sorted(rows, key=lambda row: -row.mean_mV))

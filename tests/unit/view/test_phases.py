@@ -176,20 +176,6 @@ def test_motor_neuron_without_strong_pull_acts_by_its_leak():
     assert "L at −30 mV by its own leak, A (−70 mV; its synapse 5 % open)" in text
 
 
-def test_rival_motor_neuron_is_named():
-    left, text = explained([[-20, -40, -50, -25, -45, -30]] * 10)
-    assert left.rival == mean("R", -45)
-    assert "; against it R at −45 mV" in text
-
-
-def test_neuron_that_alternates_from_tick_to_tick_is_named():
-    high, low = [-20, -30, -80, -25, -60, -30], [-20, -50, -80, -25, -60, -30]
-    left, text = explained([high, low] * 5)
-    assert left.swinging == (mean("A", 20),)
-    assert text.endswith(" From tick to tick A (by 20 mV) swings.")
-    assert explained([[-20, -70 + 5 * k, -80, -25, -60, -30] for k in range(10)])[0].swinging == ()
-
-
 def test_mirrored_motors_give_mirrored_phases():
     policy = parking_policy(load_circuit("parking"))
     layout = policy.layout()

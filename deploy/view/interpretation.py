@@ -1,4 +1,4 @@
-"""Contributions between neurons and time constants of a run, with the published values for comparison.
+"""Contributions between neurons and time constants of a run.
 
 Contributions follow Definition 1 of Hasani et al. (ICRA 2020): two potentials a(t) and b(t) draw a curve in
 the plane (a, b). The angle Omega = arctan(db / da) between consecutive points is positive where b changes in
@@ -38,30 +38,6 @@ class Sign(StrEnum):
 
 SYMBOLS = {Sign.POSITIVE: "+", Sign.ANTAGONISTIC: "−", Sign.PHASE_SWITCHING: "±", Sign.NONE: "0"}
 
-PUBLISHED_SIGNS: dict[tuple[str, str], Sign] = {
-    ("AVM", "RGT"): Sign.POSITIVE,
-    ("AVD", "RGT"): Sign.POSITIVE,
-    ("AVA", "RGT"): Sign.POSITIVE,
-    ("PVD", "RGT"): Sign.ANTAGONISTIC,
-    ("PLM", "RGT"): Sign.ANTAGONISTIC,
-    ("PVC", "RGT"): Sign.ANTAGONISTIC,
-    ("DVA", "RGT"): Sign.PHASE_SWITCHING,
-    ("AVB", "RGT"): Sign.PHASE_SWITCHING,
-}
-"""The paper's contributions to the right-turn neuron (section VI and supplement); it gives none for ALM."""
-
-PUBLISHED_TIME_CONSTANTS_S: dict[str, tuple[float, float]] = {
-    "DVA": (0.066, 0.17),
-    "PVC": (0.013, 0.37),
-    "AVD": (1.98e-4, 9.65e-4),
-    "AVB": (2.95, 2.95),
-    "AVA": (0.12, 0.56),
-    "LFT": (2.9e-4, 2e-3),
-    "RGT": (0.61, 0.72),
-    "FWD": (4.045, 4.05),
-}
-"""Smallest and largest over the paper's parking run (Table S7)."""
-
 
 class Slopes(ResultModel):
     """Counts of Definition 1 over some ticks."""
@@ -80,7 +56,6 @@ class Contribution(Slopes):
     source: str = Field(description="the neuron that acts")
     destination: str = Field(description="the neuron that it acts on")
     driving: Slopes = Field(description="without the rest at both ends of the run")
-    paper: Sign | None = Field(description="the paper's sign")
 
 
 class TimeConstant(ResultModel):
@@ -89,7 +64,6 @@ class TimeConstant(ResultModel):
     neuron: str = Field(description="its name")
     lowest_s: float = Field(description="its smallest time constant")
     highest_s: float = Field(description="its largest time constant")
-    paper_s: tuple[float, float] | None = Field(description="the paper's range")
 
 
 def slopes(a: ArrayLike, b: ArrayLike) -> Slopes:
@@ -128,7 +102,6 @@ def contributions(
             source=a,
             destination=b,
             driving=slopes(potentials[driving, i], potentials[driving, j]),
-            paper=PUBLISHED_SIGNS.get((a, b)),
         )
         for i, a in enumerate(names)
         for j, b in enumerate(names)
@@ -149,7 +122,6 @@ def time_constant_ranges(
             neuron=name,
             lowest_s=float(tau[:, i].min()),
             highest_s=float(tau[:, i].max()),
-            paper_s=PUBLISHED_TIME_CONSTANTS_S.get(name),
         )
         for i, name in enumerate(circuit.neurons)
         if name not in driven and i not in circuit.held

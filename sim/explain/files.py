@@ -6,13 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deploy.view.findings import Findings, number
-from deploy.view.interpretation import (
-    PUBLISHED_SIGNS,
-    SYMBOLS,
-    THRESHOLD,
-    Contribution,
-)
+from deploy.view.findings import number
+from deploy.view.interpretation import SYMBOLS, THRESHOLD, Contribution
 from rover_ncp.core.files import write_atomic
 from sim.explain.explain import Explanation
 from sim.explain.what_if import STEP, Knockout, Sensitivity
@@ -49,21 +44,11 @@ def sections(found: Explanation) -> Iterator[Section]:
         [[name, *(_signs(run.contributions[name, motor]) for motor in run.motors)] for name in run.sources],
         "",
     )
-    parks = found.course is not None  # as the circuit whose figures the paper has
-    if parks and (pairs := [pair for pair in PUBLISHED_SIGNS if pair in run.contributions]):
-        yield _compared(run, pairs)
     yield Section(
         "Time constants (s)",
         "",
-        ["neuron", "this run", *(["in the paper (Table S7)"] if parks else [])],
-        [
-            [
-                row.neuron,
-                f"{row.lowest_s:.3g} to {row.highest_s:.3g}",
-                *(["{:.3g} to {:.3g}".format(*row.paper_s) if row.paper_s else ""] if parks else []),
-            ]
-            for row in run.time_constants
-        ],
+        ["neuron", "this run"],
+        [[row.neuron, f"{row.lowest_s:.3g} to {row.highest_s:.3g}"] for row in run.time_constants],
         "",
     )
     yield _without(found) if found.course is not None else _without_in_task(found)
@@ -200,28 +185,6 @@ def _without_in_task(found: Explanation) -> Section:
 
 def _spared(titles: Sequence[str]) -> str:
     return f"Without any of these nothing changes: {', '.join(titles)}." if titles else ""
-
-
-def _compared(run: Findings, pairs: Sequence[tuple[str, str]]) -> Section:
-    found = [run.contributions[pair] for pair in pairs]
-    rows = [
-        [
-            *(one.source, one.destination, one.sign, f"{one.vertical} of {one.positive + one.negative}"),
-            *(one.driving.sign, str(one.paper)),
-        ]
-        for one in found
-    ]
-    same = sum(one.sign is one.paper for one in found)
-    same_driving = sum(one.driving.sign is one.paper for one in found)
-    return Section(
-        "Comparison with the paper's circuit",
-        "",
-        ["from", "to", "whole run", "vertical", "while driving", "in the paper"],
-        rows,
-        f"{same} of {len(pairs)} signs are the paper's over the whole run, {same_driving} while driving.\n"
-        "Circuits of one wiring that were trained separately solve the task in different ways: the signs\n"
-        "describe one circuit, not the wiring.",
-    )
 
 
 def _tables(found: Explanation) -> dict[str, str]:

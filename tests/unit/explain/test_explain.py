@@ -95,8 +95,6 @@ def test_command_writes_files_and_json_and_a_recording_is_explained_alike(tmp_pa
     assert {"phases", "contributions", "time_constants", "knock_outs", "sensitivities"} <= set(fields)
     assert len(fields["contributions"]) == 9 * 3
     to_rgt = {row["source"]: row for row in fields["contributions"] if row["destination"] == "RGT"}
-    assert to_rgt["AVM"]["paper"] == "positive"
-    assert to_rgt["ALM"]["paper"] is None
     assert all({"positive", "negative", "sign", "driving"} <= set(row) for row in to_rgt.values())
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert {path.rpartition(".")[2] for path in written} == {"csv", "html", "md", "svg"}
@@ -117,7 +115,6 @@ def test_command_writes_files_and_json_and_a_recording_is_explained_alike(tmp_pa
     cells = (dict(zip(header, row, strict=True)) for row in rows)
     row = next(row for row in cells if (row["source"], row["destination"]) == ("AVM", "RGT"))
     assert (row["sign"], int(row["positive"])) == (to_rgt["AVM"]["sign"], to_rgt["AVM"]["positive"])
-    assert row["paper"] == "positive"
     assert [int(row[f"bins_{k}"]) for k in range(10)] == to_rgt["AVM"]["bins"]
     # A recording of the same drive is explained in the same way.
     write_drive(tmp_path / "run.mcap", course=SHORT)

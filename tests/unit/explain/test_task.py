@@ -44,7 +44,6 @@ def test_command_explains_a_policy_on_an_environment(folder, capsys):
     text = (folder / "why" / "explanation.md").read_text()
     assert text.startswith("# Policy wall on wall:FollowWall-v0\n")
     assert "`rover-ncp explain wall.yaml --task wall:FollowWall-v0 --out FOLDER`" in text
-    assert "Table S7" not in text
     assert (folder / "why" / "circuit.svg").exists()
 
 

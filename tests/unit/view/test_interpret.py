@@ -87,7 +87,7 @@ def test_all_ordered_pairs_have_a_contribution():
     assert len(found) == 12 * 11
     one = found["AVA", "RGT"]
     assert dict(slopes(potentials[:, 2], potentials[:, 10])).items() <= dict(one).items()
-    assert (one.source, one.destination, one.paper) == ("AVA", "RGT", Sign.POSITIVE)
+    assert (one.source, one.destination) == ("AVA", "RGT")
     assert one.driving == slopes(potentials[5:15, 2], potentials[5:15, 10])
 
 

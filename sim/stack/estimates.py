@@ -25,8 +25,6 @@ class Belief(NamedTuple):
     """Squared error, normalised by the estimate's covariance: χ² with 2 degrees of freedom."""
     predicted_m: float
     """Error of the estimate predicted before the drive (95 %); NaN if there was no prediction."""
-    nis: dict[str, float | None]
-    """Normalised innovation squared of the external poses, as `deploy` reports it."""
 
 
 class Percentiles(BaseModel):
@@ -34,13 +32,6 @@ class Percentiles(BaseModel):
 
     p50: float = Field(description="median")
     p95: float = Field(description="95th percentile")
-
-
-class MeanNis(BaseModel):
-    """Mean normalised innovation squared."""
-
-    standing: float | None = Field(description="while the rover stood")
-    moving: float | None = Field(description="while it moved")
 
 
 class EstimateSummary(BaseModel):
@@ -51,7 +42,6 @@ class EstimateSummary(BaseModel):
     inside: dict[str, float | None] = Field(
         description="share of drives whose true position is inside the 50 % and the 95 % ellipse"
     )
-    nis: MeanNis = Field(description="mean normalised innovation squared of external poses")
     verdict_agrees: float = Field(
         description="share of drives of which the driver's verdict is parked or not parked, and true"
     )
@@ -72,9 +62,8 @@ def belief_of(drive: Drive, pose: Pose) -> Belief:
         error_m = distance(estimate.pose, pose)
         squared = float(error @ np.linalg.solve(estimate.covariance[:2, :2], error))
     predicted_m = math.nan if drive.predicted_error_m is None else drive.predicted_error_m
-    nis = drive.controller.estimator.nis
     verdict = None if drive.verdict is None else drive.verdict.words
-    return Belief(verdict, error_m, squared, predicted_m, nis)
+    return Belief(verdict, error_m, squared, predicted_m)
 
 
 def summary(beliefs: Sequence[Belief], parked: Sequence[bool]) -> EstimateSummary:
@@ -89,10 +78,6 @@ def summary(beliefs: Sequence[Belief], parked: Sequence[bool]) -> EstimateSummar
             f"{share:.0%}": float(np.mean(squared <= -2.0 * math.log(1.0 - share))) if len(squared) else None
             for share in ELLIPSES
         },
-        nis=MeanNis(
-            standing=_mean([belief.nis["standing"] for belief in beliefs]),
-            moving=_mean([belief.nis["moving"] for belief in beliefs]),
-        ),
         verdict_agrees=float(np.mean(np.where(parked, sure, denied))),
         verdict_uncertain=float(np.mean([belief.verdict is Parked.UNCERTAIN for belief in beliefs])),
         quiet_misses=float(np.mean(~np.array(parked)[sure])) if sure.any() else None,
@@ -123,8 +108,3 @@ def _percentiles(values: Sequence[float]) -> Percentiles | None:
         return None
     p50, p95 = np.percentile(known, [50, 95]).tolist()
     return Percentiles(p50=p50, p95=p95)
-
-
-def _mean(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None

@@ -90,7 +90,7 @@ tutorials: $(STAMP) ## Every command of the tutorials.
 
 .PHONY: docs
 docs: $(DOCS_STAMP) ## The documentation as a site in build/site; a broken link is an error.
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@echo "The site: open $(CURDIR)/build/site/index.html in a browser."
 
 .PHONY: reference

@@ -36,13 +36,6 @@ def test_an_example_is_valid_and_has_every_key_that_its_file_needs(name):
         assert set(model.model_fields) == {*yaml.safe_load(text), *commented} & set(model.model_fields)
 
 
-def test_links_of_generated_pages_are_to_pages_of_the_site(pages):
-    links = {link for page in pages.values() for link in re.findall(r"\]\(([^)#]+\.md)[^)]*\)", page)}
-    assert "results.md" in links
-    written = {f"../{path.name}" for path in (ROOT / "docs").glob("*.md")}
-    assert links - set(pages) - written == set()
-
-
 def test_a_line_that_links_to_a_measured_table_becomes_the_table():
     page = "Before.\n\n[soak](measured/soak.csv)\n\nA [link](measured/soak.csv)."
     text = reference_pages.on_page_markdown(page)
@@ -82,11 +75,3 @@ def test_pages_have_the_options_bounds_and_notes_of_the_code(pages):
         r"\| `command_timeout_s` \| number, > 0, ≤ 0\.4 \| `0\.3` \| A command is in force", page
     )
     assert re.search(r"\| `kind` \| `excitatory`, `inhibitory`, `gap` \| required", page)
-
-
-def test_the_front_page_links_only_to_pages_of_the_site():
-    page = reference_pages.front_page((ROOT / "README.md").read_text())
-    links = [link for link in re.findall(r"\]\(([^)#]+)[^)]*\)", page) if not link.startswith("http")]
-    assert links
-    built = {f"reference/{name}" for name in reference_pages.reference_pages()}
-    assert [link for link in links if link not in built and not (ROOT / "docs" / link).is_file()] == []

@@ -8,6 +8,7 @@ import functools
 import math
 import tempfile
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,31 +25,24 @@ from bridge.ros2.base import Ros2Base, TokenSeen
 from bridge.ros2.discovery import read_topic_token, topic_token
 from bridge.ros2.rmw import read_token
 from deploy.drive.config import DriveConfig
-from deploy.drive.records import (
-    CONFIG_FILE,
-    COURSE_FILE,
-    POLICY_FILE,
-    START_TOPIC,
-    TICKS_TOPIC,
-    StartRecord,
-    TickRecord,
-)
-from deploy.replay import replay
+from deploy.drive.records import CONFIG_FILE, attachments
+from deploy.replay import TOPICS, replay
 from deploy.view.recorded_drive import read_drive
 from kit.bnn_text import circuit_to_bnn
 from kit.ros2_world import Line
+from kit.virtual_drive import VirtualDrive
 from rover_ncp.circuit.bnn import circuit_from_bnn
-from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml, policy_to_yaml
+from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml
 from rover_ncp.core.config import dump_yaml, parse_yaml
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.files import read_bytes, resolve, shipped_names
 from rover_ncp.core.geometry import STANDSTILL, Pose
 from rover_ncp.course.course import Course
-from rover_ncp.recording.recording import Recorded, RecordingWriter, header_stamp_ns, read_recording
+from rover_ncp.recording.recording import RecordingWriter, header_stamp_ns, read_recording
 from rover_ncp.robot.description import RobotDescription, load_description
 from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire import protocol as lease
-from rover_ncp.wire.key_table import KEYS, Kind, spec
+from rover_ncp.wire.key_table import KEYS, Kind
 from rover_ncp.wire.messages import (
     battery_state,
     decode,
@@ -277,58 +271,31 @@ def _contents(data):
 @functools.cache
 def _drive(place="", content=b""):
     """A drive of one tick; what is recorded at ``place``, a topic or a file, is ``content``."""
+    files, messages = _recorded()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "x.mcap"
         with RecordingWriter(path) as writer:
-            for name, own in _files().items():
+            for name, own in files.items():
                 writer.attach(name, content if name == place else own)
-            for topic, (ros_type, own) in _topics().items():
-                writer.write(Recorded(topic, ros_type, content if topic == place else own, 1, 1))
+            for message in messages:
+                writer.write(replace(message, data=content) if message.topic == place else message)
         return path.read_bytes()
 
 
 @functools.cache
-def _files():
-    config = DriveConfig(
-        robot="tcp/127.0.0.1:7447", namespace="", policy="x", course="x", dry_run=False, ticks=1
-    )
-    return {
-        POLICY_FILE: policy_to_yaml(load_policy("parking")).encode(),
-        COURSE_FILE: read_bytes(resolve("courses", "parking")),
-        CONFIG_FILE: dump_yaml(config.model_dump(mode="json")).encode(),
-    }
-
-
-@functools.cache
-def _topics():
-    ref = (1, 2, 3)
-    start = StartRecord(sample=ref, pose=(0.0, 0.0, 0.0), attachments={})
-    tick = TickRecord(
-        index=0,
-        now_ns=3,
-        wall_ns=1,
-        samples=(ref,),
-        predicted=False,
-        estimate=(0.0, 0.0, 0.0, 0.0, 0.0),
-        command=(0.0, 0.0),
-        sequence=0,
-    )
-    own = {
-        "odom": odometry(HERE, STANDSTILL, 1),
-        "cmd_vel": twist_stamped(STANDSTILL, 1),
-        "rover/neurons": neurons([1.0], ["AVA"]),
-        "rover/status": text(lease.dump_json(lease.DriverStatus(state="driving")).decode()),
-        "rover/gate": text(lease.dump_json(lease.GateStatus()).decode()),
-    }
-    records = {START_TOPIC: start, TICKS_TOPIC: tick}
-    return {topic: (spec(topic).type, data) for topic, data in own.items()} | {
-        topic: ("std_msgs/msg/String", text(record.model_dump_json())) for topic, record in records.items()
-    }
+def _recorded():
+    """The files of a drive of one tick, and its messages that are read."""
+    virtual = VirtualDrive(ticks=1)
+    virtual.run()
+    read = {*TOPICS, "rover/status", "rover/gate"}
+    files = attachments(virtual.policy, virtual.course, virtual.config)
+    return files, [message for message in virtual.recorded if message.topic in read]
 
 
 def _spoilable():
-    topics = {topic: data for topic, (_, data) in _topics().items()}
-    samples = [name.encode() + b"\n" + content for name, content in (_files() | topics).items()]
+    files, messages = _recorded()
+    topics = {message.topic: message.data for message in messages}
+    samples = [name.encode() + b"\n" + content for name, content in (files | topics).items()]
     return [*samples, CONFIG_FILE.encode() + b"\nwhen: 2001-99-99"]
 
 

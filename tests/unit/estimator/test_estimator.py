@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.base_odometry import reported
+from kit.base_odometry import moved, reported
 
 from deploy.drive.config import settings_for
 from deploy.estimator.estimator import Estimator
@@ -36,12 +36,7 @@ def manoeuvre():
         target_omega = 0.5 if t % 20 < 13 else -0.18
         v += max(-0.31 * h, min(0.31 * h, target_v - v))
         omega += max(-1.25 * h, min(1.25 * h, target_omega - omega))
-        heading = pose.theta + 0.5 * h * omega
-        pose = Pose(
-            pose.x + h * v * math.cos(heading),
-            pose.y + h * v * math.sin(heading),
-            wrap_angle(pose.theta + h * omega),
-        )
+        pose = moved(pose, h * omega, h * v)
     return rows
 
 

@@ -7,6 +7,7 @@ from collections import deque
 
 import numpy as np
 import pytest
+from kit.base_odometry import moved
 from kit.paths import DATA
 from scipy.stats import chi2
 
@@ -32,14 +33,7 @@ def drive(scale):
         wanted_omega = (0.4 if t % 9 < 4 else -0.2) * (2.0 < t < 28.0)
         v += max(-0.3 * H_S, min(0.3 * H_S, wanted_v - v))
         omega += max(-H_S, min(H_S, wanted_omega - omega))
-        pose, own = (
-            Pose(
-                at.x + H_S * gain * v * math.cos(at.theta),
-                at.y + H_S * gain * v * math.sin(at.theta),
-                wrap_angle(at.theta + H_S * omega),
-            )
-            for at, gain in ((pose, 1.0), (own, scale))
-        )
+        pose, own = (moved(at, H_S * omega, H_S * gain * v) for at, gain in ((pose, 1.0), (own, scale)))
     return rows
 
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from kit.base_odometry import reported
+from kit.base_odometry import moved, reported
 from scipy.stats import chi2
 
 from deploy.estimator.estimator import Estimator
@@ -24,20 +24,15 @@ def squared_errors(settings, ways, *, behind=0.0, left=0.0, scale=1.0, ramp=0.0)
     """
     estimator = Estimator(settings)
     estimator.start(Pose(0.0, 0.0, 0.0), 0.0)
-    true, own = np.zeros(3), np.zeros(3)
+    true = own = Pose(0.0, 0.0, 0.0)
     motion = [(v, omega) for seconds, v, omega in ways for _ in range(round(seconds / PERIOD_S))]
     for tick, (v, omega) in enumerate(motion, 1):
         t = tick * PERIOD_S
-        for pose, turn, center in ((true, omega, (behind, left)), (own, omega / TURN_GAIN, (0.0, 0.0))):
-            heading = pose[2] + 0.5 * turn * PERIOD_S
-            ahead, aside = v + center[1] * turn, center[0] * turn
-            cos, sin = math.cos(heading), math.sin(heading)
-            step = np.array([cos * ahead - sin * aside, sin * ahead + cos * aside, turn])
-            pose[:] = pose + PERIOD_S * step
+        turn, ahead = omega * PERIOD_S, v * PERIOD_S
+        true = moved(true, turn, ahead + left * turn, behind * turn)
+        own = moved(own, turn / TURN_GAIN, ahead)
         estimator.gyro(omega / scale + 0.05 + ramp * t, t)
-        estimator.odometry(
-            *reported(Pose(own[0], own[1], wrap_angle(own[2])), Velocity(v, omega / TURN_GAIN)), t
-        )
+        estimator.odometry(*reported(own, Velocity(v, omega / TURN_GAIN)), t)
     estimate = estimator.at(t)
     assert not estimator.fault
     error = np.array(estimate.pose) - true

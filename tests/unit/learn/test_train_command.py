@@ -18,7 +18,7 @@ TRAIN = ["train", "--course", str(COURSE), "--processes", "1"]
 QUICK = [*TRAIN, "--agents", "2", "--iterations", "20"]
 
 
-def test_json_is_one_object_with_the_documented_fields(tmp_path, capsys):
+def test_json_is_one_object_with_the_result(tmp_path, capsys):
     assert run([*QUICK, "--seed", "4", "--out", str(tmp_path / "run"), "--json"]) == 0
     printed = capsys.readouterr()
     fields = json.loads(printed.out)

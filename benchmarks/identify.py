@@ -15,9 +15,11 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
 import numpy as np
-from kit.identified import Error, errors, identified, robot, truth
+from kit.identified import Error, driven, errors, robot, truth
 from rich.progress import track
 
+from deploy.identify.fit import identify
+from deploy.identify.motion_log import motion_log
 from sim.world.randomization import load_randomization
 
 INTERVAL = 1.96
@@ -42,7 +44,7 @@ def table(found: Iterable[dict[str, Error]]) -> Iterator[str]:
 def _study(name: str, seed: int, outside: bool, number: int) -> dict[str, Error]:
     ranges = load_randomization(name)
     trials = robot(ranges, seed, number)
-    profile = identified(trials, outside=outside, seed=number)
+    profile = identify(motion_log(driven(trials, outside=outside, seed=number).messages), "mock")
     return errors(profile, truth(ranges, trials))
 
 

@@ -52,7 +52,7 @@ class Driven(NamedTuple):
     base: Firmware
 
 
-def driven(trials: Trials, *, outside: bool = False, fence_m: float = FENCE_M) -> Driven:
+def driven(trials: Trials, *, outside: bool = False, fence_m: float = FENCE_M, seed: int = 0) -> Driven:
     """Drive a robot as `identify` does, through firmware, bridge and driver's code on a virtual clock."""
     rover = rover_of(trials, default_rover(), Ground(()))
     base, start, farthest_m = Firmware(DEFAULT_ROBOT, rover, trial=BaseTrial(trials)), rover.pose, 0.0
@@ -64,7 +64,7 @@ def driven(trials: Trials, *, outside: bool = False, fence_m: float = FENCE_M) -
     base.observe = observe
     bridge = VirtualBridge(base)
     received: list[Recorded] = []
-    look = _camera(rover, bridge, received, random_stream(0, Domain.STUDY)) if outside else lambda: None
+    look = _camera(rover, bridge, received, random_stream(seed, Domain.STUDY)) if outside else lambda: None
 
     def record(message: Recorded) -> None:
         received.append(message)

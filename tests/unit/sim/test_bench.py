@@ -1,10 +1,12 @@
 """The benchmarks at a size that takes seconds: what they count must be what happened."""
 
 import csv
+import importlib
 import json
 import time
 
 import pytest
+from kit.paths import ROOT
 
 from benchmarks import search as bench_search
 from benchmarks import train as bench_train
@@ -15,6 +17,16 @@ from sim.learn.record import TrainSettings, resolve_task
 from sim.learn.search import descent
 from sim.learn.train import training_plan
 from sim.live.processes import ProcessError
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda path: path.stem)
+def test_benchmark_is_imported_and_prints_its_help(path, monkeypatch, capsys):
+    module = importlib.import_module(f"benchmarks.{path.stem}")
+    if hasattr(module, "argparse"):
+        monkeypatch.setattr("sys.argv", [path.stem, "--help"])
+        with pytest.raises(SystemExit, match="^0$"):
+            module.main()
+        assert capsys.readouterr().out.startswith("usage: ")
 
 
 def test_the_searches_are_compared_by_what_training_gives(monkeypatch: pytest.MonkeyPatch) -> None:

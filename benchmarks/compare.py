@@ -34,6 +34,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.liquid import PARTS, LiquidNet, liquid_lane_runner, liquid_net_for
 from rover_ncp.circuit.policy import Policy, course_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.circuit.sensing import Channel, Sensing
@@ -44,9 +45,9 @@ from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.reference import plan_reference
 from sim.evaluate.evaluate import unseen_courses
 from sim.learn.engine.evaluator import Evaluator
-from sim.learn.engine.lane_runner import OneLaneRunner, circuit_lane_runner
+from sim.learn.engine.lane_runner import LaneRunner, OneLaneRunner, circuit_lane_runner
 from sim.learn.engine.laws import LAWS, law_lane_runner
-from sim.learn.engine.networks import CELLS, LIQUID_CELLS, Net, NetKind, net_for, network_lane_runner
+from sim.learn.engine.networks import CELLS, Net, NetKind, net_for, network_lane_runner
 from sim.learn.random_circuit import random_circuit
 from sim.learn.record import RobustSettings, made_with
 from sim.learn.robust import RobustSearch, drive_trials, policy_box, training_courses
@@ -61,8 +62,6 @@ NETWORKS = {
     "mlp": (NetKind.MLP, CELLS),
     "lstm": (NetKind.LSTM, CELLS),
     "lstm-small": (NetKind.LSTM, 3),
-    "cfc": (NetKind.CFC, LIQUID_CELLS),
-    "ltc": (NetKind.LTC, LIQUID_CELLS),
 }
 """Kind and number of cells: as many as the circuit has neurons, or about as many numbers as it has."""
 RESULTS = Path("runs/compare"), Path("results/random-robots")
@@ -95,8 +94,8 @@ def find_agent(name: str, seed: int) -> Agent:
         law = LAWS[name]
         engine = partial(Evaluator, following, lane_runner=law_lane_runner(law))
         return Agent(gain_box(name), engine, True)
-    if name in NETWORKS:
-        return _network(net_for(following, *NETWORKS[name]), following, seed)
+    if name in NETWORKS or name in PARTS:
+        return _network(name, following, seed)
     if name.startswith("random-"):
         number, worm = int(name.removeprefix("random-")), load_circuit("tap_withdrawal")
         return _circuit(course_policy(random_circuit(number, worm.neurons, worm.synapse_count)), True)
@@ -128,10 +127,19 @@ def _circuit(policy: Policy, any_course: bool) -> Agent:
     return Agent(policy_box(policy), partial(Evaluator, policy), any_course)
 
 
-def _network(net: Net, policy: Policy, seed: int) -> Agent:
+def _network(name: str, policy: Policy, seed: int) -> Agent:
+    net, runner = find_network(name, policy)
     start = net.start(random_stream(seed, Domain.NETWORK_START))
-    box = UnitBox.of(net.layout(), start)
-    return Agent(box, partial(Evaluator, policy, lane_runner=network_lane_runner(net)), True)
+    return Agent(UnitBox.of(net.layout(), start), partial(Evaluator, policy, lane_runner=runner), True)
+
+
+def find_network(name: str, policy: Policy) -> tuple[Net | LiquidNet, LaneRunner]:
+    """Return a network with the inputs and outputs of a policy, and what runs it."""
+    if name in PARTS:
+        liquid = liquid_net_for(policy, name)
+        return liquid, liquid_lane_runner(liquid)
+    net = net_for(policy, *NETWORKS[name])
+    return net, network_lane_runner(net)
 
 
 class Found:
@@ -143,10 +151,12 @@ class Found:
         vector = np.array(json.loads(read_text(path))["found"])
         following = course_policy(load_circuit("tracking"))
         self.signals = following.sensing.inputs
-        if agent in NETWORKS:
-            runner = network_lane_runner(net_for(following, *NETWORKS[agent]))
+        if agent in LAWS:
+            runner = law_lane_runner(LAWS[agent])
+        elif agent == CIRCUIT:
+            runner = circuit_lane_runner(following)
         else:
-            runner = law_lane_runner(LAWS[agent]) if agent in LAWS else circuit_lane_runner(following)
+            _, runner = find_network(agent, following)
         if runner.size != len(vector):
             raise ConfigError(str(path), [f"$.found: expected {runner.size} numbers, got {len(vector)}"])
         self._runner = OneLaneRunner(runner, vector)
@@ -165,7 +175,7 @@ class Found:
 
 
 def __getattr__(agent: str) -> Found:
-    if agent in {CIRCUIT, *LAWS, *NETWORKS}:
+    if agent in {CIRCUIT, *LAWS, *NETWORKS, *PARTS}:
         return Found(agent)
     raise AttributeError(f"module benchmarks.compare has no agent {agent}")
 

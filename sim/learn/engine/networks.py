@@ -6,8 +6,6 @@ range. An output reaches from the motors' minimum to their maximum and stays the
 
 mlp     tanh cells on the inputs, outputs linear in the cells
 lstm    Hochreiter and Schmidhuber (1997) with forget gates (Gers et al., 2000), outputs linear in the cells
-cfc, ltc
-        three cells of the library ncps (``liquid.py``)
 
     lanes = allocate_networks(net_for(policy, NetKind.MLP), 16)
     start_network(lanes, 3, vector)                    # (P,), and the lane's state at 0
@@ -17,7 +15,6 @@ cfc, ltc
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -28,36 +25,26 @@ from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout, Policy
 from rover_ncp.circuit.solver import exp2
 from rover_ncp.kernels.jit import kernel
 from sim.learn.engine.lane_runner import LaneRunner
-from sim.learn.engine.liquid import BACKBONE, Part, cfc_parts, ltc_parts, tick_cfc, tick_ltc
 
 FloatArray = NDArray[np.float64]
 
 CELLS = 11
 """As many cells as the tap-withdrawal circuit has neurons (paper, section VI)."""
-LIQUID_CELLS = 3
 _TWO_LOG2_E = 2.8853900817779268
 _SATURATED = 30.0
 """Beyond it tanh is 1 to the last bit."""
 
 
 class NetKind(StrEnum):
-    """The networks the paper compares with, and its successors."""
+    """The networks the paper compares with."""
 
     MLP = "mlp"
     LSTM = "lstm"
-    CFC = "cfc"
-    LTC = "ltc"
-
-
-_PARTS = {NetKind.CFC: cfc_parts, NetKind.LTC: ltc_parts}
-_LIQUID = {NetKind.CFC: 1, NetKind.LTC: 2}
 
 
 class NetProgram(NamedTuple):
     """The structure that all lanes share."""
 
-    liquid: int
-    """0, or a number of ``_LIQUID``."""
     gates: int
     """Sums that a cell makes of its inputs: 1 in a perceptron; 4 in an LSTM: input, forget, cell, output."""
     cells: int
@@ -81,7 +68,7 @@ class NetLanes(NamedTuple):
     """(cells, L) each: what the cells give; what an LSTM's remember."""
     sums: FloatArray
     inputs: FloatArray
-    """(gates * cells + BACKBONE, L) and (inputs, L): work."""
+    """(gates * cells, L) and (inputs, L): work."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +77,6 @@ class Net:
 
     Its parameters (P,): for each gate and cell the weights of all inputs, in an LSTM those of all cells, and
     a bias; then for each output the weights of all cells and a bias. Bounds are those of a policy's layers.
-    Those of a CfC or an LTC are its ``parts``.
     """
 
     kind: NetKind
@@ -107,24 +93,12 @@ class Net:
         return 1 if self.kind is NetKind.MLP else 4
 
     @property
-    def parts(self) -> tuple[Part, ...]:
-        """The library's tensors of a CfC or an LTC, in the order of the vector."""
-        return _PARTS[self.kind](len(self.scale), self.cells, len(self.high))
-
-    @property
     def columns(self) -> int:
         """Weights of a sum: of the inputs, in an LSTM of the cells, and the bias."""
         return len(self.scale) + (self.cells if self.kind is NetKind.LSTM else 0) + 1
 
     def layout(self) -> ParameterLayout:
         """Return where the cells' weights and the outputs' stand in the parameter vector."""
-        if self.kind in _PARTS:
-            ends = np.cumsum([0, *(sum(tensor.size for tensor in part.tensors) for part in self.parts)])
-            blocks = (
-                ParameterBlock(part.kind, slice(int(a), int(b)), part.lower, part.upper)
-                for part, (a, b) in zip(self.parts, pairwise(ends), strict=True)
-            )
-            return ParameterLayout(tuple(blocks))
         first = self.gates * self.cells * self.columns
         last = first + len(self.high) * (self.cells + 1)
         kinds = ((ParameterKind.INPUT_LAYER, 0, first), (ParameterKind.OUTPUT_LAYER, first, last))
@@ -133,13 +107,7 @@ class Net:
         )
 
     def start(self, generator: np.random.Generator) -> FloatArray:
-        """Draw the parameters (P,) of an untrained network: uniform within 1 / sqrt(inputs of the sum).
-
-        A CfC or an LTC is drawn as the library does.
-        """
-        if self.kind in _PARTS:
-            tensors = (tensor for part in self.parts for tensor in part.tensors)
-            return np.concatenate([tensor.start(generator) for tensor in tensors])
+        """Draw the parameters (P,) of an untrained network: uniform within 1 / sqrt(inputs of the sum)."""
         layout = self.layout()
         vector = generator.uniform(-1.0, 1.0, layout.size)
         cells, outputs = layout.blocks
@@ -150,18 +118,11 @@ class Net:
     def program(self) -> NetProgram:
         """Return what the kernels take."""
         columns = (self.center, self.scale, self.most, self.low, self.high)
-        liquid = _LIQUID.get(self.kind, 0)
-        return NetProgram(
-            liquid, self.gates, self.cells, *(np.array(column, np.float64) for column in columns)
-        )
+        return NetProgram(self.gates, self.cells, *(np.array(column, np.float64) for column in columns))
 
 
-def net_for(policy: Policy, kind: NetKind, cells: int | None = None) -> Net:
-    """Return a network that sees and does what a policy's circuit does.
-
-    By default with as many cells as the circuit has neurons; a CfC or an LTC, about as many numbers.
-    """
-    cells = cells or (LIQUID_CELLS if kind in _PARTS else CELLS)
+def net_for(policy: Policy, kind: NetKind, cells: int = CELLS) -> Net:
+    """Return a network that sees and does what a policy's circuit does."""
     sensing, motors = policy.sensing, policy.motors
     if policy.input_layer is None:
         centers = [channel.origin or 0.0 for channel in sensing.channels]
@@ -181,7 +142,7 @@ def net_for(policy: Policy, kind: NetKind, cells: int | None = None) -> Net:
 
 def allocate_networks(net: Net, count: int) -> NetLanes:
     """Return ``count`` lanes of zeros, to be set by ``start_network``."""
-    sizes = (net.layout().size, net.cells, net.cells, net.gates * net.cells + BACKBONE, len(net.scale))
+    sizes = (net.layout().size, net.cells, net.cells, net.gates * net.cells, len(net.scale))
     return NetLanes(net.program(), *(np.zeros((size, count)) for size in sizes))
 
 
@@ -205,23 +166,30 @@ def tanh(z: float) -> float:
 @kernel
 def tick_networks(lanes: NetLanes, observations: FloatArray, commands: FloatArray) -> None:
     """Run L lanes once: ``observations`` (inputs, L) in the sensing's units, ``commands`` (outputs, L)."""
+    scale_inputs(lanes, observations)
+    tick_sums(lanes, commands)
+    limit_outputs(lanes, commands)
+
+
+@kernel
+def scale_inputs(lanes: NetLanes, observations: FloatArray) -> None:
+    """Set the inputs of L networks: observations (inputs, L) as parts of their ranges."""
     program = lanes.program
-    weight, hidden, inputs, sums = lanes.weight, lanes.hidden, lanes.inputs, lanes.sums
     given, count = observations.shape
     for i in range(given):
         center, scale, most = program.center[i], program.scale[i], program.most[i]
         for lane in range(count):
             part = (observations[i, lane] - center) / scale
-            inputs[i, lane] = min(max(part, -most), most)
-    if program.liquid == 1:
-        tick_cfc(weight, inputs, hidden, sums, commands[: len(program.high)])
-    elif program.liquid == 2:
-        tick_ltc(weight, inputs, hidden, sums, commands[: len(program.high)])
-    else:
-        tick_sums(lanes, commands)
+            lanes.inputs[i, lane] = min(max(part, -most), most)
+
+
+@kernel
+def limit_outputs(lanes: NetLanes, commands: FloatArray) -> None:
+    """Turn outputs (outputs, L), where ±1 is a limit, into commands."""
+    program = lanes.program
     for output in range(len(program.high)):
         low, high = program.low[output], program.high[output]
-        for lane in range(count):
+        for lane in range(commands.shape[1]):
             z = min(max(commands[output, lane], -1.0), 1.0)
             commands[output, lane] = high * z if z > 0.0 else -low * z
 

@@ -24,7 +24,7 @@ def test_benchmark_is_imported_and_prints_its_help(path, monkeypatch, capsys):
     module = importlib.import_module(f"benchmarks.{path.stem}")
     if hasattr(module, "argparse"):
         monkeypatch.setattr("sys.argv", [path.stem, "--help"])
-        with pytest.raises(SystemExit, match="^0$"):
+        with pytest.raises(SystemExit, match=r"^0$"):
             module.main()
         assert capsys.readouterr().out.startswith("usage: ")
 

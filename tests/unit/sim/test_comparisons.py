@@ -7,11 +7,21 @@ from kit.paths import ROOT
 from benchmarks import compare
 from benchmarks.compare import find_agent
 from benchmarks.paired import Paired, paired
+from rover_ncp.course.course import load_course
 
 
 @pytest.mark.parametrize(
     ("name", "numbers"),
-    [("circuit", 89), ("mlp", 90), ("lstm-small", 116), ("smooth", 6), ("random-0", None), ("paper", None)],
+    [
+        ("circuit", 89),
+        ("mlp", 90),
+        ("lstm-small", 116),
+        ("cfc", 104),
+        ("ltc", 119),
+        ("smooth", 6),
+        ("random-0", None),
+        ("paper", None),
+    ],
 )
 def test_agents_start_inside_their_bounds(name, numbers):
     box = find_agent(name, 3).box
@@ -24,6 +34,17 @@ def test_agents_start_inside_their_bounds(name, numbers):
 def test_networks_draw_their_start_from_the_seed():
     starts = [find_agent("mlp", seed).box.start for seed in (1, 2)]
     assert not np.array_equal(*starts)
+
+
+@pytest.mark.parametrize("name", ["mlp", "lstm", "cfc", "ltc"])
+def test_network_gives_the_same_return_in_any_company(name):
+    agents = [find_agent(name, seed) for seed in range(20)]
+    engine = agents[0].engine(load_course("parking"))
+    vectors = np.array([agent.box.vectors(agent.box.start[None])[0] for agent in agents])
+    together = engine.returns(vectors)
+    assert len(set(together.tolist())) == 20
+    alone = [engine.returns(vector[None])[0] for vector in vectors[:3]]
+    assert alone == together[:3].tolist()
 
 
 @pytest.mark.parametrize("name", ["circuit", "cfc", "ltc"])

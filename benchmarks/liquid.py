@@ -10,6 +10,10 @@ tests hold the kernels to the library's own output.
 """
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -17,11 +21,23 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.compiled import LOG2_E
+from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout, Policy
 from rover_ncp.circuit.solver import exp2
 from rover_ncp.kernels.jit import kernel
+from sim.learn.engine.lane_runner import LaneRunner
+from sim.learn.engine.networks import (
+    Net,
+    NetKind,
+    NetLanes,
+    limit_outputs,
+    net_for,
+    scale_inputs,
+    start_network,
+)
 
 FloatArray = NDArray[np.float64]
 
+CELLS = 3
 BACKBONE = 4
 """Units of a CfC's backbone: with three cells about as many numbers as the circuit has."""
 UNFOLDS = 6
@@ -99,6 +115,63 @@ def cfc_parts(inputs: int, cells: int, outputs: int) -> tuple[Part, ...]:
         Part(ParameterKind.INPUT_LAYER, -3.0, 3.0, cell),
         Part(ParameterKind.OUTPUT_LAYER, -3.0, 3.0, linear("fc", cells, outputs, 1.0 / math.sqrt(cells))),
     )
+
+
+PARTS: dict[str, Callable[[int, int, int], tuple[Part, ...]]] = {"cfc": cfc_parts, "ltc": ltc_parts}
+
+
+@dataclass(frozen=True, eq=False)
+class LiquidNet:
+    """A network of a kind, ``cfc`` or ``ltc``, with the inputs, outputs and number of cells of another."""
+
+    kind: str
+    like: Net
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The library's tensors, in the order of the vector."""
+        return PARTS[self.kind](len(self.like.scale), self.like.cells, len(self.like.high))
+
+    def layout(self) -> ParameterLayout:
+        """Return where the parts stand in the parameter vector."""
+        ends = np.cumsum([0, *(sum(tensor.size for tensor in part.tensors) for part in self.parts)])
+        blocks = (
+            ParameterBlock(part.kind, slice(int(a), int(b)), part.lower, part.upper)
+            for part, (a, b) in zip(self.parts, pairwise(ends), strict=True)
+        )
+        return ParameterLayout(tuple(blocks))
+
+    def start(self, generator: np.random.Generator) -> FloatArray:
+        """Draw the parameters (P,) of an untrained network as the library does."""
+        return np.concatenate([tensor.start(generator) for part in self.parts for tensor in part.tensors])
+
+
+def liquid_net_for(policy: Policy, kind: str) -> LiquidNet:
+    """Return a network that sees and does what a policy's circuit does."""
+    return LiquidNet(kind, net_for(policy, NetKind.LSTM, CELLS))
+
+
+def allocate(net: LiquidNet, count: int) -> NetLanes:
+    """Return ``count`` lanes of zeros; their sums are the work of ``tick_ltc`` and ``tick_cfc``."""
+    cells = net.like.cells
+    sizes = (net.layout().size, cells, cells, 4 * cells + BACKBONE, len(net.like.scale))
+    return NetLanes(net.like.program(), *(np.zeros((size, count)) for size in sizes))
+
+
+@kernel
+def tick_cfc_lanes(lanes: NetLanes, observations: FloatArray, commands: FloatArray) -> None:
+    """Run L CfC once: ``observations`` (inputs, L) in the sensing's units, ``commands`` (outputs, L)."""
+    scale_inputs(lanes, observations)
+    tick_cfc(lanes.weight, lanes.inputs, lanes.hidden, lanes.sums, commands[: len(lanes.program.high)])
+    limit_outputs(lanes, commands)
+
+
+@kernel
+def tick_ltc_lanes(lanes: NetLanes, observations: FloatArray, commands: FloatArray) -> None:
+    """Run L LTC once; arguments as ``tick_cfc_lanes``."""
+    scale_inputs(lanes, observations)
+    tick_ltc(lanes.weight, lanes.inputs, lanes.hidden, lanes.sums, commands[: len(lanes.program.high)])
+    limit_outputs(lanes, commands)
 
 
 @kernel
@@ -190,3 +263,9 @@ def squash(values: FloatArray, slope: float) -> None:
     for row in range(values.shape[0]):
         for lane in range(values.shape[1]):
             values[row, lane] = 2.0 * sigmoid(2.0 * slope * values[row, lane]) - 1.0
+
+
+def liquid_lane_runner(net: LiquidNet) -> LaneRunner:
+    """Return the runner of a network."""
+    tick = tick_cfc_lanes if net.kind == "cfc" else tick_ltc_lanes
+    return LaneRunner(net.layout().size, partial(allocate, net), start_network, tick)

@@ -7,20 +7,34 @@ synapses, and a linear fit.
 """
 
 import json
+import statistics
+import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from benchmarks.train import median_cpu_s
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.runner import Runner
 from sim.learn.random_circuit import random_circuit
 
+REPEATS = 5
 TICKS = 40
 SIZES = tuple((neurons, synapses) for neurons in (24, 48, 96, 192) for synapses in (60, 120, 240, 480))
+
+
+def median_cpu_s(calls: dict[str, Callable[[], object]]) -> dict[str, float]:
+    """Return the median CPU time of each call after a warm-up call; calls alternate, as load varies."""
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for repeat in range(REPEATS + 1):
+        for name, run in calls.items():
+            began = time.process_time()
+            run()
+            if repeat:
+                times[name].append(time.process_time() - began)
+    return {name: statistics.median(each) for name, each in times.items()}
 
 
 def tick_alone(runner: Runner) -> None:

@@ -3,18 +3,15 @@
 import csv
 import importlib
 import json
-import time
 
 import pytest
 from kit.paths import ROOT
 
 from benchmarks import search as bench_search
-from benchmarks import train as bench_train
 from rover_ncp.cli import run as run_command
 from sim.benchmarks import deploy as bench_deploy
 from sim.learn.agents import AgentState, Batch
 from sim.learn.record import TrainSettings, resolve_task
-from sim.learn.search import descent
 from sim.learn.train import training_plan
 from sim.live.processes import ProcessError
 
@@ -44,47 +41,6 @@ def test_the_searches_are_compared_by_what_training_gives(monkeypatch: pytest.Mo
             assert float(row[f"after_{mark}"]) == agent.value_at(mark)
     past = [sum(agent.value > level for agent in agents) for level in (-30.0, -8.0)]
     assert said[0].endswith(f"{past[0]} past -30, {past[1]} past -8 of 3")
-
-
-@pytest.mark.long
-def test_the_speeds_and_their_shares(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bench_train, "LANES", (1, 6, 8))
-    monkeypatch.setattr(bench_train, "_REPEATS", 1)
-    monkeypatch.setattr(bench_train, "_EPISODES", 36)
-    monkeypatch.setattr(bench_train, "_WARM_ITERATIONS", 2)
-    monkeypatch.setattr(bench_train, "_LANE_TICKS", 8192)
-    # Each strategy starts processes.
-    timed = ("published", "gauss-newton")
-    monkeypatch.setattr(bench_train, "SearchName", timed)
-    found = bench_train.bench_train(6, lambda _: None)
-    assert set(found["iterations_per_s"]) == set(timed)
-    assert found["episodes_per_s"] > 0
-    assert all(value > 0 for speeds in found["iterations_per_s"].values() for value in speeds.values())
-    assert [row["lanes"] for row in found["cost_by_lanes"]] == [1, 6, 8]
-    # How fast anything was says more about the machine; benchmarks compare it, tests do not.
-    for row in found["cost_by_lanes"]:
-        assert row["circuit_ns"] > 0 and row["physics_ns"] > 0
-    assert found["cores"] >= 1
-
-
-@pytest.mark.long
-def test_speed_does_not_count_first_call_of_a_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
-    kernel, calls = descent.damped_steps, 0
-
-    def slow_at_first(*arguments: object) -> object:
-        nonlocal calls
-        calls += 1
-        began = time.process_time()
-        while calls == 1 and time.process_time() < began + 4.0:
-            pass
-        return kernel(*arguments)
-
-    monkeypatch.setattr(descent, "damped_steps", slow_at_first)
-    settings = TrainSettings()
-    task = resolve_task(settings)
-    _, in_engine = bench_train._iterations_per_cpu_s(training_plan(settings, task), task, 100)
-    assert calls > 1
-    assert in_engine > 0.5
 
 
 def test_rates_that_were_measured_are_kept_when_a_safety_rule_stops_another(monkeypatch, capfd):

@@ -1,4 +1,4 @@
-"""A bridge without a base, for the benchmark: odometry at any rate, a lease for every request, and a ping.
+"""A bridge without a base, for the benchmark: odometry at any rate and a lease for every request.
 
 It executes commands at once and exactly, so that no safety rule of the driver applies. Times are those of the
 system's monotonic clock, which all processes of a machine share.
@@ -25,7 +25,6 @@ from rover_ncp.wire.protocol import (
     dump_json,
     parse_json,
 )
-from sim.benchmarks.programs import PING, PONG
 from sim.live.peers import Peer
 
 STATUS_NS = 100_000_000
@@ -33,50 +32,42 @@ STATUS_NS = 100_000_000
 
 @dataclass
 class Moments:
-    """Times of events, in ns: odometry sent, commands handed over by their sender, pings and pongs."""
+    """Times of events, in ns: odometry sent, commands handed over by their sender."""
 
     odometry: list[int] = field(default_factory=list)
     commands: list[int] = field(default_factory=list)
-    pings: list[int] = field(default_factory=list)
-    pongs: list[int] = field(default_factory=list)
 
 
 class BenchPeer(Peer):
-    """Listens at ``robot``. In the middle between two messages of odometry it may send as large a ping."""
+    """Listens at ``robot``."""
 
-    def __init__(self, port: int, rate_hz: float, ping: bool) -> None:
+    def __init__(self, port: int, rate_hz: float) -> None:
         self.robot = f"tcp/127.0.0.1:{port}"
         super().__init__(configured(self.robot, None, False, "cmd_vel")[0])
         self.moments = Moments()
-        self._period_ns, self._ping = round(1e9 / rate_hz), ping
+        self._period_ns = round(1e9 / rate_hz)
         self._leases, self._driven, self._sequence = 0, False, -1
         self._velocity, self._pose = STANDSTILL, Pose(0.0, 0.0, 0.0)
         subscribe: Any = self.session.declare_subscriber
         self._declared = [
             subscribe("cmd_vel", self._command),
-            subscribe(PONG, lambda _: self.moments.pongs.append(time.monotonic_ns())),
             self.session.declare_queryable("rover/motors", self._motors),
             self.session.liveliness().declare_token("rover/alive/bridge"),
         ]
 
     def run(self) -> None:
-        """Send odometry, pings and the gate's status."""
+        """Send odometry and the gate's status."""
         declare: Any = self.session.declare_publisher
-        drop = zenoh.CongestionControl.DROP
-        odom, ping = (declare(name, congestion_control=drop) for name in ("odom", PING))
+        odom = declare("odom", congestion_control=zenoh.CongestionControl.DROP)
         due_ns = status_ns = time.monotonic_ns()
         while not self.closing.is_set():
-            _sleep_until(due_ns)
+            time.sleep(max(due_ns - time.monotonic_ns(), 0) * 1e-9)
             payload = self._odometry(self._period_ns * 1e-9)
             self.moments.odometry.append(time.monotonic_ns())
             odom.put(payload)
             if due_ns >= status_ns:
                 status_ns += STATUS_NS
                 self._publish_status()
-            if self._ping:
-                _sleep_until(due_ns + self._period_ns // 2)
-                self.moments.pings.append(time.monotonic_ns())
-                ping.put(payload)
             due_ns += self._period_ns
 
     def _odometry(self, seconds: float) -> bytes:
@@ -110,7 +101,3 @@ class BenchPeer(Peer):
             grant = MotorsReply(granted=True, lease=self._leases, key=secrets.token_hex(KEY_BYTES))
             query.reply("rover/motors", dump_json(grant))
         self._publish_status()
-
-
-def _sleep_until(moment_ns: int) -> None:
-    time.sleep(max(moment_ns - time.monotonic_ns(), 0) * 1e-9)

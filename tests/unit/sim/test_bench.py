@@ -44,17 +44,16 @@ def test_the_searches_are_compared_by_what_training_gives(monkeypatch: pytest.Mo
 
 
 def test_rates_that_were_measured_are_kept_when_a_safety_rule_stops_another(monkeypatch, capfd):
-    def measure(rate_hz, seconds, *, ping):
+    def measure(rate_hz, seconds):
         if rate_hz == 50.0:
             raise ProcessError("deploy", 4, "stopped by odometry: it is 0.45 s old")
         drive = {"ticks": 9, "predicted": 0, "missed": 0, "tick_rate_hz": rate_hz, "cpu_share": 0.1}
-        names = ("odometry_to_command_ms", "bare_half_round_trip_ms", "above_bare_ms")
-        times = {key: {"p50": 1.0, "p99": 2.0, "max": 3.0, "p99_9": None} for key in names}
-        return bench_deploy.RateResult(rate_hz=rate_hz, **drive, **times)
+        times = {"p50": 1.0, "p99": 2.0, "max": 3.0}
+        return bench_deploy.RateResult(rate_hz=rate_hz, **drive, odometry_to_command_ms=times)
 
     monkeypatch.setattr(bench_deploy, "_measure", measure)
     monkeypatch.setattr(bench_deploy, "_circuit_us", lambda: 5.0)
-    assert run_command(["bench", "deploy", "--json"]) == 1
+    assert run_command(["bench", "--json"]) == 1
     found = json.loads(capfd.readouterr().out)
     assert [(rate["rate_hz"], bool(rate["stopped"])) for rate in found["rates"]] == [
         (10.0, False),
@@ -63,4 +62,11 @@ def test_rates_that_were_measured_are_kept_when_a_safety_rule_stops_another(monk
     ]
     assert "0.45 s old" in found["rates"][1]["stopped"]
     assert found["rates"][2]["odometry_to_command_ms"]["p99"] == 2.0
-    assert found["fastest"]["rate_hz"] == 500.0
+
+
+def test_a_command_is_compared_with_the_odometry_before_it():
+    ms = 1_000_000
+    commands, odometry = [1 * ms, 102 * ms, 203 * ms, 304 * ms], [0, 100 * ms, 200 * ms, 300 * ms]
+    found = bench_deploy.delays(commands, odometry)
+    assert found.p50 == pytest.approx(2.5)
+    assert found.max == pytest.approx(4.0)

@@ -4,8 +4,6 @@ circuit    the tap-withdrawal circuit, untuned
 random     a random wiring of its size, another one for each seed
 mlp, lstm  networks of the published code: 12 cells (the paper: eleven), raw inputs, outputs clipped at ±1
 ppo, a2c   a network trained by gradients (``search/gradients.py``)
-
-Any other name is that of a circuit file.
 """
 
 import math
@@ -36,4 +34,4 @@ def build_agent(task: Task, agent: str, seed: int) -> Policy | Net:
         zeros, ones, ends = (0.0,) * len(net.scale), (1.0,) * len(net.scale), (1.0,) * len(net.high)
         low, most = tuple(-end for end in ends), (math.inf,) * len(ones)
         return replace(net, center=zeros, scale=ones, most=most, low=low, high=ends, cells=12)
-    raise UsageError(f"no agent {agent!r} to search for; there are {', '.join(PAPERS)}, or --circuit FILE")
+    raise UsageError(f"no agent {agent!r} to search for; there are {', '.join(PAPERS)}")

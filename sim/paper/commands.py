@@ -35,10 +35,6 @@ def run_experiments(
     task: Tasks = None,
     agent: Agents = None,
     seed: Seeds = None,
-    circuit: Annotated[
-        Path | None,
-        typer.Option(help="A wiring of your own, YAML or .bnn, as one more agent.", show_default=False),
-    ] = None,
     budget: Annotated[
         BudgetName,
         typer.Option(
@@ -57,14 +53,6 @@ def run_experiments(
             show_default="one for each core",
         ),
     ] = None,
-    checkpoint: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0,
-            help="Minutes between checkpoints of a search.",
-            show_default="5",
-        ),
-    ] = None,
     cluster: Annotated[
         str | None,
         typer.Option(
@@ -81,19 +69,18 @@ def run_experiments(
 
         rover-ncp paper run --task parking
         rover-ncp paper run --task mountain-car --agent circuit --seed 3 --again
-        rover-ncp paper run --task cart-pole --circuit mine.bnn --seed 0
         rover-ncp paper run --cluster tcp://192.168.1.5:8786
     """
     from rover_ncp.core.files import require_writable
     from sim.paper.results import MadeResult, MadeRun, ResultStore, RunSummary
-    from sim.paper.runs import is_stored, make_runs
+    from sim.paper.runs import make_runs
     from sim.paper.selection import select
 
-    if cluster is not None and any(each is not None for each in (processes, circuit, checkpoint)):
-        raise UsageError("--cluster cannot be combined with --processes, --circuit or --checkpoint")
+    if cluster is not None and processes is not None:
+        raise UsageError("--cluster cannot be combined with --processes")
     output, store = Output(json), ResultStore(results)
-    names = select(task, agent, seed, circuit, budget)
-    left = [name for name in names if again or not is_stored(store, name, circuit)]
+    names = select(task, agent, seed, budget)
+    left = [name for name in names if again or store.find(name) is None]
     made: list[MadeRun] = []
 
     def on_result(result: "Result") -> None:
@@ -108,10 +95,7 @@ def run_experiments(
 
     if left:
         require_writable(store.path(left[0].task, budget))
-        every_s = 60.0 * (5.0 if checkpoint is None else checkpoint)
-        make_runs(
-            left, store, circuit, processes=processes, cluster=cluster, every_s=every_s, on_result=on_result
-        )
+        make_runs(left, store, processes=processes, cluster=cluster, on_result=on_result)
     found = MadeResult(made=made, found=len(names) - len(left))
     output.result(found, f"{len(made)} runs made")
 

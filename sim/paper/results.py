@@ -76,8 +76,6 @@ class Result(RunSummary):
     """Changes of the incumbent's estimate: (iterations, environment steps, estimate); None: not recorded."""
     thinned: bool = False
     """Whether points of the curve are missing."""
-    policy: str | None = None
-    """Text of the untrained policy, for a circuit file of the user."""
     parameters: Packed
     """The trained vector (P,)."""
 

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.policy_file import load_circuit, policy_from_yaml, policy_to_yaml
 from sim.learn.cluster import DaskCluster
 from sim.learn.engine.networks import Net
 from sim.learn.record import made_with
@@ -47,13 +46,11 @@ def budget_for(task: Task, name: BudgetName, agent: str = "circuit") -> Budget:
     return replace(budget, iterations=_QUICK_ITERATIONS) if name is BudgetName.QUICK else budget
 
 
-def train_run(
-    name: RunName, circuit: Path | None = None, state: Path | None = None, every_s: float = 300.0
-) -> Result:
+def train_run(name: RunName, state: Path | None = None) -> Result:
     """Make one run. The same name gives the same parameters and returns, to the last bit.
 
-    ``state`` is the file in which a search saves its state, to continue from there. Raises UsageError,
-    FileError or ConfigError for a run that is not possible.
+    ``state`` is the file in which a search saves its state, to continue from there. Raises UsageError
+    for a run that is not possible, and FileError.
     """
     task = find_task(name.task)
     agent: Policy | Net | None = None
@@ -67,10 +64,10 @@ def train_run(
         found, settings = train_actor(task, name.agent, name.seed)
         libraries = ["stable-baselines3", "torch"]
     else:
-        agent = _own_agent(task, circuit) if circuit else build_agent(task, name.agent, name.seed)
+        agent = build_agent(task, name.agent, name.seed)
         budget = budget_for(task, name.budget, name.agent)
         settings = vars(budget)
-        checkpoint = Checkpoint(state, settings, every_s)
+        checkpoint = Checkpoint(state, settings)
         found = run_search(task, agent, name.seed, budget, checkpoint)
     if isinstance(task, Benchmark):
         libraries += ["gymnasium", "mujoco"] if task.model else ["gymnasium"]
@@ -84,14 +81,9 @@ def train_run(
         evaluations=found.evaluations,
         steps=found.steps,
         curve=found.curve,
-        policy=policy_to_yaml(agent) if circuit and isinstance(agent, Policy) else None,
         parameters=Packed.of(found.vector),
         **score(task, agent, found.vector, name.seed, settings.get("warm_up", 0)).model_dump(),
     )
-
-
-def _own_agent(task: Task, circuit: Path) -> Policy:
-    return task.policy(load_circuit(circuit))
 
 
 def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int, warm_up: int) -> Score:
@@ -129,19 +121,9 @@ def replay(result: Result) -> Score:
     name = result.name
     agent: Policy | Net | None = None
     task = find_task(name.task)
-    if result.policy is not None:
-        agent = policy_from_yaml(result.policy, str(name))
-    elif name.agent not in GRADIENTS:
+    if name.agent not in GRADIENTS:
         agent = build_agent(task, name.agent, name.seed)
     return score(task, agent, result.parameters.array(), name.seed, result.settings.get("warm_up", 0))
-
-
-def is_stored(store: ResultStore, name: RunName, circuit: Path | None) -> bool:
-    """Whether a run exists; where a circuit file is given, a run of what it contains now."""
-    stored = store.find(name)
-    if stored is None or circuit is None:
-        return stored is not None
-    return stored.policy == policy_to_yaml(_own_agent(find_task(name.task), circuit))
 
 
 def agrees(result: Result, replayed: Score) -> bool:
@@ -154,11 +136,9 @@ def agrees(result: Result, replayed: Score) -> bool:
 def make_runs(
     names: Sequence[RunName],
     store: ResultStore,
-    circuit: Path | None,
     *,
     processes: int | None = None,
     cluster: str | None = None,
-    every_s: float = 300.0,
     on_result: Callable[[Result], None],
 ) -> None:
     """Make runs, as many at once as there are processes, or on a Dask cluster; save each as it ends.
@@ -166,15 +146,14 @@ def make_runs(
     After an interruption, a search continues from its last checkpoint when it is requested again. Raises
     UsageError, FileError or ConfigError before the first run begins, and WorkerDied.
     """
-    _require(names, circuit)
+    _require(names)
     count = min(processes or available_processes(), len(names))
     workers = (
         ProcessPool(count, "; repeat the command to continue") if cluster is None else DaskCluster(cluster)
     )
     with workers:
         runs = [
-            workers.submit(train_run, name, circuit, None if cluster else store.checkpoint(name), every_s)
-            for name in names
+            workers.submit(train_run, name, None if cluster else store.checkpoint(name)) for name in names
         ]
         for run in as_completed(runs):
             result = run.result()
@@ -183,13 +162,11 @@ def make_runs(
             on_result(result)
 
 
-def _require(names: Sequence[RunName], circuit: Path | None) -> None:
+def _require(names: Sequence[RunName]) -> None:
     """Raise the errors of runs before they begin in processes of their own."""
     for task_name, agent in dict.fromkeys((name.task, name.agent) for name in names):
         task = find_task(task_name)
-        if circuit is not None:
-            _own_agent(task, circuit)
-        elif agent in GRADIENTS:
+        if agent in GRADIENTS:
             importlib.import_module("stable_baselines3")
         if isinstance(task, Benchmark) and task.model:
             importlib.import_module("mujoco")

@@ -1,7 +1,6 @@
 """The grid of runs, and the runs that a command line selects."""
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 from rover_ncp.core.errors import UsageError
@@ -54,7 +53,6 @@ def select(
     tasks: Sequence[str] | None,
     agents: Sequence[str] | None,
     seeds: Sequence[int] | None,
-    circuit: Path | None,
     budget: BudgetName = BudgetName.PUBLISHED,
 ) -> list[RunName]:
     """Return the selected runs of a budget, circuits first: of the grid, or of any seeds given.
@@ -63,12 +61,6 @@ def select(
     """
     for task in tasks or ():
         find_task(task)
-    if circuit is not None:
-        if agents or not tasks or budget is BudgetName.GRADIENTS:
-            raise UsageError("--circuit FILE needs --task, and neither --agent nor --budget gradients")
-        if circuit.stem in AGENTS:
-            raise UsageError(f"--circuit {circuit}: {circuit.stem} is an agent of the paper; rename the file")
-        return [name for task in tasks for name in Group(task, circuit.stem, budget).names(seeds)]
     for agent in agents or ():
         if agent not in AGENTS:
             raise UsageError(f"no agent {agent!r}; expected one of {', '.join(AGENTS)}")

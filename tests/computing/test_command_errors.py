@@ -41,7 +41,6 @@ LINES = {
     "mock --camera": f"mock {{}} --tags {TAGS}",
     "mock --tags": f"mock --camera {CAMERA} {{}}",
     "paper run": "paper run --task parking --agent circuit --seed 0 --again --budget quick {}",
-    "paper run --circuit": "paper run --task parking --seed 0 {}",
     "paper report --curves": "paper report {}",
     "park --out": "park --policy parking {}",
     "place": f"place set new {ROBOT} {{}}",

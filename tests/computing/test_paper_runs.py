@@ -6,7 +6,6 @@ from dataclasses import replace
 import pytest
 from kit.training_processes import Cluster
 
-from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
 from rover_ncp.cli import run
 from rover_ncp.core.errors import UsageError
 from sim.paper import BudgetName
@@ -56,24 +55,18 @@ def test_a_quick_run_improves_and_replays(task, agent):
     assert result.plain_mean <= result.mean <= max(bonus * result.plain_mean, result.plain_mean)
 
 
-def test_a_command_line_selects_runs(tmp_path):
-    assert select(["cart-pole"], ["mlp"], [3], None) == [RunName(task="cart-pole", agent="mlp", seed=3)]
-    assert len(select(["cart-pole"], None, None, None)) == 10 * 4
-    mine = tmp_path / "mine.yaml"
-    own = select(["cart-pole"], None, [1], mine)
-    assert own == [RunName(task="cart-pole", agent="mine", seed=1)]
-    gradients = select(None, None, [0], None, BudgetName.GRADIENTS)
+def test_a_command_line_selects_runs():
+    assert select(["cart-pole"], ["mlp"], [3]) == [RunName(task="cart-pole", agent="mlp", seed=3)]
+    assert len(select(["cart-pole"], None, None)) == 10 * 4
+    gradients = select(None, None, [0], BudgetName.GRADIENTS)
     assert {(name.task, name.agent) for name in gradients} == {
         (task, agent) for task in ("pendulum", "mountain-car") for agent in ("ppo", "a2c")
     }
     for wrong in (
-        (["cart"], None, None, None),
-        (None, ["gru"], None, None),
-        (["half-cheetah"], ["ppo"], None, None),
-        (None, None, None, mine),
-        (["cart-pole"], None, None, tmp_path / "circuit.yaml"),  # the name of stored runs
-        (["cart-pole"], None, None, mine, BudgetName.GRADIENTS),
-        (["cart-pole"], ["circuit"], None, None, BudgetName.GRADIENTS),
+        (["cart"], None, None),
+        (None, ["gru"], None),
+        (["half-cheetah"], ["ppo"], None),
+        (["cart-pole"], ["circuit"], None, BudgetName.GRADIENTS),
     ):
         with pytest.raises(UsageError):
             select(*wrong)
@@ -81,18 +74,15 @@ def test_a_command_line_selects_runs(tmp_path):
 
 @pytest.mark.long
 def test_command_makes_runs_once_and_replays_them(tmp_path, capsys):
-    wiring = tmp_path / "mine.yaml"
-    wiring.write_text(circuit_to_yaml(load_circuit("tap_withdrawal")))
-    common = ["--task", "mountain-car", "--seed", "0", "--budget", "quick", "--json"]
-    common += ["--results", str(tmp_path / "results")]
-    arguments = [*common, "--circuit", str(wiring)]
-    assert run(["paper", "run", *arguments, "--processes", "1"]) == 0
+    runs = ["--task", "mountain-car", "--agent", "circuit", "--seed", "0", "--budget", "quick", "--json"]
+    runs += ["--results", str(tmp_path / "results")]
+    assert run(["paper", "run", *runs, "--processes", "1"]) == 0
     first = json.loads(capsys.readouterr().out)
     [made] = first["made"]
-    assert (made["agent"], made["budget"]) == ("mine", "quick")
-    assert run(["paper", "run", *arguments]) == 0
+    assert (made["agent"], made["budget"]) == ("circuit", "quick")
+    assert run(["paper", "run", *runs]) == 0
     assert json.loads(capsys.readouterr().out) == {"made": [], "found": 1}
-    assert run(["paper", "replay", *common, "--agent", "mine"]) == 0
+    assert run(["paper", "replay", *runs]) == 0
     assert json.loads(capsys.readouterr().out) == {"replayed": 1, "exact": 1, "differ": []}
 
 

@@ -25,6 +25,7 @@ _SEARCH, _ROLLOUTS = 0, 1
 """Streams of random numbers."""
 _STOPS = (1, 3, 9)
 """Rollouts after which a candidate may be stopped."""
+_CHECKPOINT_S = 300.0
 _MIN_AHEAD, _MAX_AHEAD = 3, 48
 
 
@@ -114,8 +115,8 @@ class ParkingEvaluator:
 class Checkpoint:
     """The saved state of an unfinished run, or none; it holds all that a continued run depends on."""
 
-    def __init__(self, path: Path | None, settings: dict[str, Any], every_s: float = 300.0) -> None:
-        self._path, self._every_s = path, every_s
+    def __init__(self, path: Path | None, settings: dict[str, Any]) -> None:
+        self._path = path
         self._owner = f"{path and path.name}\n{json.dumps(settings)}"
         self._began = np.array([time.monotonic(), time.process_time()])
         self._saved = time.monotonic()
@@ -136,7 +137,7 @@ class Checkpoint:
 
     def save(self, state: Callable[[], dict[str, Any]]) -> None:
         """Write a state if the last one is old. Raises FileError."""
-        if self._path is None or time.monotonic() - self._saved < self._every_s:
+        if self._path is None or time.monotonic() - self._saved < _CHECKPOINT_S:
             return
         write_atomic(self._path, dump_checked({"times": self.times(), "search": state()}, self._owner))
         self._saved = time.monotonic()

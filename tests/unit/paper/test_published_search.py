@@ -17,6 +17,7 @@ from sim.paper import BudgetName
 from sim.paper.agents import build_agent
 from sim.paper.evaluator import Evaluator
 from sim.paper.runs import budget_for
+from sim.paper.search import loop
 from sim.paper.search.loop import BenchmarkEstimator, Checkpoint, ParkingEvaluator, run_search
 from sim.paper.search.published import SEARCHES
 from sim.paper.tasks import TASKS, Benchmark
@@ -166,12 +167,13 @@ class Interrupted(Checkpoint):
 
 
 @pytest.mark.parametrize("which", [BudgetName.PUBLISHED, BudgetName.ALGORITHM1])
-def test_interrupted_search_continues_with_the_same_bits(which, tmp_path):
+def test_interrupted_search_continues_with_the_same_bits(which, tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "_CHECKPOINT_S", 0.0)
     limits = budget("cart-pole", 300, which, rollouts=3, worst=2)
     whole = search("cart-pole", limits)
     path = tmp_path / "circuit.json"
     with pytest.raises(KeyboardInterrupt):
-        search("cart-pole", limits, checkpoint=Interrupted(path, vars(limits), every_s=0.0))
+        search("cart-pole", limits, checkpoint=Interrupted(path, vars(limits)))
     continued = Checkpoint(path, vars(limits))
     found = search("cart-pole", limits, checkpoint=continued)
     assert (found.curve, found.vector.tolist()) == (whole.curve, whole.vector.tolist())

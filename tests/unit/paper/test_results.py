@@ -6,13 +6,11 @@ import pytest
 from kit.paper_runs import result
 from kit.paths import ROOT
 
-from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit, policy_to_yaml
 from rover_ncp.cli import run
 from rover_ncp.core.errors import FileError
 from sim.paper import BudgetName
 from sim.paper.results import ResultStore
-from sim.paper.runs import agrees, is_stored
-from sim.paper.tasks import TASKS
+from sim.paper.runs import agrees
 
 RESULTS = ROOT / "results"
 STORED = [
@@ -53,18 +51,6 @@ def test_damaged_line_is_named(tmp_path):
     path.write_text(path.read_text() + '{"name": ')
     with pytest.raises(FileError, match="line 2"):
         ResultStore(tmp_path).find(saved.name)
-
-
-def test_run_of_an_own_circuit_is_stored_until_its_file_changes(tmp_path):
-    own, store = tmp_path / "own.yaml", ResultStore(tmp_path)
-    own.write_text(circuit_to_yaml(load_circuit("tap_withdrawal")))
-    policy = policy_to_yaml(TASKS["cart-pole"].policy(load_circuit(str(own))))
-    saved = result("cart-pole", "own", 0, 1.0, policy=policy)
-    assert not is_stored(store, saved.name, own)
-    store.save(saved)
-    assert is_stored(store, saved.name, own)
-    own.write_text(own.read_text().replace("weight: 1", "weight: 2", 1))
-    assert not is_stored(store, saved.name, own)
 
 
 def test_values_come_from_complete_curves():

@@ -10,8 +10,7 @@ runs/compare/AGENT.json, it is a policy, with a network's state:
 Agents:
 
 circuit         the tap-withdrawal circuit with course-relative sensing, from its hand-set start
-kanayama, pure-pursuit, smooth
-                a classical law (``laws.py``), from gains set by hand
+kanayama        the classical law (``kanayama.py``), from gains set by hand
 mlp, lstm       networks of as many cells
 lstm-small, cfc, ltc
                 networks of about as many numbers
@@ -45,8 +44,8 @@ from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.reference import plan_reference
 from sim.evaluate.evaluate import unseen_courses
 from sim.learn.engine.evaluator import Evaluator
+from sim.learn.engine.kanayama import KANAYAMA, law_lane_runner
 from sim.learn.engine.lane_runner import LaneRunner, OneLaneRunner, circuit_lane_runner
-from sim.learn.engine.laws import LAWS, law_lane_runner
 from sim.learn.engine.networks import CELLS, Net, NetKind, net_for, network_lane_runner
 from sim.learn.random_circuit import random_circuit
 from sim.learn.record import RobustSettings, made_with
@@ -72,11 +71,7 @@ _TRIALS, _TRIALS_SEED, _UNSEEN = 1000, 31415, 200
 _PROGRESS_GENERATIONS = 25
 
 
-_FIRST_GAINS = {
-    "kanayama": (1.0, 20.0, 8.0, 0.01, 0.03),
-    "pure-pursuit": (1.0, 0.2, 0.5, 0.01, 0.03),
-    "smooth": (1.0, 0.2, 1.0, 3.0, 0.01, 0.03),
-}
+_FIRST_GAINS = (1.0, 20.0, 8.0, 0.01, 0.03)
 
 
 class Agent(NamedTuple):
@@ -90,10 +85,8 @@ class Agent(NamedTuple):
 def find_agent(name: str, seed: int) -> Agent:
     """Return an agent by its name; networks draw their start from the seed. Raises KeyError."""
     following = course_policy(load_circuit("tracking"))
-    if name in LAWS:
-        law = LAWS[name]
-        engine = partial(Evaluator, following, lane_runner=law_lane_runner(law))
-        return Agent(gain_box(name), engine, True)
+    if name == KANAYAMA:
+        return Agent(gain_box(), partial(Evaluator, following, lane_runner=law_lane_runner()), True)
     if name in NETWORKS or name in PARTS:
         return _network(name, following, seed)
     if name.startswith("random-"):
@@ -107,9 +100,9 @@ def find_agent(name: str, seed: int) -> Agent:
     return known[name]()
 
 
-def gain_box(law: str) -> UnitBox:
-    """Return the search space of a law's gains: a tenth to ten times those that the tuning starts from."""
-    first = np.array(_FIRST_GAINS[law])
+def gain_box() -> UnitBox:
+    """Return the search space of the law's gains: a tenth to ten times those that the tuning starts from."""
+    first = np.array(_FIRST_GAINS)
     return UnitBox(0.1 * first, 10.0 * first, first, np.ones(len(first), np.bool_))
 
 
@@ -151,8 +144,8 @@ class Found:
         vector = np.array(json.loads(read_text(path))["found"])
         following = course_policy(load_circuit("tracking"))
         self.signals = following.sensing.inputs
-        if agent in LAWS:
-            runner = law_lane_runner(LAWS[agent])
+        if agent == KANAYAMA:
+            runner = law_lane_runner()
         elif agent == CIRCUIT:
             runner = circuit_lane_runner(following)
         else:
@@ -175,7 +168,7 @@ class Found:
 
 
 def __getattr__(agent: str) -> Found:
-    if agent in {CIRCUIT, *LAWS, *NETWORKS, *PARTS}:
+    if agent in {CIRCUIT, KANAYAMA, *NETWORKS, *PARTS}:
         return Found(agent)
     raise AttributeError(f"module benchmarks.compare has no agent {agent}")
 

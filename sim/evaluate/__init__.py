@@ -1,1 +1,1 @@
-"""Evaluation of policies and control laws on random trials."""
+"""Evaluation of policies on random trials."""

@@ -180,10 +180,9 @@ def evaluate(options: EvalOptions) -> int:
 
         rover-ncp eval course --trials 300 --stack --model turtlebot4
 
-    kanayama, pure-pursuit and smooth in place of a policy are classical tracking laws. module:name is a
-    function of your own, or a class of such, in a module that Python finds, also in the working folder. It
-    gets the signals that its attribute signals names, and returns v and omega. A method reset, if there is
-    one, begins each trial.
+    kanayama in place of a policy is a classical tracking law. module:name is a function of your own, or a
+    class of such, in a module that Python finds, also in the working folder. It gets the signals that its
+    attribute signals names, and returns v and omega. A method reset, if there is one, begins each trial.
 
         rover-ncp eval my_policy:Follow --trials 100 --randomize full
 
@@ -341,10 +340,10 @@ def _sensors(sensors: Sensors | None, robot: "RobotDescription | None") -> tuple
 def _play_task(options: EvalOptions, task: str) -> int:
     """Play a task; return 1 if a single episode was played and no success."""
     from sim.evaluate.benchmark import EPISODES, score_circuit
-    from sim.learn.engine.laws import LAWS
+    from sim.learn.engine.kanayama import KANAYAMA
     from sim.paper.tasks import TASKS
 
-    if options.policy in LAWS or (":" in options.policy and not Path(options.policy).exists()):
+    if options.policy == KANAYAMA or (":" in options.policy and not Path(options.policy).exists()):
         raise UsageError(f"{options.policy} follows a course: --task needs a policy file or a circuit")
     own = {"policy", "task", "range_", "trials", "seed", "json"}
     others = {

@@ -1,4 +1,4 @@
-"""Policies under test: circuits, tracking laws and policies of a user, all by the names of their signals."""
+"""Policies under test: circuits, a tracking law and policies of a user, all by the names of their signals."""
 
 import traceback
 from collections.abc import Callable, Sequence
@@ -18,8 +18,8 @@ from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.errors import ConfigError, RoverNcpError, UsageError
 from rover_ncp.core.files import importable_working_folder
 from rover_ncp.course.signals import REFERENCE_SIGNALS
+from sim.learn.engine.kanayama import KANAYAMA, TUNED, law_lane_runner
 from sim.learn.engine.lane_runner import LaneRunner, OneLaneRunner, circuit_lane_runner
-from sim.learn.engine.laws import LAWS, law_lane_runner
 
 FloatArray = NDArray[np.float64]
 AnyRunner: TypeAlias = Runner | OneLaneRunner | FunctionRunner
@@ -40,13 +40,12 @@ class Driver:
 
 
 def load_driver(name: str) -> Driver:
-    """Load a law by name, a policy of a user as ``module:name``, or a circuit's policy by name or file.
+    """Load the law by name, a policy of a user as ``module:name``, or a circuit's policy by name or file.
 
     Raises ConfigError, FileError or UsageError.
     """
-    if name in LAWS:
-        lanes = partial(_law_lanes, name)
-        return Driver(name, REFERENCE_SIGNALS, partial(_one_lane, lanes), lanes)
+    if name == KANAYAMA:
+        return Driver(name, REFERENCE_SIGNALS, _law_runner, _law_lanes)
     if ":" in name and not Path(name).exists():
         return _own_driver(name, partial(_imported, name))
     return circuit_driver(load_policy(name))
@@ -122,10 +121,9 @@ def _circuit_lanes(policy: Policy) -> tuple[LaneRunner, FloatArray]:
     return circuit_lane_runner(policy), policy.parameters()
 
 
-def _law_lanes(name: str) -> tuple[LaneRunner, FloatArray]:
-    law = LAWS[name]
-    return law_lane_runner(law), np.array(law.tuned)
+def _law_lanes() -> tuple[LaneRunner, FloatArray]:
+    return law_lane_runner(), np.array(TUNED)
 
 
-def _one_lane(lanes: Callable[[], tuple[LaneRunner, FloatArray]]) -> AnyRunner:
-    return OneLaneRunner(*lanes())
+def _law_runner() -> AnyRunner:
+    return OneLaneRunner(*_law_lanes())

@@ -1,6 +1,6 @@
 """What drives the lanes of an episode kernel, each lane with its own parameters: arrays and two kernels.
 
-A lane runner runs a circuit (here), a network (``networks.py``) or a classical law (``laws.py``).
+A lane runner runs a circuit (here), a network (``networks.py``) or a tracking law (``kanayama.py``).
 """
 
 from collections.abc import Callable, Sequence

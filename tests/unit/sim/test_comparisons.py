@@ -18,7 +18,7 @@ from rover_ncp.course.course import load_course
         ("lstm-small", 116),
         ("cfc", 104),
         ("ltc", 119),
-        ("smooth", 6),
+        ("kanayama", 5),
         ("random-0", None),
         ("paper", None),
     ],

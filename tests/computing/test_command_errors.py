@@ -7,9 +7,11 @@ import subprocess
 import sys
 
 import pytest
+from kit.bnn_text import circuit_to_bnn
 from kit.paths import DATA, ROOT
 from kit.recorded_drives import write_drive
 
+from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.cli import _app, get_command, run
 from rover_ncp.wire.zenoh import CLIENT
 
@@ -102,8 +104,19 @@ TABLE = [
     ("course new slow.csv --out new.yaml", "$.horizon_s: input should be less than or equal to 3600"),
     ("course check /dev/zero", "/dev/zero: is a device or pipe, expected a file"),
     ("train --course blocked.yaml", "an obstacle stands where the rover starts"),
+    ("eval course --course blocked.yaml", "an obstacle stands where the rover starts"),
+    ("eval course --course typo.yaml", "$.horizon: unknown key"),
+    # circuits and policies
+    ("eval small.bnn", "small.bnn: to drive a rover it needs at least 12 neurons"),
+    ("eval damaged.bnn", "damaged.bnn"),
+    ("eval nan.bnn", "nan.bnn"),
+    ("eval empty.bnn", "empty.bnn: the file is empty"),
+    ("eval typo.yaml", "typo.yaml: $.format: this key is missing; $.circuit: this key is missing"),
+    ("eval parking.bnn --task mountain-car", "'REV'"),
+    ("train --randomize full --circuit parking", "no neuron 'REV'"),
     # other files
     ("train --out done", "is not empty"),
+    ("train --randomize full --out done", "is not empty"),
     ("train --out /proc/nowhere", "/proc/nowhere: cannot be used as a folder"),
     ("recover empty.mcap", "the file is empty"),
     ("replay file", "not an MCAP recording"),
@@ -117,6 +130,10 @@ TABLE = [
     ("train --agens 3", "--agens"),
     ("train --course prking", "prking: no such file, and none of the shipped courses ("),
     ("train --circuit tap_withdrawal", "RGT"),
+    ("train --randomize wild", "none of the shipped randomizations"),
+    ("eval missing", "missing: no such file, and none of the shipped policies"),
+    ("eval course --course nowhere", "nowhere: no such file, and none of the shipped courses"),
+    ("eval small.bnn --task car", "no task"),
     ("paper run --task cart", "no task 'cart'"),
     (f"deploy {ROBOT} --policy unheard-of", "unheard-of: no such file, and none of the shipped"),
     (f"bridge {BASE} --model hal", "hal: no such file, and none of the shipped robots"),
@@ -125,6 +142,14 @@ TABLE = [
     ("train --resume", "--resume needs --out"),
     ("train --cluster tcp://127.0.0.1:9 --processes 2", "do not go together"),
     ("paper run --cluster tcp://127.0.0.1:9 --processes 2", "--cluster cannot be combined with --processes"),
+    ("train --randomize full --agents 3", "--randomize and --agents do not go together"),
+    ("train --randomize full --rollouts 3 --worst 4", "the worst 4 of 3 rollouts"),
+    ("eval course --trials 2 --stack --randomize varied", "expected one for pymunk"),
+    ("eval course --trials 2 --stack --body mujoco --randomize full", "for mujoco"),
+    ("eval course --model nogyro.yaml --stack --body mujoco", "four wheels; nogyro has two"),
+    ("eval course --model nogyro.yaml --stack --sensors gyro", "nogyro has no gyro"),
+    ("eval small.bnn --task parking", "without --task"),
+    ("eval small.bnn --task mountain-car --course bay", "alone"),
     ("identify", "expected either --robot"),
     (f"identify drive.mcap {ROBOT}", "expected either --robot"),
     (f"check {ROBOT}", "put the robot on blocks"),
@@ -133,7 +158,12 @@ TABLE = [
     ("mock --ros rmw-zenoh", "--ros: needs --ros2"),
     ("mock --ros2 --model turtlebot4 --gyro", "--gyro"),
     ("mock --overwrite", "--overwrite: needs --truth"),
+    ("train --rollouts 3", "--rollouts needs --randomize or --task"),
     ("eval course --range a=1", "--range: needs --task"),
+    ("eval course --trials 2 --body mujoco", "needs --stack"),
+    ("eval course --trials 2 --sensors gyro", "--sensors needs --stack"),
+    ("eval course --trials 2 --identify", "--identify needs --stack"),
+    ("eval course --processes 2", "--processes needs --stack"),
     ("eval mine.bnn --task mountain-car --stack", "--stack: --task goes with"),
     ("eval mine.bnn --task mountain-car --body mujoco", "--body: --task goes with"),
     ("eval mine.bnn --task mountain-car --model p3dx --processes 2", "--model, --processes: --task"),
@@ -150,7 +180,11 @@ TABLE = [
     ("export parking --to yaml --out new --course bay", "--course: --to yaml needs no course"),
     (f"bridge {BASE} --no-base-watchdog", "--no-base-watchdog: is for a ROS 2 robot"),
     # values
+    ("eval", "Missing argument"),
     ("eval course --randomize ''", "an empty name"),
+    ("eval small.bnn --task mountain-car --range speed=1", "senses position, velocity"),
+    ("eval small.bnn --task mountain-car --range position=x", "NAME=LIMIT"),
+    ("eval small.bnn --task mountain-car --range position=-1", "above 0"),
     (f"deploy {ROBOT} --duration nan", "'--duration'"),
     (f"deploy {ROBOT} --duration inf", "--duration inf: expected seconds"),
     (f"deploy {ROBOT} --namespace 'a b'", "namespace 'a b'"),
@@ -188,7 +222,15 @@ def folder(tmp_path_factory):
     (folder / "blocked.yaml").write_text(
         SHORT.read_text() + "obstacles: [{x: 0.2, y: 0, length: 0.1, width: 0.1}]\n"
     )
-    (folder / "empty.mcap").touch()
+    (folder / "typo.yaml").write_text(SHORT.read_text().replace("horizon_s", "horizon"))
+    parking = circuit_to_bnn(load_circuit("parking"))
+    (folder / "parking.bnn").write_text(parking)
+    (folder / "small.bnn").write_text(circuit_to_bnn(load_circuit("tap_withdrawal")))
+    (folder / "damaged.bnn").write_text(parking.replace("size 12", "size twelve"))
+    (folder / "nan.bnn").write_text(parking + "cm 3 nan\n")
+    (folder / "nogyro.yaml").write_text("name: nogyro\nbased_on: turtlebot4\ngyro: null\n")
+    for empty in ("empty.mcap", "empty.bnn"):
+        (folder / empty).touch()
     tutorial = (ROOT / "docs/tutorials/own_task.md").read_text()
     (folder / "task.yaml").write_text(re.search(r'title="wall.yaml"\n(.*?)```', tutorial, re.DOTALL)[1])
     (folder / "zenoh.json5").write_text('{ mode: "client", no_such_key: 1 }')

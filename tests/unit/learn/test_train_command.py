@@ -67,26 +67,6 @@ def test_resume_needs_no_options_and_refuses_others(tmp_path, capsys):
     assert content(tmp_path) == before
 
 
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (["--rollouts", "3"], "--rollouts needs --randomize or --task"),
-        (["--randomize", "full", "--agents", "3"], "--randomize and --agents do not go together"),
-        (["--randomize", "wild"], "none of the shipped randomizations"),
-        (["--randomize", "full", "--rollouts", "3", "--worst", "4"], "the worst 4 of 3 rollouts"),
-        (["--randomize", "full", "--circuit", "parking"], "no neuron 'REV'"),
-        (["--randomize", "full", "--out", "."], "is not empty"),
-    ],
-)
-def test_what_cannot_be_is_one_line(tmp_path, monkeypatch, capsys, arguments, expected):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "something").write_text("here")
-    assert run(["train", "--out", "run", *arguments]) == 2
-    err = capsys.readouterr().err
-    assert expected in err
-    assert err.count("\n") == 1
-
-
 def test_resuming_a_folder_of_strangers_imports_no_module_that_it_names(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))

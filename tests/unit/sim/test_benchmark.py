@@ -6,7 +6,7 @@ import pytest
 from kit.bnn_text import circuit_to_bnn
 from kit.paths import ROOT
 
-from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit
+from rover_ncp.circuit.policy_file import circuit_to_yaml
 from rover_ncp.cli import run
 from sim.paper.interpretation import best_circuit
 from sim.paper.interpretation import trained as trained_policy
@@ -47,29 +47,3 @@ def test_a_sensors_range_matters_and_can_be_given(trained, tmp_path, capsys):
     far = ["--range", "position=1000", "--range", "velocity=1000"]
     code, blind = evaluate(capsys, str(path), "--task", "mountain-car", *far, "--trials", "1")
     assert (code, blind["success"], blind["ranges"]["velocity"]) == (1, False, 1000.0)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--task", "car"], "no task"),
-        (["--task", "mountain-car", "--range", "speed=1"], "senses position, velocity"),
-        (["--task", "mountain-car", "--range", "position=x"], "NAME=LIMIT"),
-        (["--task", "mountain-car", "--range", "position=-1"], "above 0"),
-        (["--task", "parking"], "without --task"),
-        (["--task", "mountain-car", "--course", "bay"], "alone"),
-        (["--range", "position=1"], "needs --task"),
-    ],
-)
-def test_a_users_mistake_is_one_line(options, message, trained, tmp_path, capsys):
-    path = tmp_path / "car.bnn"
-    path.write_text(circuit_to_bnn(trained[1]))
-    assert run(["eval", str(path), *options]) == 2
-    assert message in capsys.readouterr().err
-
-
-def test_a_circuit_without_the_tasks_neurons_is_refused(tmp_path, capsys):
-    path = tmp_path / "parking.bnn"
-    path.write_text(circuit_to_bnn(load_circuit("parking")))
-    assert run(["eval", str(path), "--task", "mountain-car"]) == 2
-    assert "'REV'" in capsys.readouterr().err

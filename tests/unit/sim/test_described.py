@@ -84,17 +84,3 @@ def test_a_fifth_robot_is_evaluated_from_its_file(fifth, capsys):
     assert "1.6 times as long for fifth: fifth reaches 0.15 m/s" in fields["scaled"][0]
     assert run(["course", "check", BRIEF, "--model", fifth]) == 0
     assert "1.6 times as long for fifth" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        (["--stack", "--body", "mujoco"], "four wheels; nogyro has two"),
-        (["--stack", "--sensors", "gyro"], "nogyro has no gyro"),
-    ],
-)
-def test_what_a_described_robot_has_not_is_refused(options, expected, tmp_path, capsys):
-    file = tmp_path / "nogyro.yaml"
-    file.write_text("name: nogyro\nbased_on: turtlebot4\ngyro: null\n")
-    assert run(["eval", "course", "--model", str(file), *options]) == 2
-    assert expected in capsys.readouterr().err

@@ -325,22 +325,6 @@ def test_the_command_line_drives_another_body(capsys):
     assert math.isfinite(fields["times_real_time"])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["course", "--trials", "2", "--stack", "--randomize", "varied"], "expected one for pymunk"),
-        (["course", "--trials", "2", "--stack", "--body", "mujoco", "--randomize", "full"], "for mujoco"),
-        (["course", "--trials", "2", "--body", "mujoco"], "needs --stack"),
-        (["course", "--trials", "2", "--sensors", "gyro"], "--sensors needs --stack"),
-        (["course", "--trials", "2", "--identify"], "--identify needs --stack"),
-        (["course", "--processes", "2"], "--processes needs --stack"),
-    ],
-)
-def test_options_that_exclude_each_other_are_refused(arguments, words, capsys):
-    assert run(["eval", *arguments]) == 2
-    assert words in capsys.readouterr().err
-
-
 CIRCUITS, SPREAD = 5, 0.01
 ROOM = 0.9
 """Circuits that use more of a tolerance may miss it by a small difference."""

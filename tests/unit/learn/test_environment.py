@@ -126,17 +126,19 @@ def test_an_environment_that_goes_wrong_is_named(policy, monkeypatch):
     assert MAX_STEPS > 1000
 
 
-def test_training_is_the_same_after_an_interruption(folder):
-    settings = {"task": TASK, "circuit": "wall.yaml", "rollouts": 2}
+def test_training_is_the_same_after_an_interruption_which_loses_no_generation(folder):
+    seen, settings = [], {"task": TASK, "circuit": "wall.yaml", "rollouts": 2}
     whole = api.train_task("whole", **settings, iterations=4, processes=1)
 
     def interrupt(generation):
-        if generation.iterations == 2:
+        seen.append(generation.iterations)
+        if seen == [1, 2]:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         api.train_task("parts", **settings, iterations=4, processes=1, on_generation=interrupt)
-    api.train_task("parts", **settings, iterations=4, processes=1, resume=True)
+    api.train_task("parts", **settings, iterations=4, processes=1, resume=True, on_generation=interrupt)
+    assert seen == [1, 2, 3, 4]
     for name in ("policy.yaml", "curve.csv", "search.json", "settings.yaml"):
         assert (folder / "parts" / name).read_bytes() == (folder / "whole" / name).read_bytes(), name
     assert load_policy(whole.path).sensing.inputs == ("far", "heading")

@@ -154,54 +154,27 @@ def test_no_more_than_the_last_100_means_count_and_are_kept():
     assert last.winner == pytest.approx(vector(kept.mean(axis=0)), rel=1e-9)
 
 
-def at_generation(going, number):
-    going.restore(going.state() | {"cma": going.state()["cma"] | {"generation": number}})
-    return going
-
-
-def test_commands_are_rounded_from_their_stage_on_every_other_generation():
+def test_stages_set_the_count_the_turn_of_the_courses_and_the_rounding():
+    first, *_, last = TRAINING.stages
+    stages = (first._replace(divisor=4), last._replace(since=2, divisor=1, rounded=True))
     judge, harsh, seen = engine(), load_randomization("harsh"), []
-    judge.change_trials = lambda trials, first_course: seen.append(trials)
-    drive = drive_trials(judge, harsh, MODEL, 3)
+    judge.change_trials = lambda trials, first_course: seen.append((trials, first_course))
     judge.outcomes = lambda vectors: outcome()
-    going = searching()
-
-    def one_for_all(vectors, first, count, stage):
-        return np.repeat(drive(vectors[:1], 0, 2, stage), len(vectors), axis=0)
-
-    for number in (1801, 2399, 2400, 2401):
-        at_generation(going, number).advance(one_for_all)
-    *free, rounded = seen
-    assert [trials.step.tolist() for trials in free] == [[0.0, 0.0]] * 3
-    assert rounded.step.tolist() == [harsh.speed_step_m_s, harsh.turn_step_rad_s]
-    assert all(
-        np.array_equal(a, b) for a, b in zip(free[0], rounded._replace(step=free[0].step), strict=True)
-    )
-
-
-@pytest.mark.parametrize(
-    ("schedule", "number", "count", "turning"),
-    [
-        (TRAINING, 0, 8, False),
-        (TRAINING, 1900, 32, False),
-        (TRAINING, 2000, 128, True),
-        (REFINING, 0, 64, False),
-        (REFINING, 300, 128, True),
-    ],
-)
-def test_all_courses_take_their_turn_once_all_rollouts_are_driven(schedule, number, count, turning):
-    judge, seen = engine(), []
-    judge.change_trials = lambda trials, first_course: seen.append((trials.size, first_course))
-    judge.outcomes = lambda vectors: outcome()
-    drive, going = drive_trials(judge, FULL, MODEL, 3), searching(schedule=schedule)
-    for generation in (number, number + 1):
-        at_generation(going, generation).advance(
-            lambda vectors, *which: np.repeat(drive(vectors[:1], *which), len(vectors), axis=0)
-        )
-        assert at_generation(going, generation + 1).episodes - at_generation(going, generation).episodes == (
-            going.population * count
-        )
-    assert seen == [(count, (number + i) * 128 if turning else 0) for i in range(2)]
+    drive, going = drive_trials(judge, harsh, MODEL, 3), searching(schedule=TRAINING._replace(stages=stages))
+    episodes = [0]
+    for _ in range(4):
+        going.advance(lambda vectors, *which: np.repeat(drive(vectors[:1], *which), len(vectors), axis=0))
+        episodes.append(going.episodes)
+    # All courses take their turn once all rollouts are driven.
+    assert [(trials.size, course) for trials, course in seen] == [(32, 0), (32, 0), (128, 256), (128, 384)]
+    assert np.diff(episodes).tolist() == [going.population * trials.size for trials, _ in seen]
+    # Commands are rounded from their stage on, every other generation.
+    steps = [trials.step.tolist() for trials, _ in seen]
+    assert steps == [[0.0, 0.0]] * 3 + [[harsh.speed_step_m_s, harsh.turn_step_rad_s]]
+    for stage in stages[1], stages[1]._replace(rounded=False):
+        drive(START.parameters()[None], 0, 2, stage)
+    rounded, free = (trials for trials, _ in seen[-2:])
+    assert all(np.array_equal(a, b) for a, b in zip(free, rounded._replace(step=free.step), strict=True))
 
 
 def test_a_search_goes_on_where_it_was():

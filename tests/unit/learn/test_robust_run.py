@@ -65,30 +65,12 @@ def test_dying_before_any_write_changes_nothing(reference, tmp_path, monkeypatch
     assert content(tmp_path) == content(reference)
 
 
-def test_an_interrupt_loses_nothing_that_was_done(reference, tmp_path):
-    seen = []
-
-    def interrupt(last):
-        seen.append(last.iterations)
-        if last.iterations == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train_robust(SETTINGS, tmp_path, processes=1, on_generation=interrupt)
-    assert len(json.loads((tmp_path / "search.json").read_text())["state"]["curve"]) == 2
-    more = {"resume": True, "processes": 1, "on_generation": lambda last: seen.append(last.iterations)}
-    train_robust(SETTINGS, tmp_path, **more)
-    assert seen == [1, 2, 3]
-    assert content(tmp_path) == content(reference)
-
-
 def test_a_damaged_search_is_refused(tmp_path):
     settings = SETTINGS.model_copy(update={"iterations": 1})
     train_robust(settings, tmp_path, processes=1)
-    for damage in ('{"sha256": 1', "[]", '{"sha256": "0", "state": {"search": {}, "curve": []}}'):
-        (tmp_path / "search.json").write_text(damage)
-        with pytest.raises(FileError, match=r"search\.json: damaged"):
-            train_robust(settings, tmp_path, resume=True, processes=1)
+    (tmp_path / "search.json").write_text('{"sha256": "0", "state": {"search": {}, "curve": []}}')
+    with pytest.raises(FileError, match=r"search\.json: damaged"):
+        train_robust(settings, tmp_path, resume=True, processes=1)
 
 
 def test_resuming_needs_no_option_again(reference, capsys):

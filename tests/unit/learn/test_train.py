@@ -212,6 +212,10 @@ def _half(agents: Path) -> None:
     (agents / "00.json").write_bytes((agents / "00.json").read_bytes()[:200])
 
 
+def _no_object(agents: Path) -> None:
+    (agents / "00.json").write_text("[]")
+
+
 def _other_agent(agents: Path) -> None:
     shutil.copy(agents / "01.json", agents / "00.json")
 
@@ -221,7 +225,7 @@ def _other_run(agents: Path) -> None:
     shutil.copy(agents.parent.parent / "other" / "agents" / "00.json", agents)
 
 
-@pytest.mark.parametrize("damage", [_other_value, _half, _other_agent, _other_run])
+@pytest.mark.parametrize("damage", [_other_value, _half, _no_object, _other_agent, _other_run])
 def test_a_damaged_or_foreign_agent_is_refused_by_name(
     reference: Path, tmp_path: Path, damage: Callable[[Path], None]
 ) -> None:

@@ -183,11 +183,6 @@ def test_interrupted_search_continues_with_the_same_bits(which, tmp_path, monkey
         Checkpoint(path, {}).load()
     with refusal:
         Checkpoint(path.rename(tmp_path / "other.json"), vars(limits)).load()
-    saved = (tmp_path / "other.json").read_text()
-    for damaged in (saved[:-3], saved.replace('"ahead": ', '"ahead": 1'), "[]"):
-        path.write_text(damaged)
-        with refusal:
-            Checkpoint(path, vars(limits)).load()
 
 
 def test_published_network_takes_raw_inputs_and_ends_at_one():

@@ -1,7 +1,8 @@
 """The evaluator: scores parameter vectors by episodes, on one course or several, with or without trials.
 
-    vectors = search.ask(count)
-    returns, residuals = evaluator.run(vectors, thresholds)
+    stream = evaluator.stream(1)
+    stream.submit(0, search.ask(count), thresholds)
+    [(_, returns, residuals)] = stream.collect()
     search.tell(returns, residuals)
 
 A return only falls, because no reward is positive. An episode whose running return is below its threshold may
@@ -30,9 +31,8 @@ from sim.world.pymunk_rover import require_free_start
 from sim.world.randomization import Trials, nominal_trials
 from sim.world.rover import SUBSTEP_S, RoverModel
 
-_MIN_LANES, _MAX_LANES = 8, 24
-"""Fewer leave vectors half empty; more gain nothing: all numbers should stay in a core's first cache."""
-_TRUNCATED_PER_LANE = 6
+_MAX_LANES = 24
+"""More gain nothing: all numbers should stay in a core's first cache."""
 
 STREAM_LANES = 8
 """One vector; with more, lanes idle while agents wait for their last episode."""
@@ -56,9 +56,6 @@ class Outcomes(NamedTuple):
     tracking_rad2: FloatArray
     """Mean squared distance and angle to the reference; of no meaning without one."""
     parked: NDArray[np.bool_]
-    residuals: FloatArray
-    """(candidates, trials, checkpoints, 3) x, y and heading from each checkpoint when it was judged, 0 where
-    a course has fewer: a return is minus the sum of their squares."""
 
 
 class _LaneSet(NamedTuple):
@@ -122,24 +119,14 @@ class Evaluator:
             # Commands wait longer than the fleets made so far have room for.
             self._delays, self._lane_sets = longest, {}
 
-    def run(self, vectors: ArrayLike, thresholds: ArrayLike | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return the returns (k,) of parameter vectors (k, P) in bounds, and their residuals (k, E, C, 3).
-
-        A return is the mean over the E trials, or courses, of minus the sum of the squared residuals of C
-        checkpoints. With ``thresholds`` (k,) an episode is truncated as soon as its running return is below.
-        Its return is then below the threshold, and at least that of the whole episode. A mean over several
-        episodes has no such bound: ValueError.
-        """
-        _, results, residuals = self._drive(vectors, thresholds)
-        return results[:, :, 0].mean(axis=1), residuals
-
-    def returns(self, vectors: ArrayLike, thresholds: ArrayLike | None = None) -> FloatArray:
-        """Return the returns of ``run`` alone."""
-        return self.run(vectors, thresholds)[0]
+    def returns(self, vectors: ArrayLike) -> FloatArray:
+        """Return the returns (k,) of parameter vectors (k, P) in bounds: means over the trials or courses."""
+        mean: FloatArray = self._drive(vectors)[1][:, :, 0].mean(axis=1)
+        return mean
 
     def outcomes(self, vectors: ArrayLike) -> Outcomes:
         """Return how the episodes of parameter vectors (k, P) in bounds end."""
-        tasks, found, residuals = self._drive(vectors)
+        tasks, found = self._drive(vectors)
         total, error_m, error_rad, moved_m, turned_rad, touches, tracking_m2, tracking_rad2 = np.moveaxis(
             found, 2, 0
         )
@@ -160,7 +147,6 @@ class Evaluator:
             tracking_m2=tracking_m2,
             tracking_rad2=tracking_rad2,
             parked=parked,
-            residuals=residuals,
         )
 
     def stream(self, agents: int) -> "Stream":
@@ -172,26 +158,16 @@ class Evaluator:
 
         return Stream(agents, size, self._tasks.checkpoints.shape[1], bind)
 
-    def _drive(
-        self, vectors: ArrayLike, thresholds: ArrayLike | None = None
-    ) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Return the courses (E,), results (k, E, RESULTS) and residuals (k, E, C, 3) of vectors (k, P)."""
+    def _drive(self, vectors: ArrayLike) -> tuple[IntArray, FloatArray]:
+        """Return the courses (E,) and results (k, E, RESULTS) of vectors (k, P)."""
         rows = np.ascontiguousarray(np.atleast_2d(np.asarray(vectors, np.float64)))
-        stop = np.full(len(rows), -np.inf) if thresholds is None else np.array(thresholds, np.float64)
-        if stop.shape != (len(rows),):
-            raise ValueError(f"one threshold is needed for each of {len(rows)} vectors, got {stop.shape}")
-        episodes = len(self.courses) if self._nominal else self._trials.size
-        if thresholds is not None and episodes != 1:
-            raise ValueError(f"thresholds are for one trial on one course, got {episodes} episodes a vector")
         if self._nominal:
             tasks = np.arange(len(self.courses))
             trials = np.zeros(len(tasks), np.int64)
         else:
             trials = np.arange(self._trials.size)
             tasks = (self._first_course + trials) % len(self.courses)
-        shape = len(rows), len(tasks)
-        results = np.zeros((*shape, RESULTS))
-        residuals = np.zeros((*shape, *self._tasks.checkpoints.shape[1:]))
+        results = np.zeros((len(rows), len(tasks), RESULTS))
         for ground in range(len(self._grounds)):
             (chosen,) = np.nonzero(self._ground[tasks] == ground)
             count = len(rows) * len(chosen)
@@ -202,18 +178,17 @@ class Evaluator:
                 vector=np.repeat(np.arange(len(rows)), len(chosen)),
                 task=np.tile(tasks[chosen], len(rows)),
                 trial=np.tile(trials[chosen], len(rows)),
-                stop_below=np.repeat(stop, len(chosen)),
+                stop_below=np.full(count, -np.inf),
                 results=np.zeros((count, RESULTS)),
-                residuals=np.zeros((count, *residuals.shape[2:])),
+                residuals=np.zeros((count, *self._tasks.checkpoints.shape[1:])),
                 waiting=Waiting(np.arange(count), np.array([0, count]), np.array([count])),
             )
-            width = _width(count, may_truncate=bool((stop > -np.inf).any()))
+            width = _width(count)
             if (width, ground) not in self._lane_sets:
                 self._lane_sets[width, ground] = self._build_lanes(width, ground)
             self._kernel(*self._arguments(self._lane_sets[width, ground], queue))
             results[:, chosen] = queue.results.reshape(len(rows), len(chosen), RESULTS)
-            residuals[:, chosen] = queue.residuals.reshape(len(rows), len(chosen), *residuals.shape[2:])
-        return tasks, results, residuals
+        return tasks, results
 
     def _arguments(self, lane_set: _LaneSet, queue: Queue) -> tuple[Any, ...]:
         """Return those of the kernel."""
@@ -255,7 +230,8 @@ class Answer(NamedTuple):
     returns: FloatArray
     """(n,)."""
     residuals: FloatArray
-    """(n, 1, C, 3), complete for episodes that were not truncated."""
+    """(n, 1, C, 3) x, y and heading from each checkpoint when it was judged, complete for episodes that were
+    not truncated: a return is minus the sum of their squares."""
 
 
 class Stream:
@@ -263,7 +239,7 @@ class Stream:
 
     In batches, lanes would idle until the last episode of a batch ends. Here a free lane takes the next
     waiting episode of any agent, and an agent gets its answer as soon as its own episodes have ended. The
-    returns are those of ``Evaluator.run``.
+    returns are those of ``Evaluator.returns``.
     """
 
     def __init__(
@@ -337,12 +313,7 @@ def _tasks(courses: Sequence[Course], references: Sequence[Reference] | None, mo
     return tasks
 
 
-def _width(count: int, *, may_truncate: bool) -> int:
-    """Return how many lanes serve so many episodes.
-
-    Episodes of the same length go in as few rounds as can be, evenly full. Truncated ones end at all times,
-    so fewer lanes with a queue behind them do more than many that stand idle at the end.
-    """
-    most = min(_MAX_LANES, count // _TRUNCATED_PER_LANE) if may_truncate else _MAX_LANES
-    rounds = -(-count // max(most, _MIN_LANES))
+def _width(count: int) -> int:
+    """Return how many lanes serve so many episodes: in as few rounds as can be, evenly full."""
+    rounds = -(-count // _MAX_LANES)
     return -(-count // rounds)

@@ -229,11 +229,14 @@ def candidates(count, seed=1):
 
 
 def test_answers_of_a_stream_are_those_of_a_batch(evaluator):
-    stream, expected, seen = evaluator.stream(4), {}, []
+    stream, single, expected, seen = evaluator.stream(4), evaluator.stream(1), {}, []
     for agent in range(4):
         vectors = candidates(2 + agent, seed=agent)
-        expected[agent] = evaluator.run(vectors)
-        stream.submit(agent, vectors, np.full(len(vectors), -np.inf))
+        never = np.full(len(vectors), -np.inf)
+        single.submit(0, vectors, never)
+        [answer] = single.collect()
+        expected[agent] = evaluator.returns(vectors), answer.residuals.copy()
+        stream.submit(agent, vectors, never)
     while answers := stream.collect():
         for agent, returns, residuals in answers:
             seen.append(agent)

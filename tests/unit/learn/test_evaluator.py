@@ -80,7 +80,9 @@ def test_a_lane_returns_what_the_environment_returns():
 
 def test_misses_are_those_of_a_rover_alone_and_make_up_the_return():
     vectors = candidates(10, seed=8)
-    returns, residuals = Evaluator(POLICY, FENCED).run(vectors)
+    stream = Evaluator(POLICY, FENCED).stream(1)
+    stream.submit(0, vectors, np.full(10, -np.inf))
+    [(_, returns, residuals)] = stream.collect()
     due = due_checkpoints(FENCED)
     assert residuals.shape == (10, 1, len(FENCED.checkpoints), 3)
     for vector, total, episode in zip(vectors, returns, residuals[:, 0], strict=True):
@@ -105,26 +107,16 @@ def test_company_and_place_change_no_bit():
 
 def test_a_lost_race_is_stopped_and_no_other_is_touched():
     engine, vectors = Evaluator(POLICY, COURSE), candidates(60, seed=3)
-    returns = engine.returns(vectors)
+    returns, stream = engine.returns(vectors), engine.stream(1)
     thresholds = np.where(np.arange(60) % 3 == 0, returns, np.median(returns))  # its own return is no loss
-    raced = engine.returns(vectors, thresholds)
+    stream.submit(0, vectors, thresholds)
+    [(_, raced, _)] = stream.collect()
     lost = returns < thresholds
     assert 10 < lost.sum() < 50
     assert np.array_equal(raced[~lost], returns[~lost])
     assert (raced[lost] < thresholds[lost]).all()
     assert (raced[lost] >= returns[lost]).all()
     assert (raced[lost] > returns[lost]).any()
-
-
-@pytest.mark.parametrize("several", ["trials", "courses"])
-def test_thresholds_with_several_episodes_are_refused(several):
-    model, courses = default_rover(), [COURSE, COURSE]
-    trials = draw_trials(load_randomization("full"), model, 5, count=3, ticks=COURSE.ticks)
-    engine = Evaluator(POLICY, COURSE, model, trials) if several == "trials" else Evaluator(POLICY, courses)
-    vectors = candidates(2, seed=3)
-    assert engine.returns(vectors).shape == (2,)
-    with pytest.raises(ValueError, match="thresholds are for one trial"):
-        engine.returns(vectors, [-1.0, -1.0])
 
 
 def test_other_rovers_other_returns():

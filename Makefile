@@ -103,8 +103,8 @@ safety: $(STAMP) ## Measure the safety matrix and write it into docs/measured.
 
 SOAK_MINUTES ?= 20
 .PHONY: soak
-soak: $(STAMP) ## Every fault at random moments, for SOAK_MINUTES; the table in runs/soak.
-	PYTHONPATH=tests $(BIN)/python -m faults --minutes $(SOAK_MINUTES)
+soak: $(STAMP) ## Every fault at random moments, for SOAK_MINUTES; logs in runs/soak.
+	PYTHONPATH=tests $(BIN)/python -m faults.soak --minutes $(SOAK_MINUTES)
 
 .PHONY: paper-quick
 paper-quick: $(STAMP) ## A short run of every task of the paper, checked by a replay.

@@ -94,34 +94,30 @@ def require_in_time(measured: Measured, form: str = "") -> None:
     assert measured.in_time, found
 
 
-def measure(
-    rig: Rig, row: Row, driver: str, record: Path | None = None, moments: np.random.Generator | None = None
-) -> Measured:
-    """Measure a row under ``driver``, a circuit's drive recorded to ``record``; ``moments`` picks the moment.
+def measure(rig: Rig, row: Row, driver: str, moments: np.random.Generator | None = None) -> Measured:
+    """Measure a row under ``driver``; ``moments`` picks the moment.
 
     A measurement whose resolution is too bad is repeated. Raises TimedOut when every try was too bad, Unsafe
     when the rover moves after the fault was removed, and the errors of `Rig`.
     """
     for _ in range(TRIES):
-        scene = _start_driver(rig, row, driver, record)
+        scene = _start_driver(rig, row, driver)
         try:
             measured = _measure(scene, row, driver, moments)
         finally:
             rig.end(scene.driver)
         if measured.late_s <= MAX_LATE_S:
             return measured
-        if record is not None:
-            record.unlink(missing_ok=True)
     raise TimedOut(
         f"the machine kept mock or line from running for more than {MAX_LATE_S} s in each of {TRIES} "
         "measurements; repeat on a machine with less load"
     )
 
 
-def _start_driver(rig: Rig, row: Row, driver: str, record: Path | None) -> Scene:
+def _start_driver(rig: Rig, row: Row, driver: str) -> Scene:
     robot = rig.through_proxy if row.layer == "link" else rig.robot
     if driver == CIRCUIT:
-        return Scene(rig, rig.drive_course(*(["--record", str(record)] if record else []), robot=robot))
+        return Scene(rig, rig.drive_course(robot=robot))
     return Scene(rig, rig.scripted_driver(robot, row.lease_s))
 
 

@@ -17,7 +17,7 @@ from rover_ncp.wire.messages import twist_stamped
 
 REQUEST_S = 0.25
 NAME = "hand"
-"""The driver's name in the gate's status, and of a soak's JSON."""
+"""The driver's name in the gate's status."""
 
 
 class ScriptedDriver(Driver):
@@ -37,8 +37,6 @@ class ScriptedDriver(Driver):
         """How much older each command's stamp is than its true time, in s."""
         self.last_sent_ns = 0
         """When the last command was sent, in ns of the monotonic clock."""
-        self.odometry_ns: list[int] = []
-        """The stamps of all odometry."""
         self._requested_s = 0.0
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name=NAME, daemon=True)
@@ -75,8 +73,6 @@ class ScriptedDriver(Driver):
         """Store a message that can be read."""
         with suppress(FormatError):
             super().receive(name, data)
-            if name == "odom":
-                self.odometry_ns.append(self.odom.stamp_ns)
 
     def _run(self) -> None:
         while not self._closing.wait(PERIOD_S):

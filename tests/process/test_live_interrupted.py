@@ -2,8 +2,11 @@
 
 import json
 import signal
+import subprocess
+import sys
 
 import psutil
+import pytest
 
 from rover_ncp.cli import run
 from sim.live.live_run import LiveRun
@@ -27,3 +30,24 @@ def test_second_interruption_does_not_keep_processes_from_being_ended(tmp_path, 
     assert run(["park", "--policy", "course", "--out", str(tmp_path / "out"), "--json"]) == 130
     assert json.loads(capsys.readouterr().out)["kind"] == "Interrupted"
     assert set(psutil.Process().children(recursive=True)) <= before
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ended_process_ends_its_children(tmp_path, number):
+    command = ("park", "--policy", "course")
+    child = subprocess.Popen(
+        [sys.executable, "-m", "rover_ncp", *command, "--out", str(tmp_path / "out"), "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    log = tmp_path / "out" / "log" / "bridge.log"
+    while "ready" not in (log.read_text() if log.exists() else ""):
+        assert child.poll() is None
+    started = psutil.Process(child.pid).children(recursive=True)
+    assert len(started) >= 2
+    child.send_signal(number)
+    out, _ = child.communicate(timeout=60)
+    assert (child.returncode, json.loads(out)["kind"]) == (130, "Interrupted")
+    # With its state: one that ended, but is not waited for yet, would count as running.
+    assert [(process.pid, process.status()) for process in started if process.is_running()] == []

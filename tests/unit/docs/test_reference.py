@@ -37,12 +37,12 @@ def test_an_example_is_valid_and_has_every_key_that_its_file_needs(name):
 
 
 def test_a_line_that_links_to_a_measured_table_becomes_the_table():
-    page = "Before.\n\n[soak](measured/soak.csv)\n\nA [link](measured/soak.csv)."
+    page = "Before.\n\n[matrix](measured/ros2.csv)\n\nA [link](measured/ros2.csv)."
     text = reference_pages.on_page_markdown(page)
     _, table, after = text.split("\n\n")
-    assert table.startswith("| layer | fault | times |")
+    assert table.startswith("| layer | fault | standstill after (ros2dds) |")
     assert {line.count(" | ") for line in table.splitlines()} == {4}
-    assert after == "A [link](measured/soak.csv)."
+    assert after == "A [link](measured/ros2.csv)."
 
 
 @pytest.mark.parametrize("command", RESULTS)

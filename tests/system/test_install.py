@@ -34,13 +34,26 @@ WORKS = {
         ("keys --out keys", 0),
         ("watch --robot tcp/127.0.0.1:1", 3),
     ],
-    "train": [("eval parking", 0), ("park --policy nowhere.yaml", 2)],
+    "train": [
+        ("eval parking", 0),
+        ("park --policy nowhere.yaml", 2),
+        # These start processes, which must not import a user's modules either.
+        ("park --policy course --course moment.yaml --out park", 1),
+        ("train --agents 2 --iterations 20 --processes 2 --course moment.yaml --out run", 0),
+    ],
     "tag": [("tag print --ids 0 --size 0.14 --out tags.pdf", 0)],
     "research": [
         ("train --cluster tcp://127.0.0.1:1 --agents 1 --iterations 1 --out run", 2),
         ("eval course --stack --body mujoco --randomize nominal", 0),
     ],
 }
+COURSE = """
+name: moment
+start_signal_s: 0.5
+horizon_s: 1.0
+checkpoints:
+- {t: 1.0, x: 0.0, y: 0.0, theta: 0.0}
+"""
 # A command that needs other extras, and those.
 MISSING = {"": ("eval parking", "drive,train"), "drive": ("mock", "train")}
 
@@ -97,14 +110,20 @@ def check_install(python, extras, archive, folder):
     asked = f"{archive}[{extras}]" if extras else str(archive)
     pip = [sys.executable, "-m", "pip", "--python", str(program), "install", "--quiet", "--no-compile"]
     run([*pip, "--constraint", str(ROOT / "constraints.txt"), asked], folder)
-    for name in ("sim", "bridge", "deploy"):  # a user's own, which must not be imported
+    # A user's own, which must not be imported; a spawned process imports pickle first.
+    (folder / "moment.yaml").write_text(COURSE)
+    for name in ("sim", "bridge", "deploy"):
         (folder / name).mkdir()
-        (folder / name / "__init__.py").write_text("raise SystemExit(99)\n")
+    for name in ("sim/__init__", "bridge/__init__", "deploy/__init__", "numba", "yaml", "pickle"):
+        (folder / f"{name}.py").write_text("open('imported', 'a').write(__name__)\nraise SystemExit(99)\n")
     command = str(folder / "env" / "bin" / "rover-ncp")
     assert run([command, "--version"], folder).stdout.startswith("rover-ncp ")
     run([command, "--help"], folder)
     for line, code in WORKS[extras]:
         run([command, *line.split()], folder, code)
+    run([str(program), "-m", "rover_ncp", "--help"], folder)
+    assert not (folder / "imported").exists()
+    assert (folder / "park" / "run.html").is_file() == (extras == "train")
     if extras in MISSING:
         line, needed = MISSING[extras]
         error = json.loads(run([command, *line.split(), "--json"], folder, 2).stdout)

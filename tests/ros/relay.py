@@ -4,7 +4,7 @@ It passes on CDR bytes unread and does what the bridge's sources say (zenoh-plug
 route_publisher.rs, route_subscriber.rs, liveliness_mgt.rs; facts only). Keys are plain topic names; topics
 have no attachment. A route has a token while a local node uses it. Each name and direction has one route, of
 the first type seen. A DDS reader exists only while a Zenoh subscriber matches. It leaves out services and
-actions, and topics whose type has no Python package here.
+actions, late samples of latched topics to DDS, and topics whose type has no Python package here.
 """
 
 import argparse
@@ -101,15 +101,9 @@ class ToDds(Route):
     def __init__(self, *route):
         super().__init__(*route)
         self.writer = self.relay.node.create_publisher(self.type, self.topic, self.profile)
-        if self.latched:
-            history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
-            self.subscriber = zenoh.ext.declare_advanced_subscriber(
-                self.relay.session, self.key, self.receive, history=history
-            )
-        else:
-            self.subscriber = self.relay.session.declare_subscriber(
-                self.key, self.receive, allowed_origin=zenoh.Locality.REMOTE
-            )
+        self.subscriber = self.relay.session.declare_subscriber(
+            self.key, self.receive, allowed_origin=zenoh.Locality.REMOTE
+        )
 
     def update(self):
         self.announce(self.kind)

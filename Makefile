@@ -9,8 +9,6 @@ GRADIENTS_STAMP := $(VENV)/.gradients
 FUZZ_STAMP := $(VENV)/.fuzz
 FILES_STAMP := $(VENV)/.files
 RELEASE_STAMP := $(VENV)/.release
-ROS := build/venv-ros
-ROS_STAMP := $(ROS)/.installed
 # uv where it is present, or pip.
 UV := $(shell uv --version >/dev/null 2>&1 && command -v uv)
 # The pip of an older Python knows no dependency groups, the newest does.
@@ -63,13 +61,11 @@ test-long: $(STAMP) ## The long tests that measure no times: they mostly wait.
 	$(BIN)/pytest tests/unit tests/computing tests/process tests/system -m "long and not browser and not timed" \
 		--ignore=tests/system/test_tutorials.py --numprocesses 3 --dist worksteal
 
+# In an environment of its own: 77 says that it cannot be made on this machine.
 .PHONY: test-ros
-test-ros: $(STAMP) ## Bridge and driver with ROS 2 (rclpy from PyPI); skipped where its wheels do not run.
-	@if test "$$(uname -sm)" != "Linux x86_64" || ! python3.11 -c ''; then \
-		echo "make test-ros: skipped: ROS 2's wheels are for CPython 3.11 on Linux x86_64"; \
-	else \
-		$(MAKE) $(ROS_STAMP) && $(BIN)/pytest tests/ros -m long --durations=10 --numprocesses 3; \
-	fi
+test-ros: $(STAMP) ## Bridge and driver with ROS 2 (rclpy from PyPI); skipped where its wheels cannot be had.
+	@$(BIN)/python tests/ros/install.py build/venv-ros; code=$$?; test $$code = 77 && exit 0; test $$code = 0 && \
+		$(BIN)/pytest tests/ros -m long --durations=10 --numprocesses 3
 
 .PHONY: test-timed
 test-timed: $(STAMP) ## Every row of both safety matrices, the soak's test and live drives.
@@ -225,17 +221,6 @@ $(FILES_STAMP): $(STAMP)
 
 $(RELEASE_STAMP): $(STAMP)
 	$(INSTALL) $(DEV) --group release
-	touch $@
-
-# Apart from the project's: its .pth file starts Python again with a library path, which children inherit.
-$(ROS_STAMP): tests/ros/requirements.txt
-	@command -v gcc >/dev/null || { echo "pyzeros compiles its codecs: apt-get install gcc libc6-dev" >&2; exit 1; }
-	rm -rf $(ROS)
-	python3.11 -m venv $(ROS)
-	$(ROS)/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
-# Half a minute of a compiler, which no test has to wait for.
-	CYDR_CACHE_DIR=$(CURDIR)/$(ROS)/cydr $(ROS)/bin/python -c \
-		'from pyzeros.builtin_msgs import Attachment; Attachment().serialize()'
 	touch $@
 
 # By pip: the environment may limit what pip takes of torch, which uv does not read.

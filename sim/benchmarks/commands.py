@@ -1,6 +1,6 @@
 """The command ``bench``; heavy libraries load only when it runs."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -8,6 +8,7 @@ from rover_ncp.core.console import Json, Output
 
 
 def bench(
+    what: Annotated[Literal["deploy"], typer.Argument(help="deploy: the driver's response time.")],
     *,
     seconds: Annotated[
         float, typer.Option(min=2.0, max=86_400.0, help="Duration in s of each rate's measurement.")
@@ -20,7 +21,7 @@ def bench(
     of a core. The circuit's part of that time is measured too. On a busy machine a safety rule may stop a
     drive: the other rates are measured all the same, and the command ends with 1.
 
-        rover-ncp bench --seconds 10
+        rover-ncp bench deploy --seconds 10
     """
     from sim.benchmarks.deploy import bench_deploy
 

@@ -1,4 +1,4 @@
-"""How long the driver takes from odometry to command: ``rover-ncp bench``.
+"""How long the driver takes from odometry to command: ``rover-ncp bench deploy``.
 
 The driver is the real process, recording as in a drive; odometry comes from a peer that stands in for the
 bridge, at the requested rates.

@@ -53,7 +53,7 @@ def test_rates_that_were_measured_are_kept_when_a_safety_rule_stops_another(monk
 
     monkeypatch.setattr(bench_deploy, "_measure", measure)
     monkeypatch.setattr(bench_deploy, "_circuit_us", lambda: 5.0)
-    assert run_command(["bench", "--json"]) == 1
+    assert run_command(["bench", "deploy", "--json"]) == 1
     found = json.loads(capfd.readouterr().out)
     assert [(rate["rate_hz"], bool(rate["stopped"])) for rate in found["rates"]] == [
         (10.0, False),

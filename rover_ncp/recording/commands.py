@@ -21,7 +21,8 @@ def recover(
 
     Messages that a killed process had not yet written are lost, half a second at most. The file is replaced
     at once or not at all. A recording that is whole already stays as it is, and so does one that is still
-    being written. Memory does not grow with the length of the recording.
+    being written. Memory does not grow with the length of the recording. Recordings of other software are
+    for 'mcap recover'.
 
         rover-ncp recover run.mcap
     """

@@ -25,7 +25,7 @@ from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import create, write_atomic
 from rover_ncp.recording.mcap_format import Damaged, read_records
 from rover_ncp.recording.recorded import Recorded, header_stamp_ns, steady
-from rover_ncp.wire.cdr import definition
+from rover_ncp.wire.cdr import definition, is_known
 from rover_ncp.wire.key_table import KEYS
 
 __all__ = [
@@ -41,8 +41,6 @@ __all__ = [
 ]
 
 _log = logging.getLogger(__name__)
-LIBRARY = "rover-ncp"
-"""What a recording's header names as its writer."""
 CHUNK_BYTES = 256 * 1024
 _MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json", ".bnn": "text/plain"}
 MEMORY_LIMIT, MESSAGE_BYTES = 1 << 30, 250
@@ -107,7 +105,7 @@ class RecordingWriter:
         else:
             self._file = target
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES)
-        self._writer.start(profile="ros2", library=LIBRARY)
+        self._writer.start(profile="ros2", library="rover-ncp")
         self._channels: dict[str, tuple[int, str]] = {}
         self._schemas: dict[str, int] = {}
         self._latched = False
@@ -132,15 +130,18 @@ class RecordingWriter:
         self._writer.add_metadata(name, dict(values))
 
     def write(self, message: Recorded) -> None:
-        """Add a message. A topic of ours has one type; ValueError if another comes on it."""
+        """Add a message. Raises ValueError for a type that is not known or not its topic's first."""
         if message.topic not in self._channels:
+            if not is_known(message.type):
+                found = f"the type {message.type}" if message.type else "no CDR"
+                raise ValueError(f"{message.topic} has {found}, which rover-ncp does not write")
             if message.topic in _LATCHED and not self._latched:
                 self._latched = True
                 self.describe(*_ROSBAG2)
             self._channels[message.topic] = (self._channel(message.topic, message.type), message.type)
         channel, ros_type = self._channels[message.topic]
         if ros_type != message.type:
-            raise ValueError(f"{message.topic} holds {ros_type}, not {message.type}")
+            raise ValueError(f"{message.topic} has two types, {ros_type} and {message.type}")
         self._writer.add_message(
             channel, message.log_ns, message.data, message.publish_ns, message.sequence % 2**32
         )
@@ -181,11 +182,8 @@ class RecordingWriter:
 Content = Recorded | Attachment | Metadata
 
 
-def _contents(path: Path, *, ours: bool = False) -> Iterator[Content]:
-    """Yield what a file holds. Raises Damaged at the end of what can be read; FileError.
-
-    With ``ours``, a file of other software is a FileError, too.
-    """
+def _contents(path: Path) -> Iterator[Content]:
+    """Yield what a file holds. Raises Damaged at the end of what can be read; FileError."""
     schemas: dict[int, str] = {}
     channels: dict[int, tuple[str, str]] = {}
     headed = False
@@ -193,10 +191,6 @@ def _contents(path: Path, *, ours: bool = False) -> Iterator[Content]:
         with path.open("rb") as file:
             for record in read_records(path, file):
                 headed = headed or isinstance(record, Header)
-                if ours and isinstance(record, Header) and record.library != LIBRARY:
-                    raise FileError(
-                        f"{path}: was not written by rover-ncp, and only its recordings can be recovered"
-                    )
                 if isinstance(record, Message):
                     if record.channel_id not in channels:
                         raise Damaged("damaged: a message of an unknown channel")
@@ -288,7 +282,7 @@ class Recovery(BaseModel):
 def recover(path: Path, target: Path) -> Recovery:
     """Write a whole copy of a recording, in its order, unless it is whole and ``target`` is its own file.
 
-    Memory does not grow with the length. Raises FileError, also for a recording of other software.
+    Memory does not grow with the length. Raises FileError, also for messages that rover-ncp does not write.
     """
     damage: list[str] = []
     attachments: list[str] = []
@@ -304,7 +298,10 @@ def recover(path: Path, target: Path) -> Recovery:
     for count, message in enumerate(steady(messages()), 1):
         began_ns, ended_ns = began_ns if count > 1 else message.log_ns, message.log_ns
     if damage or target != path:
-        write_atomic(target, lambda file: _fill(file, _before_damage(path, [])))
+        try:
+            write_atomic(target, lambda file: _fill(file, _before_damage(path, [])))
+        except ValueError as error:
+            raise FileError(f"{path}: {error}; 'mcap recover' repairs files of other software") from error
     return Recovery(
         recording=str(target),
         was_complete=not damage,
@@ -318,7 +315,7 @@ def recover(path: Path, target: Path) -> Recovery:
 def _before_damage(path: Path, damage: list[str]) -> Iterator[Content]:
     """Yield what precedes the damage of a file, and append its description."""
     try:
-        yield from _contents(path, ours=True)
+        yield from _contents(path)
     except Damaged as error:
         damage.append(str(error))
 

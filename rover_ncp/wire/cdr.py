@@ -93,6 +93,11 @@ def decode(ros_type: str, data: bytes, max_bytes: int = 1 << 20) -> Any:
         raise FormatError(f"not {ros_type}: {error}") from error
 
 
+def is_known(ros_type: str) -> bool:
+    """Whether messages of this type can be written and read."""
+    return ros_type in _store().fielddefs
+
+
 @functools.cache
 def definition(ros_type: str) -> str:
     """Return the .msg text of a type and all it is made of, as an MCAP ``ros2msg`` schema wants it."""

@@ -67,22 +67,29 @@ def test_written_messages_are_read(written):
         found.attachment("course.yaml")
 
 
-def test_recordings_of_other_software_are_read_but_not_recovered(tmp_path):
-    path = tmp_path / "other.mcap"
+@pytest.mark.parametrize(
+    ("encoding", "ros_types", "why"),
+    [
+        ("json", ["std_msgs/msg/String"], "/pose has no CDR, which rover-ncp does not write"),
+        ("cdr", ["lab/msg/Pose"], "/pose has the type lab/msg/Pose, which rover-ncp does not write"),
+        ("cdr", ["std_msgs/msg/String", "nav_msgs/msg/Odometry"], "/pose has two types"),
+    ],
+)
+def test_recordings_of_other_software_are_read_but_not_recovered(tmp_path, encoding, ros_types, why):
+    path, target = tmp_path / "other.mcap", tmp_path / "whole.mcap"
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2", library="another")
-        schema = writer.register_schema("lab/Pose", "jsonschema", b'{"type": "object"}')
-        for number, (encoding, known) in enumerate([("json", schema), ("cdr", schema), ("", 0)]):
-            channel = writer.register_channel("/pose", encoding, known)
+        for number, ros_type in enumerate(ros_types):
+            schema = writer.register_schema(ros_type, "ros2msg", b"")
+            channel = writer.register_channel("/pose", encoding, schema)
             writer.add_message(channel, T0 + number, b"{}", T0)
         writer.finish()
-    before = path.read_bytes()
-    with pytest.raises(FileError, match=r"other\.mcap: was not written by rover-ncp") as caught:
-        recover(path, path)
-    assert "\n" not in str(caught.value)
-    assert path.read_bytes() == before
-    assert [message.type for message in read_recording(path).messages] == ["", "lab/Pose", ""]
+    known = ros_types if encoding == "cdr" else [""]
+    assert [message.type for message in read_recording(path).messages] == known
+    with pytest.raises(FileError, match=rf"other\.mcap: {why}.*'mcap recover'"):
+        recover(path, target)
+    assert not target.exists()
 
 
 def test_other_readers_understand_it(written):
@@ -137,7 +144,7 @@ def test_a_topic_has_one_type_and_flushed_messages_are_on_the_disk_before_the_en
     writer = RecordingWriter(tmp_path / "a.mcap")
     writer.attach("policy.yaml", POLICY)
     writer.write(odom(0))
-    with pytest.raises(ValueError, match="odom holds nav_msgs/msg/Odometry"):
+    with pytest.raises(ValueError, match="odom has two types, nav_msgs/msg/Odometry and std_msgs/msg/String"):
         writer.write(Recorded("odom", "std_msgs/msg/String", text(""), T0, T0))
     writer.flush()
     found = read_recording(tmp_path / "a.mcap")

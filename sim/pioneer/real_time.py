@@ -108,7 +108,7 @@ class RealTimeLoop:
         """Calls the data of each key when there is something to read."""
         self._unfinished = b""
         self._lateness = Lateness()
-        self._base, self._start_s = base, base.now
+        self.base, self._start_s = base, base.now
         base.observe = self._observe
 
     def send(self) -> None:
@@ -125,11 +125,11 @@ class RealTimeLoop:
         if fault_lines is not None:
             self.selector.register(fault_lines, selectors.EVENT_READ, lambda: self._read_faults(fault_lines))
         while not stopping():
-            sleep_s = max(min(self._base.due_s - time.monotonic(), PERIOD_S), 0.0)
+            sleep_s = max(min(self.base.due_s - time.monotonic(), PERIOD_S), 0.0)
             self._lateness.begin(sleep_s)
             for key, _ in self.selector.select(sleep_s):
                 key.data()
-            self._base.advance(time.monotonic())
+            self.base.advance(time.monotonic())
             self.send()
             if self.truth:
                 self.truth.flush()
@@ -156,17 +156,17 @@ class RealTimeLoop:
         except UsageError as error:
             _LOGGER.info(str(error))
             return
-        self._base.advance(time.monotonic())
+        self.base.advance(time.monotonic())
         if fault is not None:
-            self._base.inject(fault)
-        began_s, late_s, heard_s = self._base.now, self._lateness.take(), self.heard_s
+            self.base.inject(fault)
+        began_s, late_s, heard_s = self.base.now, self._lateness.take(), self.heard_s
         answer = f"t_ns={clock_ns(began_s)} late_ns={clock_ns(late_s)} heard_ns={clock_ns(heard_s)}"
         _LOGGER.info(f"applied {answer} {text}".rstrip())
 
     def _observe(self, now: float) -> None:
-        contact = self._base.drive.rover.in_contact
+        contact = self.base.drive.rover.in_contact
         self.touched |= contact
         wall_ns = time.time_ns() - round((time.monotonic() - now) * 1e9)
-        self.show(Pose(*self._base.drive.rover.pose), wall_ns)
+        self.show(Pose(*self.base.drive.rover.pose), wall_ns)
         if self.truth:
-            self.truth.add(self._base, wall_ns, now - self._start_s)
+            self.truth.add(self.base, wall_ns, now - self._start_s)

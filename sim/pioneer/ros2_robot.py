@@ -57,7 +57,6 @@ class Ros2Robot(SimulatedBase):
         assert description.topics is not None
         self.topics = description.topics
         self.drive.enable(True)
-        """Commands that could not be read, or were too old."""
         self._random, self._epoch_s = random.Random(seed), epoch_s
         self._fed_s = self._silent_until_s = -math.inf
         rates = {
@@ -98,6 +97,7 @@ class Ros2Robot(SimulatedBase):
         try:
             velocity, stamp_ns = messages.read_twist(self._faults.damage(payload, self._driven_s))
         except FormatError:
+            self.ignored += 1
             return
         timeout_s = self.topics.cmd_vel_timeout_s
         late = (
@@ -105,6 +105,7 @@ class Ros2Robot(SimulatedBase):
         )
         finite = all(map(math.isfinite, velocity))
         if stamped != (len(payload) > TWIST_BYTES) or late or not finite:
+            self.ignored += 1
             return
         if self._first_s is None and any(velocity):
             self._first_s = self.now

@@ -56,6 +56,9 @@ class MockResult(BaseModel):
     listen: str = Field(description="its address")
     model: str = Field(description="the robot's description")
     touched: bool = Field(description="whether the rover touched anything")
+    ignored: int = Field(
+        description="commands that the robot could not use: of another type, late or unreadable"
+    )
     pose: TruePose = Field(description="the true one at the end")
     truth: str | None = Field(description="the file of true poses")
 
@@ -94,15 +97,17 @@ def run_mock(options: MockOptions) -> None:
             output.announce(f"camera at {eye.address}")
         output.announce(f"listening on {server.host}:{server.port}")
         server.serve(lambda: interrupts.raised, fault_lines)
-    x, y, theta = rover.pose
+    (x, y, theta), ignored = rover.pose, server.base.ignored
     result = MockResult(
         listen=f"{server.host}:{server.port}",
         model=model,
         touched=server.touched,
+        ignored=ignored,
         pose=TruePose(x=x, y=y, theta=theta),
         truth=str(truth) if truth else None,
     )
-    output.result(result, f"the rover stands at x={x:.3f} m, y={y:.3f} m, theta={theta:.3f} rad")
+    where = f"the rover stands at x={x:.3f} m, y={y:.3f} m, theta={theta:.3f} rad"
+    output.result(result, f"{where}; {ignored} commands could not be used" if ignored else where)
 
 
 def _camera(camera: Path, tags: Path, options: MockOptions) -> "MockCamera":

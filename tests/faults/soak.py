@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -46,8 +47,8 @@ STILL_S = 2.0
 """How long the rover must stand at the end."""
 MEMORY_MB, MEMORY_MB_PER_MIN = 4.0, 0.5
 """Growth above both is a leak: an allocator settles after a while, and a leak goes on."""
-COMPARED = 3
-"""Samples at the beginning and at the end: one file that is just being opened or closed is no leak."""
+COMPARED = 5
+"""Samples at the beginning and at the end whose medians are compared."""
 
 
 class Usage(NamedTuple):
@@ -74,11 +75,13 @@ def leaks(samples: Sequence[Usage], settled: int) -> Iterator[str]:
         judged = samples[settled:] if memory else samples
         if len(judged) > 2 * COMPARED:
             before, after = (
-                [getattr(sample, name) for sample in part] for part in (judged[:COMPARED], judged[-COMPARED:])
+                median(getattr(sample, name) for sample in part)
+                for part in (judged[:COMPARED], judged[-COMPARED:])
             )
             minutes = (judged[-1].t_s - judged[0].t_s) / 60.0
-            if min(after) - max(before) > (max(MEMORY_MB, MEMORY_MB_PER_MIN * minutes) if memory else 1):
-                yield f"{name} grew from {max(before):g} to {min(after):g}"
+            # One file that is just being opened or closed is no leak; leaked ones add up.
+            if after - before > (max(MEMORY_MB, MEMORY_MB_PER_MIN * minutes) if memory else 1):
+                yield f"{name} grew from {before:g} to {after:g}"
 
 
 def soak(
@@ -130,6 +133,8 @@ def soak(
         if any(state.moving for state in rig.truth.since(stands_ns)):
             failed.append("the rover does not stand in the end")
     for name, samples in used.items():
+        if samples:
+            say(f"{name}: {samples[0].memory_mb:.0f} MB at first, {samples[-1].memory_mb:.0f} MB in the end")
         failed += [f"{name} leaks: {each}" for each in leaks(samples, len(rows) - len(last))]
     say(f"{len(done)} faults; not reached: {', '.join(row.key for row in rows if row not in done) or 'none'}")
     return failed

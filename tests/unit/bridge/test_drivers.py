@@ -302,6 +302,10 @@ def attempts(rig, number):
         newest._replace(sequence=newest.sequence + 1, digest=bytes([number % 256]) * 16),
     ]
     yield from ((None, backward, tag.pack()) for tag in forged)
+    # Signed as the gate demands, by keys that it did not grant.
+    following = newest._replace(sequence=newest.sequence + 1)
+    for key in (b"", b"\x5a" * 32):
+        yield None, backward, following.sign(key, Signed.COMMAND, "cmd_vel", backward).pack()
     yield (None, *rig.commands[number * 7 % len(rig.commands)])
     for enable in (True, False):
         request = dump_json(MotorsRequest(enable=enable, name="attacker", sent_ns=rig.now_ns))
@@ -309,7 +313,7 @@ def attempts(rig, number):
     yield ("rover/motors", *rig.requests[0])
 
 
-def test_1000_attempts_to_take_over_a_drive_fail_and_the_rover_drives_on():
+def test_1200_attempts_to_take_over_a_drive_fail_and_the_rover_drives_on():
     rig = TappedRig()
     driver = VirtualDriver(rig)
     driver.start()
@@ -325,7 +329,7 @@ def test_1000_attempts_to_take_over_a_drive_fail_and_the_rover_drives_on():
             rig.sleep(PERIOD_S / 10)
     driver.drive(0.1)
     assert driver.gate.accepted == accepted + 102
-    assert sum(driver.gate.dropped.values()) == 500
+    assert sum(driver.gate.dropped.values()) == 700
     assert len(answers) == 500
     assert {(reply.granted, reply.reason, reply.key) for reply in answers} == {(False, "another-driver", "")}
     assert set(outputs) == {(Velocity(0.15, 0.0), "test", driver.lease.number)}

@@ -34,9 +34,11 @@ def test_silent_line_is_tried_at_its_own_and_at_the_fast_rate(baudrate, rates, h
     assert silent(bench.connect()) == (rates, handshakes)
 
 
-def test_line_to_a_base_that_was_ready_is_given_up_after_three_handshakes(bench):
+@pytest.mark.parametrize(("baudrate", "rates", "handshakes"), [(None, [], 3), (9600, [38400, 9600], 5)])
+def test_line_to_a_base_that_was_ready_is_given_up_sooner(bench, baudrate, rates, handshakes):
     bench.session.link_down("unplugged", bench.now)
-    assert silent(bench.connect()) == ([], 3)
+    bench.baudrate = baudrate
+    assert silent(bench.connect()) == (rates, handshakes)
 
 
 def test_packets_that_a_session_does_not_use_are_no_answer():

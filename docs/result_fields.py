@@ -48,19 +48,16 @@ RESULTS = {
     "report": "deploy.view.page:Report",
     "watch": "deploy.view.server:WatchResult",
 }
-"""By command: the models of its result as ``module:name``."""
+"""By command: the model of its result as ``module:name``."""
 
 
 def result_fields(command: str) -> dict[str, str]:
     """Return the fields of a command's JSON with their meanings."""
+    module, _, name = RESULTS[command].partition(":")
     found: dict[str, str] = {}
-    for entry in RESULTS[command].split():
-        module, _, name = entry.partition(":")
-        for path, meaning in model_fields(getattr(importlib.import_module(module), name)):
-            found[path] = found.get(path) or meaning
-    order = list(found)
-    paths = sorted(found, key=lambda path: order.index(path.split(".")[0]))
-    return {path: found[path] for path in paths}
+    for path, meaning in model_fields(getattr(importlib.import_module(module), name)):
+        found[path] = found.get(path) or meaning
+    return found
 
 
 def noted(node: Any) -> dict[str, str]:

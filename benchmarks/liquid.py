@@ -147,7 +147,7 @@ class LiquidNet:
 
 
 def liquid_net_for(policy: Policy, kind: str) -> LiquidNet:
-    """Return a network that sees and does what a policy's circuit does."""
+    """Return a network with the observation and the commands of a policy's circuit."""
     return LiquidNet(kind, net_for(policy, NetKind.LSTM, CELLS))
 
 

@@ -54,7 +54,7 @@ class RateResult(BaseModel):
 
 
 class BenchResult(BaseModel):
-    """Result of the command ``bench``."""
+    """Result of the command ``bench deploy``."""
 
     cores: int | None = Field(description="that the machine has")
     load_before: float = Field(description="load average of a minute")

@@ -144,7 +144,7 @@ def make_runs(
     """Make runs, as many at once as there are processes, or on a Dask cluster; save each as it ends.
 
     After an interruption, a search continues from its last checkpoint when it is requested again. Raises
-    UsageError, FileError or ConfigError before the first run begins, and WorkerDied.
+    UsageError before the first run begins, and WorkerDied.
     """
     _require(names)
     count = min(processes or available_processes(), len(names))

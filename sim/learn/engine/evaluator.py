@@ -150,7 +150,9 @@ class Evaluator:
         )
 
     def stream(self, agents: int) -> "Stream":
-        """Return a stream of the first trial on the first course for so many agents."""
+        """Return a stream for so many agents. Raises ValueError for several courses or trials."""
+        if len(self.courses) > 1 or not (self._nominal or self._trials.size == 1):
+            raise ValueError("a stream drives one trial on one course")
         size, lane_set = self._lane_runner.size, self._build_lanes(STREAM_LANES, 0)
 
         def bind(queue: Queue) -> Callable[[], None]:
@@ -268,7 +270,7 @@ class Stream:
     def submit(self, agent: int, vectors: FloatArray, thresholds: FloatArray) -> None:
         """Let the episodes of candidates (n, P), n <= room, wait for lanes; the agent has none that do."""
         count, queue = len(vectors), self._queue
-        if self._submitted[agent] or not 0 < count <= self.room:
+        if self._submitted[agent] or not 0 < count <= self.room or len(thresholds) != count:
             raise ValueError(f"agent {agent} cannot submit {count} candidates now")
         enqueue(queue.vectors, queue.stop_below, queue.residuals, *queue.waiting, agent, vectors, thresholds)
         self._submitted[agent] = count

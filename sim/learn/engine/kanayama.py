@@ -1,8 +1,8 @@
-"""The tracking law of Kanayama et al. (1990) on the very trials, observations and limits of the circuits.
+"""The tracking law of Kanayama et al. (1990), with the observation and the limits of the circuits.
 
-The law sees what the course-relative circuit sees: where the reference is, from the rover, and how it moves.
-It has three gains, and two thresholds below which it asks for nothing, as stillness is judged and what it
-sees is noisy. All are tuned by the same search, on the same cost, as the circuit (``benchmarks/compare.py``).
+Its inputs are the pose and the velocity of the reference relative to the rover. Below two thresholds the
+output is zero, because the inputs are noisy and a parked rover has to stand still. The search of the circuit
+tuned the three gains and the thresholds on the circuit's trials and cost (``benchmarks/compare.py``).
 """
 
 import math
@@ -24,7 +24,7 @@ TUNED = (0.4592, 16.54, 18.83, 0.007335, 0.1451)
 
 @kernel
 def law_command(gains: FloatArray, seen: FloatArray) -> tuple[float, float]:
-    """Return v in m/s and omega in rad/s for what is seen: ahead, left, heading, speed, turn (eq. 8)."""
+    """Return v in m/s and omega in rad/s for the reference: ahead, left, heading, speed, turn (eq. 8)."""
     ahead, left, heading, speed, turn = seen[0], seen[1], seen[2], seen[3], seen[4]
     v = speed * math.cos(heading) + gains[0] * ahead
     return v, turn + speed * (gains[1] * left + gains[2] * math.sin(heading))

@@ -63,6 +63,10 @@ class Pioneer:
             if fed:
                 self.tell(Command.PULSE)
 
+    def drive(self, v_mm_s: int, seconds: float, fed: bool = True) -> None:
+        self.tell(Command.VEL, v_mm_s)
+        self.run(seconds, fed)
+
     def open(self, motors: bool = True) -> "Pioneer":
         for sync in (Command.PULSE, Command.OPEN, Command.CLOSE, Command.OPEN):
             self.tell(sync)

@@ -73,19 +73,15 @@ def test_times_count_from_the_first_enable() -> None:
     pioneer = Pioneer("p3at-sh", "bumper@1-2").open(motors=False)
     pioneer.run(5.0)
     pioneer.tell(Command.ENABLE, 1)
-    pioneer.run(0.9)
-    assert pioneer.sips()[-1].stall_right == 0
-    pioneer.run(0.5)
-    assert pioneer.sips()[-1].stall_right == 0b1000
-    pioneer.run(0.7)
-    assert pioneer.sips()[-1].stall_right == 0
+    for seconds, bumpers in ((0.9, 0), (0.5, 0b1000), (0.7, 0)):
+        pioneer.run(seconds)
+        assert pioneer.sips()[-1].stall_right == bumpers
 
 
 def driven(*faults: str) -> Pioneer:
     """Drive for 4 s; the fault is there from the second second on."""
     pioneer = Pioneer("p3at-sh", *faults).open()
-    pioneer.tell(Command.VEL, 200)
-    pioneer.run(4.0)
+    pioneer.drive(200, 4.0)
     return pioneer
 
 
@@ -123,8 +119,7 @@ def test_stop_button_switches_the_motors_off_until_enabled() -> None:
     pioneer = driven("stop-button@2-3")
     pressed = [sip for sip in pioneer.sips() if sip.flags & Flag.STOP_BUTTON]
     assert len(pressed) == pytest.approx(10, abs=1)
-    assert not any(sip.flags & Flag.MOTORS for sip in pressed)
-    assert not pioneer.sips()[-1].flags & Flag.MOTORS
+    assert not any(sip.flags & Flag.MOTORS for sip in [*pressed, pioneer.sips()[-1]])
     assert pioneer.speed == 0.0
     pioneer.tell(Command.ENABLE, 1)
     assert pioneer.sip().flags & Flag.MOTORS
@@ -181,11 +176,9 @@ def test_injected_fault_counts_from_its_injection() -> None:
     pioneer = Pioneer("p3at-sh").open()
     for _ in range(2):
         pioneer.firmware.inject(parse_fault("bumper@1-2"))
-        seen = []
-        for _ in range(3):
+        for pressed in (False, True, False):
             pioneer.run(0.8)
-            seen.append(pioneer.sips()[-1].stall_right != 0)
-        assert seen == [False, True, False]
+            assert bool(pioneer.sips()[-1].stall_right) is pressed
 
 
 def ros2_reports(*faults: str) -> list[tuple[str, bytes]]:

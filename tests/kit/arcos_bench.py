@@ -65,6 +65,14 @@ class Bench:
     def commands(self) -> list[Command]:
         return [command for command, _ in self.sent()]
 
+    def turns(self, times: int, data: bytes = b"", period_s: float = 0.05) -> Sent:
+        """Receive ``data`` and tick in each period; return what was sent."""
+        for _ in range(times):
+            if data:
+                self.hear(data)
+            self.wait(period_s)
+        return self.sent()
+
     def go_to(self, state: SessionState) -> Self:
         """Come into a state the way a robot would bring us there."""
         way: list[tuple[SessionState, bytes | float]] = [

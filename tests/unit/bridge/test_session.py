@@ -51,9 +51,8 @@ def test_a_late_second_echo_does_not_start_over():
 def test_a_configpac_that_was_lost_is_asked_for_until_it_comes_and_then_the_bumpers_count(opened):
     asked_s = []
     while opened.now < 110:
-        opened.hear(sip(stall_right=0xFE))
-        opened.wait(0.1)
-        if Command.CONFIG in opened.commands() and opened.session.state is SessionState.READY:
+        asked = (Command.CONFIG, None) in opened.turns(1, sip(stall_right=0xFE), 0.1)
+        if asked and opened.session.state is SessionState.READY:
             asked_s.append(opened.now)
     assert opened.session.state is SessionState.READY
     assert len(asked_s) >= 7
@@ -65,10 +64,8 @@ def test_a_configpac_that_was_lost_is_asked_for_until_it_comes_and_then_the_bump
     (state,) = opened.events
     assert state.bumpers == (0b11111, 0)
     assert opened.commands() == [Command.GYRO]
-    for _ in range(20):
-        opened.hear(sip() + CONFIG)
-        opened.wait(0.1)
-        assert not {Command.CONFIG, Command.GYRO} & set(opened.commands())
+    asked = {command for command, _ in opened.turns(20, sip() + CONFIG, 0.1)}
+    assert not {Command.CONFIG, Command.GYRO} & asked
 
 
 def test_a_base_with_a_gyro_for_its_client_is_asked_to_send_it():
@@ -88,8 +85,7 @@ def test_a_base_with_a_gyro_for_its_client_is_asked_to_send_it():
 def test_chosen_model_has_precedence_over_the_reported_one():
     bench = Bench("p3dx").go_to(SessionState.SYNC2)
     bench.hear(STRANGER + CONFIG + sip())
-    configured = bench.events[-1]
-    assert configured.robot.name == "p3dx"
+    assert bench.events[-1].robot.name == "p3dx"
 
 
 def test_limits_are_sent_in_the_bases_units():
@@ -109,18 +105,15 @@ def test_limits_are_sent_in_the_bases_units():
 
 def test_motors_are_off_until_requested_and_setpoints_are_zero_before(bench):
     bench.session.set_motion(Velocity(0.2, 0.1))
-    bench.wait(0.05)
-    assert all(argument in (0, None) for command, argument in bench.sent() if command is not Command.SETV)
+    assert all(argument in (0, None) for command, argument in bench.turns(1) if command is not Command.SETV)
     bench.session.enable(True)
-    sent = bench.sent()
-    assert sent[-3:] == [(Command.VEL, 0), (Command.RVEL, 0), (Command.ENABLE, 1)]
+    assert bench.sent()[-3:] == [(Command.VEL, 0), (Command.RVEL, 0), (Command.ENABLE, 1)]
 
 
 def test_speeds_are_sent_only_while_the_base_reports_its_motors_on(bench):
     bench.session.enable(True)
     bench.session.set_motion(Velocity(0.2, 0.1))
-    bench.wait(0.05)
-    assert (Command.VEL, 200) not in bench.sent()
+    assert (Command.VEL, 200) not in bench.turns(1)
     bench.hear(sip(flags=Flag.MOTORS))
     bench.session.set_motion(Velocity(-0.2, 0.1))
     bench.wait(0.05)
@@ -134,8 +127,7 @@ def driving():
     bench.session.enable(True)
     bench.hear(sip(flags=Flag.MOTORS))
     bench.session.set_motion(Velocity(0.2, 0.1))
-    bench.wait(0.05)
-    bench.sent()
+    bench.turns(1)
     bench.events.clear()
     return bench
 
@@ -157,25 +149,15 @@ def test_no_tick_no_keep_alive(driving):
 def test_ticks_keep_the_watchdog_fed(motors, request):
     bench = request.getfixturevalue("driving" if motors else "bench")
     bench.session.set_motion(Velocity(0.1, 0.0))
-    last, pauses = bench.now, []
-    for _ in range(100):
-        bench.wait(0.05)
-        bench.hear(sip(flags=int(motors)))
-        if bench.sent():
-            pauses.append(bench.now - last)
-            last = bench.now
-    assert max(pauses) <= (0.26 if motors else 0.56)
+    sent_s = [bench.now, *(bench.now for _ in range(100) if bench.turns(1, sip(flags=int(motors))))]
+    assert max(after - before for before, after in pairwise(sent_s)) <= (0.26 if motors else 0.56)
 
 
 def test_lost_base_gets_zeros_once_and_then_nothing(driving):
-    for _ in range(11):
-        driving.wait(0.05)
-    assert driving.sent()[-3:] == [(Command.VEL, 0), (Command.RVEL, 0), (Command.STOP, None)]
+    assert driving.turns(11)[-3:] == [(Command.VEL, 0), (Command.RVEL, 0), (Command.STOP, None)]
     assert [type(event) for event in driving.events] == [Lost]
     driving.session.set_motion(Velocity(0.2, 0.1))
-    for _ in range(20):
-        driving.wait(0.05)
-    assert driving.sent() == []
+    assert driving.turns(20) == []
 
 
 def test_line_to_a_base_that_stays_lost_is_given_up(driving):
@@ -186,9 +168,7 @@ def test_line_to_a_base_that_stays_lost_is_given_up(driving):
     assert 2.0 < driving.now - lost_s < 2.5
     driving.sent()
     driving.hear(sip())
-    for _ in range(40):
-        driving.wait(0.05)
-    assert driving.sent() == []  # until the next line is open
+    assert driving.turns(40) == []  # until the next line is open
     assert driving.session.state is SessionState.IDLE
 
 
@@ -196,10 +176,8 @@ def test_recovered_base_stands_until_the_motors_are_requested(driving):
     driving.wait(0.5)
     driving.sent()
     driving.session.set_motion(Velocity(0.2, 0.1))
-    driving.hear(sip(flags=Flag.MOTORS))
+    sent = driving.turns(1, sip(flags=Flag.MOTORS))
     assert driving.session.state is SessionState.READY
-    driving.wait(0.05)
-    sent = driving.sent()
     assert (Command.ENABLE, 0) in sent
     assert {argument for command, argument in sent if command in (Command.VEL, Command.RVEL)} == {0}
 
@@ -207,28 +185,15 @@ def test_recovered_base_stands_until_the_motors_are_requested(driving):
 def test_unanswered_enable_is_repeated_but_motors_that_went_off_stay_off(bench):
     bench.session.enable(True)
     bench.sent()
-    asked = []
-    for _ in range(8):
-        bench.hear(sip())
-        bench.wait(0.1)
-        asked += [item for item in bench.sent() if item == (Command.ENABLE, 1)]
-    assert 1 <= len(asked) <= 2
-    bench.hear(sip(flags=Flag.MOTORS))
-    bench.wait(0.4)
-    bench.sent()
-    for _ in range(20):
-        bench.hear(sip(flags=Flag.STOP_BUTTON))
-        bench.wait(0.1)
-    assert (Command.ENABLE, 1) not in bench.sent()
+    assert 1 <= bench.turns(8, sip(), 0.1).count((Command.ENABLE, 1)) <= 2
+    bench.turns(1, sip(flags=Flag.MOTORS), 0.4)
+    assert (Command.ENABLE, 1) not in bench.turns(20, sip(flags=Flag.STOP_BUTTON), 0.1)
     bench.session.enable(True)
     assert (Command.ENABLE, 1) in bench.sent()
 
 
 def test_motors_that_are_on_without_a_request_are_switched_off():  # as AMRISim's are from the start
-    bench = Bench().go_to(SessionState.READY)
-    bench.hear(sip(flags=Flag.MOTORS))
-    bench.wait(0.35)
-    assert (Command.ENABLE, 0) in bench.sent()
+    assert (Command.ENABLE, 0) in Bench().go_to(SessionState.READY).turns(1, sip(flags=Flag.MOTORS), 0.35)
 
 
 def test_repeated_request_for_motors_is_sent_although_the_last_report_shows_them_on(driving):
@@ -239,38 +204,27 @@ def test_repeated_request_for_motors_is_sent_although_the_last_report_shows_them
 def test_emergency_stop_goes_out_at_once(driving):
     driving.session.emergency_stop()
     assert driving.sent() == [(Command.E_STOP, None), (Command.VEL, 0), (Command.RVEL, 0)]
-    driving.wait(0.05)
-    assert driving.sent() == []
+    assert driving.turns(1) == []
 
 
 def test_odometry_reset_is_repeated_until_the_counters_show_it(bench):
     bench.hear(sip(x=5000))
     bench.session.reset_odometry()
     assert bench.commands() == [Command.SETO]
-    asked = 0
-    for _ in range(6):
-        asked += bench.commands().count(Command.SETO)
-        bench.hear(sip(x=5000))
-        bench.wait(0.1)
-    assert asked == 1
+    assert bench.turns(5, sip(x=5000), 0.1).count((Command.SETO, None)) == 1
     bench.hear(sip())
-    state = bench.events[-1]
-    assert state.x == 0.0
+    assert bench.events[-1].x == 0.0
     bench.sent()
-    bench.wait(0.4)
-    assert Command.SETO not in bench.commands()
+    assert (Command.SETO, None) not in bench.turns(1, period_s=0.4)
 
 
 CALLS = [
-    st.just(("connect", ())),
-    st.just(("close", ())),
-    st.just(("emergency_stop", ())),
-    st.just(("reset_odometry", ())),
-    st.tuples(st.just("enable"), st.tuples(st.booleans())),
-    st.tuples(st.just("set_motion"), st.tuples(st.builds(Velocity, st.floats(-1, 1), st.floats(-1, 1)))),
-    st.tuples(st.just("wait"), st.tuples(st.floats(0, 0.6))),
-    st.tuples(st.just("hear"), st.tuples(st.sampled_from([*BYTES.values(), sip(flags=1), b"\xfa\xfb\x06"]))),
-    st.tuples(st.just("hear"), st.tuples(st.binary(max_size=30))),
+    *(st.just((name,)) for name in ("connect", "close", "emergency_stop", "reset_odometry")),
+    st.tuples(st.just("enable"), st.booleans()),
+    st.tuples(st.just("set_motion"), st.builds(Velocity, st.floats(-1, 1), st.floats(-1, 1))),
+    st.tuples(st.just("wait"), st.floats(0, 0.6)),
+    st.tuples(st.just("hear"), st.sampled_from([*BYTES.values(), sip(flags=1), b"\xfa\xfb\x06"])),
+    st.tuples(st.just("hear"), st.binary(max_size=30)),
 ]
 
 
@@ -281,14 +235,10 @@ def test_no_speed_is_sent_unless_motors_were_requested_and_run(ready, story):
     if ready:
         bench.go_to(SessionState.READY)
     asked = on = False
-    for name, arguments in story:
+    for name, *arguments in story:
         before = bench.session.state
-        if name in ("wait", "hear"):
-            getattr(bench, name)(*arguments)
-        elif name in ("connect", "close"):
-            getattr(bench.session, name)(bench.now)
-        else:
-            getattr(bench.session, name)(*arguments)
+        values = [bench.now] if name in ("connect", "close") else arguments
+        getattr(bench if name in ("wait", "hear") else bench.session, name)(*values)
         if name == "enable" and before is SessionState.READY:
             asked = arguments[0]
         for event in bench.events:
@@ -319,9 +269,9 @@ def test_recorded_robots_are_followed(capture):
             bench.wait(0.05)
         bench.now = start + t
         bench.hear(data)
-    states = [event for event in bench.events if isinstance(event, BaseReport)]
+    reports = [event.x for event in bench.events if isinstance(event, BaseReport)]
     assert [type(event) for event in bench.events if not isinstance(event, BaseReport | Notice)] == [Ready]
     ends = {"aria_drive": 0.756, "aria_wrap": 43262 * 0.465e-3, "fault": 0.763, "player": 0.670}
     end = next((x for name, x in ends.items() if capture.name.startswith(name)), 0.0)
-    assert states[-1].x == pytest.approx(end)
-    assert len(states) > 25
+    assert reports[-1] == pytest.approx(end)
+    assert len(reports) > 25

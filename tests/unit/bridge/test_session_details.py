@@ -62,10 +62,8 @@ def test_slow_line_becomes_faster_if_the_base_can_switch(baudrate, config, asked
     bench = Bench()
     bench.baudrate = baudrate
     bench.go_to(SessionState.CONFIGURING).hear(config + sip())
-    expected = SessionState.ASKING_FASTER if asked else SessionState.READY
-    assert bench.session.state is expected
-    hostbaud = (Command.HOSTBAUD, HOSTBAUD_RATES.index(38400))
-    assert (hostbaud in bench.sent()) is asked
+    assert bench.session.state is (SessionState.ASKING_FASTER if asked else SessionState.READY)
+    assert ((Command.HOSTBAUD, HOSTBAUD_RATES.index(38400)) in bench.sent()) is asked
 
 
 @pytest.mark.parametrize("state", [SessionState.ASKING_FASTER, SessionState.FASTER])
@@ -153,11 +151,8 @@ def test_base_without_configuration_is_ready_after_exactly_one_second(opened):
     assert opened.commands() == [Command.CONFIG]
     opened.wait(0.25)
     assert opened.session.state is SessionState.READY
-    for seconds in (0.25, 0.25, 0.25):
-        opened.sent()
-        opened.hear(sip())
-        opened.wait(seconds)
-    assert opened.commands() == [Command.CONFIG]  # a second after the last time
+    opened.turns(2, sip(), 0.25)
+    assert opened.turns(1, sip(), 0.25) == [(Command.CONFIG, None)]  # a second after the last time
 
 
 @pytest.mark.parametrize(

@@ -34,36 +34,32 @@ class FailingBase:
         self.timeout = BaseTimeout(TimeoutState.PUBLISHED, 1.0)
         self.reports = [Ready("x", load_description("p3at"))]
 
-    def _call(self, name):
+    def _call(self, name, result=None):
         self.calls.append(name)
         if name in self.fails:
             raise self.fails[name]
+        return result
 
     def receive(self, arrival, now):
-        self._call("receive")
-        events, self.reports = [*self.reports, BaseReport()], []
+        events, self.reports = self._call("receive", [*self.reports, BaseReport()]), []
         return events
 
     def drive(self, setpoint, now):
-        self._call("drive")
-        self.driven.append(setpoint)
+        self.driven += self._call("drive", [setpoint])
         return []
 
     def reset_odometry(self):
         self._call("reset_odometry")
 
     def health(self):
-        self._call("health")
-        return LinkHealth(damaged=False, counters={})
+        return self._call("health", LinkHealth(damaged=False, counters={}))
 
     @property
     def base_timeout(self):
-        self._call("base_timeout")
-        return self.timeout
+        return self._call("base_timeout", self.timeout)
 
     def measure_base_timeout(self, now):
-        self._call("measure_base_timeout")
-        return "it is published"
+        return self._call("measure_base_timeout", "it is published")
 
     def close(self, now):
         self._call("close")
@@ -121,11 +117,9 @@ class Loop:
     def sleep(self, seconds):
         self.turn()
 
-    def motors(self, **request):
-        return self.driver.motors(**request)
-
     def drive(self):
         self.driver.drive(1.0, 0.2)
+        return self.base.driven[-1]
 
 
 @pytest.fixture
@@ -133,9 +127,8 @@ def driving(caplog):
     caplog.set_level(logging.INFO, "rover_ncp")
     loop = Loop()
     loop.turn(3)
-    assert loop.motors().granted
-    loop.drive()
-    assert loop.base.driven[-1].velocity == (0.2, 0.0)
+    assert loop.driver.motors().granted
+    assert loop.drive().velocity == (0.2, 0.0)
     return loop
 
 
@@ -166,20 +159,17 @@ def test_exception_of_the_base_is_a_lost_base(driving, fails, error, caplog):
     caplog.clear()
     loop.base.fails[fails] = error
     loop.drive()
-    lost = [line for line in caplog.messages if line.startswith("the base is lost: the base failed: ")]
-    assert len(lost) == 1
-    assert (str(error) or "KeyError") in lost[0]
-    assert not loop.motors().granted
+    (lost,) = [line for line in caplog.messages if line.startswith("the base is lost: the base failed: ")]
+    assert (str(error) or "KeyError") in lost
+    assert not loop.driver.motors().granted
     loop.base.fails.clear()
     loop.turn()
-    assert loop.base.driven[-1].velocity == (0.0, 0.0)
-    assert not loop.base.driven[-1].motors
+    assert loop.base.driven[-1][:2] == STOP[:2]
     loop.turn(3)
     assert caplog.messages[-1] == "the base works again"
     loop.driver.lease.end()
-    assert loop.motors().granted
-    loop.drive()
-    assert loop.base.driven[-1].velocity == (0.2, 0.0)
+    assert loop.driver.motors().granted
+    assert loop.drive().velocity == (0.2, 0.0)
 
 
 @pytest.mark.parametrize("method", ["receive", "drive"])
@@ -195,24 +185,28 @@ def test_base_that_takes_no_setpoint_gets_no_driver(driving):
     driving.base.fails["drive"] = OSError("gone")
     driving.turn(100)
     driving.driver.lease.end()
-    assert driving.motors().reason == "no-base"
+    assert driving.driver.motors().reason == "no-base"
 
 
-def test_base_that_fails_before_it_was_ready_ends_the_bridge_in_one_line():
+@pytest.mark.parametrize(
+    ("fails", "reports", "words"),
+    [
+        ({"receive": OSError("no such device")}, [], "the base failed: no such device"),
+        ({}, [Failed("it is no ARCOS base")], "it is no ARCOS base"),
+    ],
+    ids=["exception", "not reached"],
+)
+def test_base_that_fails_before_it_was_ready_ends_the_bridge_in_one_line(fails, reports, words):
     loop = Loop()
-    loop.base.fails["receive"] = OSError("no such device")
-    with pytest.raises(NoRobot, match="the base failed: no such device"):
+    loop.base.fails, loop.base.reports = fails, reports
+    with pytest.raises(NoRobot, match=words):
         loop.node.run(lambda: loop.turn() or False)
+    assert loop.base.driven == [STOP]
     assert loop.base.calls[-1] == "close"
 
 
-def test_base_that_cannot_be_reached_at_first_ends_the_bridge_and_later_does_not(driving):
-    loop, failed = Loop(), Failed("it is no ARCOS base")
-    loop.base.reports = [failed]
-    with pytest.raises(NoRobot, match="it is no ARCOS base"):
-        loop.node.run(lambda: loop.turn() or False)
-    assert loop.base.driven == [STOP]
-    driving.base.reports = [failed]
+def test_base_that_cannot_be_reached_later_does_not_end_the_bridge(driving):
+    driving.base.reports = [Failed("it is no ARCOS base")]
     driving.turn()
     assert driving.node.gate.held is None
 
@@ -224,7 +218,7 @@ def test_exception_of_another_call_of_the_base_ends_nothing(fails):
     loop.base.fails[fails] = OSError("gone")
     loop.turn(60)
     assert b"gone" in loop.query("rover/reset_odometry", b"{}") or fails != "reset_odometry"
-    granted = loop.motors()
+    granted = loop.driver.motors()
     assert granted.granted is (fails != "base_timeout")
     assert fails != "base_timeout" or "gone" in granted.detail
 
@@ -238,18 +232,17 @@ def test_base_that_is_ready_again_has_other_odometry_and_one_that_recovers_the_s
     loop.turn(3)
     loop.base.reports = [Lost("x"), ready if again == "ready" else Recovered()]
     loop.turn(2)
-    reply = loop.motors()
+    reply = loop.driver.motors()
     assert reply.granted is (not fenced or again == "recovered")
     assert reply.granted or reply.reason == "fence-lost"
 
 
 def test_end_of_a_lease_by_a_base_that_is_ready_again_has_its_own_reason(driving):
-    ready = Ready("x", load_description("p3at"))
     driving.base.reports = [Lost("an earlier reason"), Recovered()]
     driving.turn(2)
     driving.driver.lease.end()
-    assert driving.motors().granted
-    driving.base.reports = [ready]
+    assert driving.driver.motors().granted
+    driving.base.reports = [Ready("x", load_description("p3at"))]
     driving.turn()
     assert driving.node.gate.lease_over_detail == "the base is not connected: its odometry restarted"
 
@@ -260,9 +253,9 @@ def test_unchecked_robot_is_granted_to_a_request_that_says_so_whatever_its_name(
     loop.base.timeout = BaseTimeout(TimeoutState.UNKNOWN, None, "it is not known to halt")
     loop.driver.name = name
     loop.turn(3)
-    reply = loop.motors()
+    reply = loop.driver.motors()
     assert (reply.granted, reply.reason, reply.detail) == (False, "unchecked", "it is not known to halt")
-    assert loop.motors(unchecked=True).granted
+    assert loop.driver.motors(unchecked=True).granted
 
 
 def test_holder_of_the_lease_alone_may_measure_the_timeout(driving):

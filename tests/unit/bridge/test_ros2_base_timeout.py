@@ -16,12 +16,13 @@ from rover_ncp.wire.protocol import BaseReply, BaseRequest, Signed, dump_json, p
 CHECKED = BURGER.model_copy(update={"measured_base_timeout_s": 0.6})
 
 
-def begin(world):
-    """Begin the measurement of a robot that drives 0.1 m/s."""
+def begin(world, seconds=0.0):
+    """Begin the measurement of a robot that drives 0.1 m/s, and let it turn its wheels for so long."""
     world.setpoint_v = 0.1
     world.run(0.5)
     assert world.base.measure_base_timeout(world.now) == ""
     world.setpoint_v = 0.0
+    world.run(seconds, rate_hz=100.0, v=0.1)
 
 
 def halts(world, after_s):
@@ -91,8 +92,7 @@ def test_a_robot_that_does_not_halt_gets_zeros_after_5_s_and_a_refusal(ready):
 
 @pytest.mark.parametrize("end", [{"emergency": True}, {"motors": False}, {"lease": 0}, {"lease": 2}], ids=str)
 def test_what_ends_a_drive_ends_the_measurement_with_zeros(ready, end):
-    begin(ready)
-    ready.run(0.3, rate_hz=100.0, v=0.1)
+    begin(ready, 0.3)
     silent = len(ready.line.sent)
     vars(ready).update(end)
     ready.run(0.2, rate_hz=100.0, v=0.1)
@@ -103,8 +103,7 @@ def test_what_ends_a_drive_ends_the_measurement_with_zeros(ready, end):
 @pytest.mark.parametrize("late_s", [0.0, 0.05, 1.2])
 def test_a_robot_that_a_stop_halts_is_not_measured(ready, late_s):
     """The wheels stand when the stop is pressed; the flag comes with that, or later."""
-    begin(ready)
-    ready.run(1.2, rate_hz=100.0, v=0.1)
+    begin(ready, 1.2)
     if late_s:
         ready.run(late_s, rate_hz=100.0, v=0.0)
         assert ready.sent_v()[-1] == 0.0  # the silence has ended all the same
@@ -116,8 +115,7 @@ def test_a_robot_that_a_stop_halts_is_not_measured(ready, late_s):
 
 
 def test_a_robot_that_another_publishers_zero_halts_is_not_measured(ready):
-    begin(ready)
-    ready.run(0.5, rate_hz=100.0, v=0.1)
+    begin(ready, 0.5)
     ready.hear("cmd_vel", twist(Velocity(0.0, 0.0)))
     assert isinstance(ready.last, Lost)
     ready.run(5.0, v=0.0)
@@ -133,25 +131,17 @@ def test_wheels_that_stand_or_roll_out_after_a_zero_measure_nothing(ready):
     assert ready.base.measure_base_timeout(ready.now) == "the wheels do not turn by a command"
 
 
-@pytest.mark.parametrize("name", shipped_names("robots"))
-def test_no_shipped_description_says_that_a_robot_was_measured(name):
-    assert load_description(name).measured_base_timeout_s is None
+def test_a_measurement_counts_for_its_own_robot_and_not_when_it_halts_too_late(tmp_path):
+    def described(name, text):
+        (tmp_path / name).write_text(f"name: mine\n{text}\n")
+        return load_description(tmp_path / name).measured_base_timeout_s
 
-
-def test_a_measurement_is_not_inherited_from_another_robot(tmp_path):
-    mine = tmp_path / "mine.yaml"
-    mine.write_text("name: mine\nbased_on: turtlebot4\nmeasured_base_timeout_s: 0.52 # 2026-11-25\n")
-    other = tmp_path / "other.yaml"
-    other.write_text(f"name: other\nbased_on: {mine}\n")
-    assert load_description(mine).measured_base_timeout_s == 0.52
-    assert load_description(other).measured_base_timeout_s is None
-
-
-def test_a_robot_that_halts_too_late_is_described_as_unchecked(tmp_path):
-    mine = tmp_path / "mine.yaml"
-    mine.write_text("name: mine\nbased_on: turtlebot4\nmeasured_base_timeout_s: 2.6\n")
+    turtlebot = "based_on: turtlebot4\nmeasured_base_timeout_s:"
+    assert described("mine.yaml", f"{turtlebot} 0.52 # 2026-11-25") == 0.52
+    assert described("other.yaml", f"based_on: {tmp_path / 'mine.yaml'}") is None
     with pytest.raises(ConfigError, match="measured_base_timeout_s"):
-        load_description(mine)
+        described("late.yaml", f"{turtlebot} 2.6")
+    assert {load_description(name).measured_base_timeout_s for name in shipped_names("robots")} == {None}
 
 
 @pytest.mark.parametrize(
@@ -167,26 +157,23 @@ def test_each_start_says_what_is_known(known, words):
     assert words in TimeoutRecord(known.described_s, True, known.measured, known.measured_s).note
 
 
-class Measured:
-    """A robot without a timeout behind a bridge on a virtual clock; the check has begun to measure it."""
+@pytest.fixture
+def driver():
+    """The check at a robot without a timeout behind a bridge on a virtual clock; it has begun to measure."""
+    driver = DriverClient(bridge := VirtualRig(BURGER))
+    bridge.sleep(3.0)
+    assert driver.motors(unchecked=True).granted
+    driver.drive(1.0, 0.1)
+    request = dump_json(BaseRequest(measure=True, sent_ns=bridge.now_ns))
+    reply = bridge.query("rover/base", request, driver.tag(Signed.MOTORS, "rover/base", request))
+    assert parse_json(BaseReply, reply).state == "running"
+    assert speed_after(driver, 0.7) == pytest.approx(0.1, abs=0.01)
+    return driver
 
-    def __init__(self):
-        self.bridge = VirtualRig(BURGER)
-        self.driver = DriverClient(self.bridge)
-        self.bridge.sleep(3.0)
-        assert self.driver.motors(unchecked=True).granted
-        self.driver.drive(1.0, 0.1)
-        request = dump_json(BaseRequest(measure=True, sent_ns=self.bridge.now_ns))
-        reply = self.bridge.query(
-            "rover/base", request, self.driver.tag(Signed.MOTORS, "rover/base", request)
-        )
-        assert parse_json(BaseReply, reply).state == "running"
-        self.bridge.sleep(0.7)
-        assert self.speed == pytest.approx(0.1, abs=0.01)
 
-    @property
-    def speed(self):
-        return self.bridge.base.drive.measured.v
+def speed_after(driver, seconds):
+    driver.bridge.sleep(seconds)
+    return driver.bridge.base.drive.measured.v
 
 
 @pytest.mark.parametrize(
@@ -198,19 +185,14 @@ class Measured:
     ],
     ids=["release", "stop", "the check died"],
 )
-def test_end_of_a_check_halts_a_robot_that_is_measured(end, wait_s):
-    measured = Measured()
-    end(measured.driver)
-    measured.bridge.sleep(wait_s)
-    assert measured.speed == pytest.approx(0.0, abs=0.01)
+def test_end_of_a_check_halts_a_robot_that_is_measured(driver, end, wait_s):
+    end(driver)
+    assert speed_after(driver, wait_s) == pytest.approx(0.0, abs=0.01)
 
 
-def test_a_check_that_renews_its_lease_measures_to_the_end():
-    measured = Measured()
+def test_a_check_that_renews_its_lease_measures_to_the_end(driver):
     for _ in range(20):
-        measured.driver.motors(unchecked=True)
-        measured.bridge.sleep(0.2)
-        assert measured.speed == pytest.approx(0.1, abs=0.01)
-    measured.bridge.sleep(0.7)
-    assert measured.speed == pytest.approx(0.0, abs=0.01)
-    assert measured.bridge.connection.base.base_timeout.state == "none"
+        driver.motors(unchecked=True)
+        assert speed_after(driver, 0.2) == pytest.approx(0.1, abs=0.01)
+    assert speed_after(driver, 0.7) == pytest.approx(0.0, abs=0.01)
+    assert driver.bridge.connection.base.base_timeout.state == "none"

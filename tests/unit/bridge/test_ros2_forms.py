@@ -30,27 +30,28 @@ def test_tokens_are_read_as_they_are_written():
     assert read_topic_token("@/abc/@ros2_lv") is None
 
 
-def test_tokens_have_the_form_that_zenoh_bridge_ros2dds_reads():
+@pytest.mark.parametrize(
+    ("topic", "ros_type", "options", "token"),
+    [
+        ("odom", "nav_msgs/msg/Odometry", {"published": True}, "MP/odom/nav_msgs§msg§Odometry/:1:0:0,10"),
+        ("a/cmd", "nav_msgs/msg/Path", {"published": False}, "MS/a§cmd/nav_msgs§msg§Path/:1:0:0,10"),
+        ("tf", "a/msg/Tf", {"published": True, "latched": True}, "MP/tf/a§msg§Tf/:1:1:0,1"),
+    ],
+)
+def test_tokens_have_the_form_that_zenoh_bridge_ros2dds_reads(topic, ros_type, options, token):
     # The examples of zenoh-plugin-ros2dds' own source and issue 213.
     assert bridge_token("abc") == "@/abc/@ros2_lv"
-    assert (
-        topic_token("abc", "odom", "nav_msgs/msg/Odometry", published=True)
-        == "@/abc/@ros2_lv/MP/odom/nav_msgs§msg§Odometry/:1:0:0,10"
-    )
-    assert (
-        topic_token("abc", "bot1/cmd_vel", "geometry_msgs/msg/TwistStamped", published=False)
-        == "@/abc/@ros2_lv/MS/bot1§cmd_vel/geometry_msgs§msg§TwistStamped/:1:0:0,10"
-    )
-    assert topic_token("abc", "tf_static", "tf2_msgs/msg/TFMessage", published=True, latched=True).endswith(
-        "§TFMessage/:1:1:0,1"
-    )
+    assert topic_token("abc", topic, ros_type, **options) == f"@/abc/@ros2_lv/{token}"
 
 
-def test_a_topics_key_has_domain_name_type_and_hash():
+def test_a_topics_key_has_domain_name_type_and_hash_if_it_has_one():
     chatter = Topic("chatter", "std_msgs/msg/String")
     assert chatter.key(0) == f"0/chatter/std_msgs::msg::dds_::String_/{STRING}"
     odom = Topic("bot1/odom", "nav_msgs/msg/Odometry")
     assert odom.key(42) == f"42/bot1/odom/nav_msgs::msg::dds_::Odometry_/{ODOMETRY}"
+    humble = Topic("odom", "nav_msgs/msg/Odometry", hashed=False)
+    assert humble.key(0) == "0/odom/nav_msgs::msg::dds_::Odometry_/TypeHashNotSupported"
+    assert "/TypeHashNotSupported/" in Graph(0, "abc").topic_token(1, humble, published=False)
 
 
 def test_tokens_have_the_form_that_rmw_zenoh_reads():
@@ -113,12 +114,6 @@ def test_domain_is_ros_domain_id(environment, expected):
 def test_invalid_domain_is_rejected(value):
     with pytest.raises(UsageError, match=f"ROS_DOMAIN_ID={value}"):
         domain_id({"ROS_DOMAIN_ID": value})
-
-
-def test_keys_of_humble_have_no_type_hash():
-    plain = Topic("odom", "nav_msgs/msg/Odometry", hashed=False)
-    assert plain.key(0) == "0/odom/nav_msgs::msg::dds_::Odometry_/TypeHashNotSupported"
-    assert "/TypeHashNotSupported/" in Graph(0, "abc").topic_token(1, plain, published=False)
 
 
 # Addresses of robots and their topics

@@ -70,11 +70,9 @@ def test_transforms_have_the_bytes_of_ros():
     expected = Cdr().put("I", 2)
     expected.header("odom").text("base_link").vector(1.0, 2.0, 0.0).turn(0.5)
     expected.header("base_link").text("sonar_0").vector(0.1, -0.2, 0.25).turn(-1.5)
-    items = [
-        messages.Transform("odom", "base_link", 1.0, 2.0, 0.0, 0.5),
-        messages.Transform("base_link", "sonar_0", 0.1, -0.2, 0.25, -1.5),
-    ]
-    assert messages.transforms(items, STAMP) == expected.done()
+    base = messages.Transform("odom", "base_link", 1.0, 2.0, 0.0, 0.5)
+    sonar = messages.Transform("base_link", "sonar_0", 0.1, -0.2, 0.25, -1.5)
+    assert messages.transforms([base, sonar], STAMP) == expected.done()
 
 
 @pytest.mark.parametrize(("charging", "status"), [(None, 0), (True, 1), (False, 2)])
@@ -89,15 +87,9 @@ def test_sonar_has_the_bytes_of_ros():
     expected = Cdr().header("base_link").put("I", 1, 2, 3)
     for offset, name in enumerate("xyz"):
         expected.text(name).put("I", 4 * offset).put("B", 7).put("I", 1)
-    expected.put("B", False).put("I", 12, 24).octets(*struct.pack("<6f", *points[0], *points[1])).put(
-        "B", True
-    )
+    octets = struct.pack("<6f", *points[0], *points[1])
+    expected.put("B", False).put("I", 12, 24).octets(*octets).put("B", True)
     assert messages.point_cloud(points, STAMP) == expected.done()
-
-
-def test_bumpers_have_the_bytes_of_ros():
-    expected = Cdr().put("I", 1).text("front,rear").put("I", 2, 2).put("I", 0).octets(0b101, 0b10)
-    assert messages.bumpers(0b101, 0b10) == expected.done()
 
 
 def test_hazards_have_the_bytes_of_ros():
@@ -115,10 +107,12 @@ def test_diagnostics_have_the_bytes_of_ros():
     assert messages.diagnostics([item], STAMP, "Pioneer p3at-sh") == expected.done()
 
 
-def test_command_and_status_have_the_bytes_of_ros():
+def test_command_status_and_bumpers_have_the_bytes_of_ros():
     expected = Cdr().header("base_link").vector(0.16, 0.0, 0.0).vector(0.0, 0.0, -0.18)
     assert messages.twist_stamped(Velocity(0.16, -0.18), STAMP) == expected.done()
     assert messages.text('{"held":""}') == Cdr().text('{"held":""}').done()
+    expected = Cdr().put("I", 1).text("front,rear").put("I", 2, 2).put("I", 0).octets(0b101, 0b10)
+    assert messages.bumpers(0b101, 0b10) == expected.done()
 
 
 @given(x=numbers, y=numbers, theta=st.floats(-math.pi, math.pi), v=numbers, omega=numbers, stamp=stamps)

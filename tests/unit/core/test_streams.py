@@ -38,7 +38,7 @@ def test_a_stream_is_that_of_its_seed_domain_and_index():
     assert np.array_equal(seeds[:3], episode_seeds(3, Domain.SCORING_EPISODES, 3))
 
 
-def test_course_and_robot_of_a_trial_are_independent():
+def test_course_robot_skid_and_ground_of_a_trial_are_independent():
     """The start offset and the length of a course once came from the same bits (correlation 0.9995)."""
     count = 200
     trials = draw_trials(load_randomization("full"), default_rover(), 1, count=count, ticks=320)
@@ -46,12 +46,7 @@ def test_course_and_robot_of_a_trial_are_independent():
     of_course = [[course.start_signal_s, course.checkpoints[-2].t, *course.goal] for course, _ in courses]
     drawn = [trials.start, trials.delay, trials.gain, trials.odometry, trials.acceleration[:, :2]]
     assert _largest_correlation(np.column_stack(drawn), np.array(of_course)) < 0.3
-
-
-def test_skid_and_ground_of_a_trial_are_independent():
-    count = 200
-    skid = load_randomization("skid")
-    trials = draw_trials(skid, default_rover(), 1, count=count, ticks=1)
+    trials = draw_trials(load_randomization("skid"), default_rover(), 1, count=count, ticks=1)
     ranges = SkidRanges(mass=0.2, friction=(0.4, 1.0))
     robots = [draw_robot(ranges, 1, number) for number in range(count)]
     of_robot = np.array([[robot.mass_kg, robot.friction] for robot in robots])

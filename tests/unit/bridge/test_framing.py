@@ -112,13 +112,20 @@ def test_damage_loses_only_the_packets_it_touches(first, last, noise, data):
     assert received == [first, last]
 
 
-def test_a_frame_inside_a_payload_is_not_taken_out_however_slowly_it_comes():
-    """The inner frame is seen before the outer is full; without a pause there is no reason to doubt COUNT."""
-    frame = encode_frame(0xB0, b"<" + encode_frame(0) + b">")
-    decoder, received = Decoder(), []
-    for i in range(len(frame)):
-        received += decoder.feed(frame[i : i + 1], i * 0.04)
-    assert [packet.kind for packet in received] == [0xB0]
+@pytest.mark.parametrize(
+    ("packet", "pause_s"),
+    [
+        # The inner frame is seen before the outer is full; without a pause there is no reason to doubt COUNT.
+        (Packet(0xB0, b"<" + encode_frame(0) + b">"), 0.04),
+        (Packet(0x32, bytes(38)), 0.1),
+    ],
+    ids=["frame inside a payload", "with pauses"],
+)
+def test_a_frame_may_come_byte_by_byte(packet, pause_s):
+    decoder, frame = Decoder(), encode_frame(*packet)
+    packets = [decoder.feed(frame[k : k + 1], k * pause_s) for k in range(len(frame))]
+    assert packets == [[]] * (len(frame) - 1) + [[packet]]
+    assert decoder.skipped_bytes == 0
 
 
 PAUSE_S, MORE_BYTES = 0.05, 255
@@ -190,13 +197,6 @@ def test_no_frame_is_withheld_in_short_streams_with_every_split_and_every_place_
             for paused in range(len(bounds)):
                 calls = [(0.06 * (k == paused), stream[a:b]) for k, (a, b) in enumerate(bounds)]
                 assert feed_and_check([*calls, (0.06, b"")]) == [Packet(0)]
-
-
-def test_the_bytes_of_one_frame_may_come_with_pauses():
-    decoder = Decoder()
-    packets = [decoder.feed(SIP_FRAME[k : k + 1], k * 0.1) for k in range(len(SIP_FRAME))]
-    assert packets == [[]] * (len(SIP_FRAME) - 1) + [[Packet(0x32, bytes(38))]]
-    assert decoder.skipped_bytes == 0
 
 
 def test_a_damaged_frame_is_counted_once_although_a_held_one_precedes_it():

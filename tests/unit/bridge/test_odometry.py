@@ -25,26 +25,18 @@ def states_of(capture):
     for t, direction, data in sorted(both):
         if direction == "c2r":
             kinds = {packet.kind for packet in from_client.feed(data, t)}
-            if kinds & {Command.SETO, MockCommand.SIM_RESET}:
-                odometer.reset_pending = True
+            odometer.reset_pending |= bool(kinds & {Command.SETO, MockCommand.SIM_RESET})
             continue
-        for packet in from_robot.feed(data, t):
-            if packet.kind in SIP_KINDS:
-                states.append(odometer.update(Sip.decode(packet), t))
+        sips = [packet for packet in from_robot.feed(data, t) if packet.kind in SIP_KINDS]
+        states += [odometer.update(Sip.decode(packet), t) for packet in sips]
     return states
 
 
 def agrees(state, line):
     """Compare within the digits that were printed."""
     if "omega" in line:
-        values = [
-            (state.x, "x"),
-            (state.y, "y"),
-            (state.theta, "th"),
-            (state.v, "vel"),
-            (state.omega, "omega"),
-        ]
-        return all(abs(value - float(line[name])) <= 0.002 for value, name in values)
+        names = {"x": "x", "y": "y", "th": "theta", "vel": "v", "omega": "omega"}
+        return all(abs(getattr(state, ours) - float(line[name])) <= 0.002 for name, ours in names.items())
     wheel = state.omega * ROBOTS["p3at-sh"].half_track_m
     values_mm = [(state.x, "x"), (state.y, "y"), (state.v, "vel")]
     # ARIA's parameter files have 0.00153 rad for a heading unit of 2π/4096: 0.26 % less.
@@ -59,16 +51,11 @@ def agrees(state, line):
     )
 
 
-def unmatched_lines(capture):
-    """Return the printed lines for which no state comes, in order."""
+@pytest.mark.parametrize("capture", SPOKEN, ids=lambda c: c.name)
+def test_every_pose_a_third_party_client_printed_is_decoded_in_order(capture):
     states = iter(states_of(capture))
     lines = capture.said(PLAYER_LINE) or capture.said(ARIA_LINE)
-    return [line for line in lines if not any(agrees(state, line) for state in states)]
-
-
-@pytest.mark.parametrize("capture", SPOKEN, ids=lambda c: c.name)
-def test_every_pose_a_third_party_client_printed_is_decoded(capture):
-    assert unmatched_lines(capture) == []
+    assert [line for line in lines if not any(agrees(state, line) for state in states)] == []
 
 
 @pytest.mark.parametrize(
@@ -78,6 +65,11 @@ def test_the_distance_factor_is_the_models_own(model, metres):
     odometer = Odometer(ROBOTS[model])
     odometer.update(Sip(x=5), 0.0)
     assert odometer.update(Sip(x=1005), 0.1).x == pytest.approx(metres)
+
+
+@pytest.fixture
+def odometer():
+    return Odometer(ROBOTS["p3at-sh"])
 
 
 def test_the_turn_rate_of_old_firmware_comes_from_the_wheels():
@@ -105,8 +97,7 @@ def test_the_pose_is_the_sum_of_the_steps_wherever_the_counters_started(steps, s
         assert state.x == pytest.approx(ahead, abs=1e-9)
 
 
-def test_a_reset_zeroes_the_pose_when_the_base_has_done_it_not_before():
-    odometer = Odometer(ROBOTS["p3at-sh"])
+def test_a_reset_zeroes_the_pose_when_the_base_has_done_it_not_before(odometer):
     odometer.update(Sip(x=20000, y=300, theta=1000), 0.0)
     odometer.update(Sip(x=21000, y=300, theta=1500), 0.1)
     odometer.reset_pending = True
@@ -119,8 +110,7 @@ def test_a_reset_zeroes_the_pose_when_the_base_has_done_it_not_before():
     assert after.theta == pytest.approx(math.tau / 4096)
 
 
-def test_a_reset_near_zero_ends_at_the_bases_own_counters():
-    odometer = Odometer(ROBOTS["p3at-sh"])
+def test_a_reset_near_zero_ends_at_the_bases_own_counters(odometer):
     odometer.update(Sip(), 0.0)
     odometer.update(Sip(x=40), 0.1)
     odometer.reset_pending = True
@@ -128,10 +118,9 @@ def test_a_reset_near_zero_ends_at_the_bases_own_counters():
     assert odometer.update(Sip(x=0), 0.3).x == 0.0
 
 
-def test_bumper_bits_count_only_when_the_base_is_known_to_have_bumpers():
+def test_bumper_bits_count_only_when_the_base_is_known_to_have_bumpers(odometer):
     """A real Pioneer 2 without any sends all of them set (vectors.json, real_P2_SIP)."""
     pressed = Sip(stall_left=0xFE, stall_right=0xFE | 1)
-    odometer = Odometer(ROBOTS["p3at-sh"])
     assert odometer.update(pressed, 0.0).bumpers == (0, 0)
     odometer.config = ConfigPac(front_bumps=5, rear_bumps=3)
     state = odometer.update(pressed, 0.1)
@@ -139,15 +128,11 @@ def test_bumper_bits_count_only_when_the_base_is_known_to_have_bumpers():
     assert state.stalled == (False, True)
 
 
-def test_the_16_bit_battery_field_wins_when_it_is_there():
-    odometer = Odometer(ROBOTS["p3at-sh"])
+def test_the_16_bit_battery_field_wins_and_either_stop_bit_means_that_the_button_is_pressed(odometer):
     assert odometer.update(Sip(battery_dv=129), 0.0).battery_v == 12.9
     assert odometer.update(Sip(battery_dv=255, battery_x10=262), 0.0).battery_v == 26.2
-
-
-@pytest.mark.parametrize("bit", [5, 6])
-def test_either_stop_bit_means_that_the_button_is_pressed(bit):
-    assert Odometer(ROBOTS["p3at-sh"]).update(Sip(flags=1 << bit), 0.0).stop_pressed
+    for bit in (5, 6):
+        assert odometer.update(Sip(flags=1 << bit), 0.0).stop_pressed
 
 
 @pytest.mark.parametrize("bits", [15, 16])
@@ -168,47 +153,35 @@ def everything(range_m=5.0):
     return dict.fromkeys(range(16), range_m)
 
 
-class Clearance:
-    """The clearance ahead and behind in the reports of one base."""
-
-    def __init__(self, robot=ROBOTS["p3at-sh"]):
-        self._odometer = Odometer(robot)
-
-    def update(self, ranges, now):
-        sonar = tuple((number, round(range_m * 1000)) for number, range_m in ranges.items())
-        report = self._odometer.update(Sip(sonar=sonar), now)
-        return report.clear_ahead_m, report.clear_behind_m
+def clearance(odometer, ranges, now):
+    """Return the clearance ahead and behind in a report with these ranges."""
+    sonar = tuple((number, round(range_m * 1000)) for number, range_m in ranges.items())
+    report = odometer.update(Sip(sonar=sonar), now)
+    return report.clear_ahead_m, report.clear_behind_m
 
 
 @pytest.mark.parametrize("model", ROBOTS)
 def test_four_sonars_count_in_each_direction(model):
-    for numbers, place in ((AHEAD, 0), (BEHIND, 1)):
+    for numbers, room in ((AHEAD, (0.3, 5.0)), (BEHIND, (5.0, 0.3)), (ASIDE, (5.0, 5.0))):
         for number in numbers:
-            room = Clearance(ROBOTS[model]).update(everything() | {number: 0.3}, 10.0)
-            assert (room[place], room[1 - place]) == (0.3, 5.0)
-    for number in ASIDE:
-        assert Clearance(ROBOTS[model]).update(everything() | {number: 0.3}, 10.0) == (5.0, 5.0)
+            assert clearance(Odometer(ROBOTS[model]), everything() | {number: 0.3}, 10.0) == room
 
 
-def test_ranges_of_several_reports_are_combined():
-    clearance = Clearance()
+def test_ranges_of_several_reports_are_combined(odometer):
     for k, number in enumerate(AHEAD[:-1]):
-        room = clearance.update({number: 1.0 + 0.1 * k}, 10.0 + 0.04 * k)
+        room = clearance(odometer, {number: 1.0 + 0.1 * k}, 10.0 + 0.04 * k)
         assert math.isnan(room[0])  # the last of them has not spoken yet
-    assert clearance.update({AHEAD[-1]: 2.0, ASIDE[0]: 0.1}, 10.2)[0] == 1.0
-    assert clearance.update({AHEAD[0]: 3.0}, 10.3)[0] == 1.1
+    assert clearance(odometer, {AHEAD[-1]: 2.0, ASIDE[0]: 0.1}, 10.2)[0] == 1.0
+    assert clearance(odometer, {AHEAD[0]: 3.0}, 10.3)[0] == 1.1
 
 
-def test_silent_sonar_makes_only_its_own_direction_unknown():
-    clearance = Clearance()
-    clearance.update(everything(), 10.0)
+def test_silent_sonar_makes_only_its_own_direction_unknown(odometer):
+    clearance(odometer, everything(), 10.0)
     later = {number: 5.0 for number in range(16) if number != AHEAD[1]}
-    assert clearance.update(later, 11.0) == (5.0, 5.0)
-    room = clearance.update(later, 11.001)
-    assert math.isnan(room[0])
-    assert room[1] == 5.0
-    assert clearance.update({AHEAD[1]: 4.0}, 11.1) == (4.0, 5.0)
+    assert clearance(odometer, later, 11.0) == (5.0, 5.0)
+    assert clearance(odometer, later, 11.001) == pytest.approx((math.nan, 5.0), nan_ok=True)
+    assert clearance(odometer, {AHEAD[1]: 4.0}, 11.1) == (4.0, 5.0)
 
 
-def test_clearance_without_sonars_is_unknown():
-    assert all(map(math.isnan, Clearance().update({}, 10.0)))
+def test_clearance_without_sonars_is_unknown(odometer):
+    assert all(map(math.isnan, clearance(odometer, {}, 10.0)))

@@ -44,8 +44,7 @@ def test_a_new_robot_takes_one_file(tmp_path):
     )
     mine = load_description(file)
     assert (mine.length_m, mine.width_m, mine.motion.v_max, mine.motion.omega_max) == (0.3, 0.3, 0.18, 2.84)
-    assert mine.topics.cmd_vel == "base/cmd_vel"
-    assert mine.topics.base_frame == "base_footprint"
+    assert (mine.topics.cmd_vel, mine.topics.base_frame) == ("base/cmd_vel", "base_footprint")
     assert gate_limits(None, mine).v_max == 0.18
     assert 'robot name="mine"' in urdf(mine)
     assert described_rover(mine).width == 0.3

@@ -50,6 +50,7 @@ def test_the_transform_says_the_same_as_the_odometry():
 
 
 def test_echoes_lie_where_the_sonars_look():
+    assert "sonar" not in sent(STATE)
     # Sonar 0 sits left and looks left, sonar 11 sits at the back and looks almost straight back.
     echoes = {0: 1.0, 11: 2.0, 3: 5.0, 99: 1.0, 4: 0.0}  # nothing heard, no such sonar, no range
     cloud = sent(replace(STATE, sonar=echoes))["sonar"]
@@ -61,10 +62,6 @@ def test_echoes_lie_where_the_sonars_look():
     assert back == pytest.approx((-0.241 + 2 * math.cos(angle), -0.027 + 2 * math.sin(angle), 0.25), abs=1e-6)
 
 
-def test_report_without_sonar_sends_no_point_cloud():
-    assert "sonar" not in ros.each_report(STATE, ROBOT, STAMP, CERTAIN)
-
-
 def test_every_sonar_has_its_place_on_the_base():
     transforms = sent(STATE)["tf_static"].transforms
     assert [item.child_frame_id for item in transforms] == [f"sonar_{k}" for k in range(16)]
@@ -74,15 +71,12 @@ def test_every_sonar_has_its_place_on_the_base():
     assert (first.rotation.z, first.rotation.w) == pytest.approx((math.sqrt(0.5), math.sqrt(0.5)))
 
 
-def test_bumpers_and_battery():
-    messages = sent(STATE)
-    assert list(messages["bumpers"].data) == [0b10, 0b1]
-    assert messages["battery_state"].voltage == 12.5
-
-
 @pytest.mark.parametrize(("charging", "status"), [(None, 0), (False, 2), (True, 1)])
-def test_charging_is_reported_as_far_as_it_is_known(charging, status):
-    assert sent(replace(STATE, charging=charging))["battery_state"].power_supply_status == status
+def test_bumpers_battery_and_charging_as_far_as_it_is_known(charging, status):
+    messages = sent(replace(STATE, charging=charging))
+    assert list(messages["bumpers"].data) == [0b10, 0b1]
+    battery = messages["battery_state"]
+    assert (battery.voltage, battery.power_supply_status) == (12.5, status)
 
 
 def test_gate_status_has_the_driver_and_the_hold_reason():
@@ -108,29 +102,27 @@ def test_the_longest_state_of_the_gate_fits_its_key():
 
 
 CLEAN, DAMAGED = LinkHealth(False, {"bad_checksums": 0}), LinkHealth(True, {"bad_checksums": 1})
+OPEN, SILENT = GateState(held=None), GateState(held=Reason.SILENCE)
 
 
-def levels(base, gate=None, health=CLEAN):
-    gate = gate or GateState(held=None)
+def levels(base, gate=OPEN, health=CLEAN):
     data = ros.diagnostics(base, gate, health, reconnects=2, hardware="p3at", stamp_ns=STAMP)
     message = decode(spec("diagnostics").type, data)
     assert {status.hardware_id for status in message.status} == {"p3at"}
     return {status.name.split(": ")[1]: (status.level, status.message) for status in message.status}
 
 
-def test_diagnostics_of_a_healthy_bridge():
-    healthy = {"link to the base": (0, "clean"), "base": (0, "fine"), "gate": (0, "open")}
-    assert levels(replace(STATE, bumpers=(0, 0))) == healthy
-
-
 def test_diagnostics_name_the_problems():
+    well = replace(STATE, bumpers=(0, 0))
     ill = replace(STATE, stop_pressed=True, stalled=(False, True), faults=8)
-    found = levels(ill, GateState(held=Reason.SILENCE))
-    assert found["base"] == (2, "STOP button pressed, stalled, bumper pressed, reports faults")
-    assert found["gate"] == (1, "silence")
-    assert levels(None)["base"] == (2, "not connected")
-    assert levels(STATE, GateState(held=Reason.NO_LEASE, lease_over=Reason.STALL))["gate"] == (1, "stall")
-    assert levels(STATE, health=DAMAGED)["link to the base"] == (1, "packets were damaged")
+    ill_words = "STOP button pressed, stalled, bumper pressed, reports faults"
+    healthy = {"link to the base": (0, "clean"), "base": (0, "fine"), "gate": (0, "open")}
+    assert levels(well) == healthy
+    assert levels(well, health=DAMAGED) == healthy | {"link to the base": (1, "packets were damaged")}
+    assert levels(ill, SILENT) == healthy | {"base": (2, ill_words), "gate": (1, "silence")}
+    assert levels(None) == healthy | {"base": (2, "not connected")}
+    over = GateState(held=Reason.NO_LEASE, lease_over=Reason.STALL)
+    assert levels(well, over) == healthy | {"gate": (1, "stall")}
 
 
 # Covariances of odometry and gyro: those of the description, and never 0
@@ -150,26 +142,15 @@ def driven(name, reports):
 
 
 @EACH_ROBOT
-def test_no_variance_is_0_at_the_origin(name):
-    pose, twist = driven(name, [BaseReport()])
-    assert min(pose + twist) >= 1e-6
-
-
-@EACH_ROBOT
-def test_the_pose_becomes_less_sure_with_the_way(name):
-    before = [0.0, 0.0, 0.0]
+def test_pose_becomes_less_sure_with_the_way_and_the_heading_by_the_track_of_wheels_that_differ(name):
+    robot = load_description(name)
+    before, twist = driven(name, [BaseReport()])
+    assert min(before + twist) >= 1e-6
     for way in (1, 3, 10):
         pose, _ = driven(name, [BaseReport(x=0.1 * k, v=0.1) for k in range(10 * way + 1)])
-        share = load_description(name).odometry.distance_error
-        assert math.sqrt(pose[0]) >= share * way / math.sqrt(3)
+        assert math.sqrt(pose[0]) >= robot.odometry.distance_error * way / math.sqrt(3)
         assert all(new > old for new, old in zip(pose, before, strict=True))
         before = pose
-
-
-@EACH_ROBOT
-def test_wheels_that_differ_turn_the_heading_by_the_track_of_the_odometry(name):
-    pose, _ = driven(name, [BaseReport(x=0.1 * k, v=0.1) for k in range(101)])
-    robot = load_description(name)
     track_m = robot.drive.effective_track_m or robot.wheels.track_m
     expected = robot.odometry.noise_rad**2 + (robot.odometry.distance_error * 10.0 / track_m) ** 2 / 3
     assert pose[2] == pytest.approx(expected, rel=0.01)
@@ -189,15 +170,19 @@ def test_a_skid_steered_robot_slides_sideways_as_it_turns():
     assert differential[1] == 1e-6
 
 
-def test_noise_at_rest_is_no_way():
-    noisy = [BaseReport(x=0.001 * (k % 3), theta=0.002 * (k % 2)) for k in range(10_000)]
-    pose, _ = driven("turtlebot3-burger", noisy)
-    assert max(pose) < 1e-5
-
-
-def test_odometry_that_was_reset_is_sure_again_and_nan_does_not_stay():
-    reports = [*(BaseReport(x=0.1 * k) for k in range(100)), BaseReport(x=math.nan), BaseReport()]
-    pose, _ = driven("turtlebot4", reports)
+@pytest.mark.parametrize(
+    ("name", "reports"),
+    [
+        (
+            "turtlebot3-burger",
+            [BaseReport(x=0.001 * (k % 3), theta=0.002 * (k % 2)) for k in range(10_000)],
+        ),
+        ("turtlebot4", [*(BaseReport(x=0.1 * k) for k in range(100)), BaseReport(x=math.nan), BaseReport()]),
+    ],
+    ids=["noise at rest is no way", "sure again after a reset and NaN"],
+)
+def test_pose_stays_sure(name, reports):
+    pose, _ = driven(name, reports)
     assert max(pose) < 1e-5
 
 

@@ -83,27 +83,30 @@ def test_commands_that_arrive_late_do_not_drive(rig, driver):
     assert driver.gate.dropped == {"stale": 10}
 
 
-GARBAGE = {
-    "not finite": twist_stamped(Velocity(math.nan, 0.1), 1),
-    "infinite": twist_stamped(Velocity(math.inf, -math.inf), 1),
-    "truncated": twist_stamped(Velocity(0.2, 0.1), 1)[:-9],
-    "too long": b"\0\1\0\0" + b"\0" * 100_000,
-    "another type": b"\0\1\0\0" + b"\xff" * 60,
-    "empty": b"",
-}
+NAN, UNREADABLE = "not-finite", "unreadable"
+GARBAGE = [
+    (twist_stamped(Velocity(math.nan, 0.1), 1), NAN, NAN),
+    (twist_stamped(Velocity(math.inf, -math.inf), 1), NAN, NAN),
+    (twist_stamped(Velocity(0.2, 0.1), 1)[:-9], UNREADABLE, UNREADABLE),
+    (b"\0\1\0\0" + b"\xff" * 60, UNREADABLE, UNREADABLE),
+    (b"", UNREADABLE, UNREADABLE),
+    # The bridge digests no megabytes: the signature of what is too long cannot be valid.
+    (b"\0\1\0\0" + b"\0" * 100_000, "foreign", "silence"),
+]
+"""Payloads, and why they are dropped and why the rover is held when its driver sends them."""
 
 
 def test_garbage_from_others_changes_nothing(rig, driver):
     driver.start()
     guessed = CommandTag(driver.lease.number, 2**64 - 1, 2**63 - 1, b"o" * 16).pack()
     wrong_tags = [None, b"", b"x" * 39, b"x" * 41, guessed]
-    commands = [(data, tag) for data in GARBAGE.values() for tag in wrong_tags]
+    commands = [(data, tag) for data, _, _ in GARBAGE for tag in wrong_tags]
     for k, (data, tag) in enumerate(commands):
         rig.command(data, tag)
         if k % 5 == 0:
             driver.drive(0.05)
     for _ in range(2000):
-        rig.command(GARBAGE["not finite"])
+        rig.command(GARBAGE[0][0])
     driver.drive(0.3)
     assert driver.gate.dropped == {"foreign": len(commands) + 2000}
     assert driver.gate.held == ""
@@ -111,11 +114,8 @@ def test_garbage_from_others_changes_nothing(rig, driver):
 
 
 def test_garbage_from_the_driver_stops_the_rover(rig, driver):
-    for kind, data in GARBAGE.items():
+    for data, dropped, held in GARBAGE:
         driver.start()
-        reason = "not-finite" if "finite" in kind else "unreadable"
-        # The bridge digests no megabytes: the signature of what is too long cannot be valid.
-        dropped, held = ("foreign", "silence") if kind == "too long" else (reason, reason)
         before = driver.gate.dropped.get(dropped, 0)
         driver.drive(0.05)
         for _ in range(3):
@@ -164,10 +164,14 @@ def test_a_request_that_cannot_be_read_is_refused_by_name(requester, name, paylo
 
 def test_a_lost_answer_locks_all_drivers_out_until_the_lease_lapses(requester):
     """The lease and its key are granted, but the answer never reaches the driver."""
-    first = requester.rig.wait_for(lambda: (reply := requester.motors()).granted and reply)
+
+    def granted():
+        return requester.rig.wait_for(lambda: (reply := requester.motors()).granted and reply)
+
+    first = granted()
     requester.lease.end()
     assert requester.motors().reason == "another-driver"
-    again = requester.rig.wait_for(lambda: (reply := requester.motors()).granted and reply)
+    again = granted()
     assert (again.lease, again.key != first.key) == (first.lease + 1, True)
 
 
@@ -274,17 +278,16 @@ def test_the_key_is_in_the_first_answer_and_in_no_message_recording_or_state():
     rig.sleep(0.5)
 
     grant, renewal, release = rig.answers
-    key = bytes.fromhex(grant.key)
-    assert len(key) == 32
     assert (renewal.granted, renewal.lease, renewal.key) == (True, grant.lease, "")
     assert not release.granted
     sent = [part for command in rig.commands for part in command]
     messages = b"".join([*rig.published, *sent, *(message.data for message in recorded)])
     assert min(len(rig.published), len(recorded)) > 100
-    assert key not in messages
-    assert grant.key.encode() not in messages
+    for key in (bytes.fromhex(grant.key), grant.key.encode()):
+        assert len(key) >= 32
+        assert key not in messages
     assert grant.key not in f"{grant} {renewal!r} {driver.gate!r}"
-    assert json.loads(driver.gate.model_dump_json())["lease"] == 0
+    assert driver.gate.lease == 0
 
 
 # A peer that tries to take over a drive: it receives all messages and requests, and knows no key

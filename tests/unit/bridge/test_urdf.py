@@ -22,8 +22,7 @@ def numbers(text):
 
 
 def origins(element):
-    origin = element.find("origin")
-    return numbers(origin.get("xyz")), numbers(origin.get("rpy"))
+    return [numbers(element.find("origin").get(name)) for name in ("xyz", "rpy")]
 
 
 @MODELS

@@ -54,15 +54,14 @@ def test_the_key_is_in_no_text_about_the_gate():
 def test_signature_is_valid_for_its_lease_key_kind_and_bytes_only():
     lease = Gate().driving().state.lease
     tag = CommandTag(1, 9, 0).sign(SECRET, Signed.COMMAND, "cmd_vel", b"x")
-    assert lease.signed(read_tag(tag.pack()), Signed.COMMAND, "cmd_vel", b"x")
-    assert not lease.signed(tag, Signed.MOTORS, "cmd_vel", b"x")
-    assert not lease.signed(tag, Signed.COMMAND, "bot1/cmd_vel", b"x")
-    assert not lease.signed(tag, Signed.COMMAND, "cmd_vel", b"y")
-    assert not replace(lease, number=2).signed(tag, Signed.COMMAND, "cmd_vel", b"x")
-    assert not replace(lease, secret=bytes(32)).signed(tag, Signed.COMMAND, "cmd_vel", b"x")
-    assert not replace(lease, secret=None).signed(tag, Signed.COMMAND, "cmd_vel", b"x")
+    message = (Signed.COMMAND, "cmd_vel", b"x")
+    assert lease.signed(read_tag(tag.pack()), *message)
+    for other in ((Signed.MOTORS, *message[1:]), (message[0], "bot1/cmd_vel", b"x"), (*message[:2], b"y")):
+        assert not lease.signed(tag, *other)
+    for change in ({"number": 2}, {"secret": bytes(32)}, {"secret": None}):
+        assert not replace(lease, **change).signed(tag, *message)
     for attachment in (None, b"", b"x" * 39):
-        assert not lease.signed(read_tag(attachment), Signed.COMMAND, "cmd_vel", b"x")
+        assert not lease.signed(read_tag(attachment), *message)
     assert read_tag(b"x" * 39) == CommandTag(0, 0, 0)  # with an attachment it is no plain ROS command
 
 
@@ -73,10 +72,8 @@ def test_command_is_unsigned_and_a_loss_is_no_restart_unless_they_say_so():
 
 def test_renewal_permits_no_new_contact():
     gate = Gate().driving(9.0)
-    gate.state = gate.state.__class__(**{**vars(gate.state), "base": BaseReport(bumpers=(2, 0))})
-    gate.sequence += 1
-    stamp = gate.stamp(9.0)
-    assert gate.at(9.0, Enable("deploy", stamp, bytes(32), gate.sequence)).refusal is Reason.BUMPER
+    gate.state = replace(gate.state, base=BaseReport(bumpers=(2, 0)))
+    assert gate.renew(9.0, secret=bytes(32)).refusal is Reason.BUMPER
     assert gate.state.lease is None
 
 

@@ -31,14 +31,11 @@ velocities = st.builds(Velocity, speeds, speeds) | st.none()
 signatures = st.sampled_from([True, True, True, False])
 sequences = st.integers(0, 40) | st.integers(0, 2**64 - 1)
 stamp_errors = st.sampled_from([0, 0, 0, 10_000_000, -10_000_000, 10**9, -(10**9), 2**62, -(2**62)])
+ages = st.none() | st.floats() | st.floats(-0.4, 0.4)
 numbers = st.floats(-5, 5) | st.sampled_from([0.0, math.nan, math.inf, 1e308])
 reports = st.builds(
     BaseReport,
-    x=numbers,
-    y=numbers,
-    theta=numbers,
-    v=numbers,
-    omega=numbers,
+    **dict.fromkeys(("x", "y", "theta", "v", "omega"), numbers),
     battery_v=st.sampled_from([0.0, 12.0, 12.0, 10.0, math.nan]),
     motors_on=st.sampled_from([True, True, True, False]),
     stop_pressed=st.sampled_from([False] * 9 + [True]),
@@ -62,13 +59,8 @@ happenings = st.lists(
             st.tuples(st.just("event"), st.sampled_from([Tick(), BaseLost(), Stop("x"), ReleaseStop()])),
             st.tuples(st.just("enable"), st.tuples(st.none() | sequences, stamp_errors)),
             st.tuples(st.just("release"), sequences),
-            st.tuples(
-                st.just("tagged"),
-                st.tuples(velocities, signatures, sequences, stamp_errors),
-            ),
-            st.tuples(
-                st.just("plain"), st.tuples(velocities, st.none() | st.floats() | st.floats(-0.4, 0.4))
-            ),
+            st.tuples(st.just("tagged"), st.tuples(velocities, signatures, sequences, stamp_errors)),
+            st.tuples(st.just("plain"), st.tuples(velocities, ages)),
         ),
     ),
     min_size=5,
@@ -139,12 +131,13 @@ def allowed_to_move(history, limits):
     last = -1 if command.tag is None else command.tag.sequence
     latches = [event for _, event, _ in history if isinstance(event, Stop | ReleaseStop)]
     hazards = hazardous(history)
+    since = [event for _, event, _ in history[counted[-1] + 1 :]]
     return (
         now - commanded_s <= limits.command_timeout_s + ROUNDING_S
         and report.motors_on
         and all(math.isfinite(getattr(report, name)) for name in ("x", "y", "theta", "v", "omega"))
         and not any(hazards[counted[-1] + 1 :])
-        and not any(released(event, last) for _, event, _ in history[counted[-1] + 1 :])
+        and not any(isinstance(event, Release) and event.sequence > last for event in since)
         and asked_again(history, counted, hazards)
         and away(report, history[-1][2].velocity)
         and not (latches and isinstance(latches[-1], Stop))
@@ -203,10 +196,6 @@ def away(report, velocity):
     free = -1.0 if front else 1.0
     sided = not (front and rear) and (not (front or rear) or velocity.v * free > 0.0)
     return sided and velocity.omega == 0.0 and abs(velocity.v) <= 0.1
-
-
-def released(event, last):
-    return isinstance(event, Release) and event.sequence > last
 
 
 def forged(event, state):

@@ -2,7 +2,6 @@
 
 import math
 import random
-from collections import deque
 
 import pytest
 from kit.gate_bench import BOX, LIMITS, Gate
@@ -113,8 +112,7 @@ def test_random_arcs_agree_with_fine_steps():
 
 def drive_along(y, theta, command, seconds=6.0, delay_s=0.2, turn_braking=1.25):
     """Return the largest y of a rover that is driven by the gate's output, from full speed on."""
-    gate = Gate(FENCED).driving()
-    pending = deque()
+    gate, pending = Gate(FENCED).driving(), []
     x = v = omega = 0.0
     begin = now = 0.02
     worst = y
@@ -124,13 +122,7 @@ def drive_along(y, theta, command, seconds=6.0, delay_s=0.2, turn_braking=1.25):
             gate.at(now, report) if now > begin else gate.place(now, report)
         gate.drive(now, command(now - begin))
         pending.append((now + delay_s, gate.state.out))
-        wanted = STANDSTILL
-        while pending and pending[0][0] <= now:
-            wanted = pending[0][1]
-            if len(pending) > 1 and pending[1][0] <= now:
-                pending.popleft()
-            else:
-                break
+        wanted = next((out for due, out in reversed(pending) if due <= now), STANDSTILL)
         for _ in range(20):
             v += min(max(wanted.v - v, -0.3e-3), 1e-3)
             change = turn_braking * 1e-3
@@ -182,25 +174,21 @@ STOP_S = 0.5
 
 
 def test_fence_measures_the_distance_of_points_outside():
-    fence = Fence(x_min=-1.0, x_max=2.0, y_min=-1.0, y_max=1.0)
-    assert fence.outside(0.0, 0.0) == 0.0
-    assert fence.outside(2.0, 1.0) == 0.0
-    assert fence.outside(2.5, 0.0) == 0.5
-    assert fence.outside(-1.25, 0.0) == 0.25
-    assert fence.outside(0.0, 1.5) == 0.5
-    assert fence.outside(3.0, -3.0) == 2.0
+    points = [(0.0, 0.0), (2.0, 1.0), (2.5, 0.0), (-1.25, 0.0), (0.0, 1.5), (3.0, -3.0)]
+    assert [BOX.outside(*point) for point in points] == [0.0, 0.0, 0.5, 0.25, 0.5, 2.0]
 
 
-@pytest.mark.parametrize("sides", [(1.0, 1.0, 0.0, 1.0), (2.0, 1.0, 0.0, 1.0), (0.0, 1.0, 1.0, 1.0)])
-def test_a_fence_without_an_inside_is_refused(sides):
-    x_min, x_max, y_min, y_max = sides
+@pytest.mark.parametrize(
+    ("x_min", "x_max", "y_min", "y_max"),
+    [(1.0, 1.0, 0.0, 1.0), (2.0, 1.0, 0.0, 1.0), (0.0, 1.0, 1.0, 1.0)],
+)
+def test_a_fence_without_an_inside_is_refused(x_min, x_max, y_min, y_max):
     with pytest.raises(ValidationError, match="a fence needs"):
         Fence(x_min=x_min, x_max=x_max, y_min=y_min, y_max=y_max)
 
 
 @pytest.mark.parametrize("name", ["command_timeout_s", "stale_s", "odometry_s"])
-def test_no_timeout_may_be_as_long_as_the_requirement(name):
+@pytest.mark.parametrize("seconds", [STOP_S, 0.0])
+def test_no_timeout_may_be_as_long_as_the_requirement_or_zero(name, seconds):
     with pytest.raises(ValidationError):
-        Limits(**{name: STOP_S})
-    with pytest.raises(ValidationError):
-        Limits(**{name: 0.0})
+        Limits(**{name: seconds})

@@ -74,22 +74,18 @@ def test_a_covered_laser_that_reports_too_close_everywhere_is_no_free_way(ready,
     assert not (ahead >= 0.03 or behind >= 0.03)
 
 
-def test_an_old_scan_and_none_at_all_are_no_room(ready):
-    assert math.isnan(ready.reports[-1].clear_ahead_m)
+@pytest.mark.parametrize(
+    "payload",
+    [b"", encode(LASER_SCAN), encode(LASER_SCAN, ranges=np.ones(1, np.float32)), beyond_its_second(scan())],
+)
+def test_a_scan_that_is_none_is_counted_and_none_or_an_old_one_is_no_room(ready, payload):
+    assert math.isnan(room(ready, payload)[0])
+    assert ready.base.health().counters["unreadable"] == 1
     ready.hear("scan", scan())
     ready.run(0.5)
     assert ready.reports[-1].clear_ahead_m == math.inf
     ready.run(1.0)
     assert math.isnan(ready.reports[-1].clear_ahead_m)
-
-
-@pytest.mark.parametrize(
-    "payload",
-    [b"", encode(LASER_SCAN), encode(LASER_SCAN, ranges=np.ones(1, np.float32)), beyond_its_second(scan())],
-)
-def test_a_scan_that_is_none_is_counted(ready, payload):
-    assert math.isnan(room(ready, payload)[0])
-    assert ready.base.health().counters["unreadable"] == 1
 
 
 def test_a_laser_that_looks_to_the_left_is_turned():

@@ -75,31 +75,24 @@ class Bench:
 
     def go_to(self, state: SessionState) -> Self:
         """Come into a state the way a robot would bring us there."""
-        way: list[tuple[SessionState, bytes | float]] = [
-            (SessionState.LISTENING, PATIENCE_S[SessionState.LISTENING]),
-            (SessionState.SYNC0, ECHO0),
-            (SessionState.SYNC1, ECHO1),
-            (SessionState.SYNC2, NAMES),
-            (SessionState.CONFIGURING, CONFIG + sip()),
-            (SessionState.READY, PATIENCE_S[SessionState.READY]),
-        ]
-        if state in {SessionState.ASKING_FASTER, SessionState.FASTER}:
-            self.baudrate = 9600
-            way[-2:] = [
-                (SessionState.CONFIGURING, FAST_CONFIG + sip()),
-                (SessionState.ASKING_FASTER, PATIENCE_S[SessionState.ASKING_FASTER]),
-            ]
+        faster = state in {SessionState.ASKING_FASTER, SessionState.FASTER}
+        answers = {
+            SessionState.SYNC0: ECHO0,
+            SessionState.SYNC1: ECHO1,
+            SessionState.SYNC2: NAMES,
+            SessionState.CONFIGURING: (FAST_CONFIG if faster else CONFIG) + sip(),
+        }
+        self.baudrate = 9600 if faster else self.baudrate
         if state is not SessionState.IDLE:
             self.connect()
         if state is SessionState.HANGING_UP:
             self.hear(sip())
-        else:
-            for here, step in way:
-                if self.session.state is state or state is SessionState.IDLE:
-                    break
-                assert self.session.state is here
-                self.wait(step) if isinstance(step, float) else self.hear(step)
-        assert self.session.state is state
+        while self.session.state is not state:
+            assert self.now < 110.0
+            if self.session.state in answers:
+                self.hear(answers.pop(self.session.state))
+            else:
+                self.wait(PATIENCE_S[self.session.state])
         self.sent()
         self.events.clear()
         return self

@@ -63,6 +63,11 @@ class Pioneer:
             if fed:
                 self.tell(Command.PULSE)
 
+    def obey(self, seconds: float, command: int, argument: Argument = None) -> None:
+        """Have the base receive a command and obey it for so long."""
+        self.tell(command, argument)
+        self.run(seconds)
+
     def drive(self, v_mm_s: int, seconds: float, fed: bool = True) -> None:
         self.tell(Command.VEL, v_mm_s)
         self.run(seconds, fed)

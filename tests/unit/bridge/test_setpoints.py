@@ -2,8 +2,8 @@
 
 import math
 import random
-from itertools import pairwise
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,21 +15,15 @@ from rover_ncp.core.geometry import Velocity
 def turn_error(omega, v, period_s, jitter):
     """Return the largest error of the mean turn rate over any second, in rad/s."""
     draw, quantiser = random.Random(1), Quantiser()
-    now, turned, sent = 0.0, [(0.0, 0.0)], 0.0
-    while now < 6.0:
-        _, deg_s = quantiser.step(Velocity(v, omega), now)
+    times, angles = [0.0], [0.0]
+    while times[-1] < 6.0:
+        _, deg_s = quantiser.step(Velocity(v, omega), times[-1])
         step = period_s * (1 + jitter * draw.uniform(-1, 1))
-        sent += math.radians(deg_s) * step
-        now += step
-        turned.append((now, sent))
-
-    def angle(t):
-        for (t0, a0), (t1, a1) in pairwise(turned):
-            if t0 <= t <= t1:
-                return a0 + (a1 - a0) * (t - t0) / (t1 - t0)
-        raise AssertionError
-
-    return max(abs(angle(t / 10 + 1) - angle(t / 10) - omega) for t in range(45))
+        angles.append(angles[-1] + math.radians(deg_s) * step)
+        times.append(times[-1] + step)
+    starts = np.arange(45) / 10
+    turned = np.interp(starts + 1.0, times, angles) - np.interp(starts, times, angles)
+    return np.abs(turned - omega).max()
 
 
 @pytest.mark.parametrize("v", [0.0, 0.1])

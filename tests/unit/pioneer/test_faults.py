@@ -130,8 +130,7 @@ def test_enable_has_no_effect_while_the_stop_button_is_pressed() -> None:
     pioneer.tell(Command.ENABLE, 1)
     assert not pioneer.sip().flags & Flag.MOTORS
     free = Pioneer("p3at-sh", "stop-button@1").open()
-    free.tell(MockCommand.E_STALL, 0)
-    free.run(2.0)
+    free.obey(2.0, MockCommand.E_STALL, 0)
     shown = free.sip().flags & (Flag.MOTORS | Flag.STOP_BUTTON | Flag.E_STALL)
     assert shown == Flag.MOTORS | Flag.STOP_BUTTON
 

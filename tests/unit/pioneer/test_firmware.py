@@ -64,15 +64,13 @@ def test_sips_come_each_tenth_of_a_second_from_open_to_close_only() -> None:
     for sync in SYNC:
         pioneer.tell(sync)
     for command, sent in ((Command.PULSE, 0), (Command.OPEN, 20), (Command.CLOSE, 20)):
-        pioneer.tell(command)
-        pioneer.run(2.0)
+        pioneer.obey(2.0, command)
         assert len(pioneer.sips()) == sent
 
 
 def test_a_sip_has_every_field(pioneer: Pioneer) -> None:
     pioneer.tell(Command.VEL, 200)
-    pioneer.tell(Command.RVEL, -20)
-    pioneer.run(2.0)
+    pioneer.obey(2.0, Command.RVEL, -20)
     sip = pioneer.sip()
     half_track_mm = 1 / 0.0034
     assert (sip.left + sip.right) / 2 == pytest.approx(200, abs=1)
@@ -89,16 +87,14 @@ def test_a_sip_has_every_field(pioneer: Pioneer) -> None:
 
 def test_speeds_rise_within_the_acceleration_limits_after_the_delays(pioneer: Pioneer) -> None:
     pioneer.tell(Command.VEL, 200)
-    pioneer.tell(Command.RVEL, 30)
-    pioneer.run(0.10)
+    pioneer.obey(0.10, Command.RVEL, 30)
     assert (pioneer.speed, pioneer.turn_deg_s) == (0.0, 0.0)
     pioneer.run(0.05)
     assert pioneer.speed == 0.0
     assert pioneer.turn_deg_s == pytest.approx(math.degrees(1.25 * 0.05), rel=1e-3)
     pioneer.run(0.10)
     assert pioneer.speed == pytest.approx(0.31 * 0.10, rel=1e-2)
-    pioneer.tell(Command.SETA, 1000)
-    pioneer.run(0.10)
+    pioneer.obey(0.10, Command.SETA, 1000)
     assert pioneer.speed == pytest.approx(0.031 + 0.100, rel=1e-2)
     pioneer.run(1.0)
     pioneer.tell(Command.SETA, -100)
@@ -158,8 +154,7 @@ def test_motors_that_are_off_accept_and_keep_no_setpoints() -> None:
     pioneer = Pioneer().open(motors=False)
     pioneer.drive(200, 1.0)
     for enable, seconds in ((1, 1.0), (0, 1.5), (1, 1.0)):
-        pioneer.tell(Command.ENABLE, enable)
-        pioneer.run(seconds)
+        pioneer.obey(seconds, Command.ENABLE, enable)
         assert pioneer.speed == 0.0
         pioneer.drive(200, 2.0)
 
@@ -178,8 +173,7 @@ def test_vel2_drives_the_wheels_in_both_encodings(argument: int, left: float, ri
 @pytest.mark.parametrize("way", [500, -300, 30])
 def test_move_drives_so_far_and_stops(pioneer: Pioneer, way: int) -> None:
     pioneer.tell(Command.SETV, 300)
-    pioneer.tell(MockCommand.MOVE, way)
-    pioneer.run(8.0)
+    pioneer.obey(8.0, MockCommand.MOVE, way)
     assert pioneer.rover.pose.x * 1000 == pytest.approx(way, abs=5)
     assert abs(pioneer.speed) < 0.002
 
@@ -192,11 +186,9 @@ def test_headings_are_absolute_relative_and_relative_to_the_setpoint(pioneer: Pi
         (MockCommand.DCHEAD, 20, -130),
         (MockCommand.HEAD, 350, -10),
     ]:
-        pioneer.tell(command, argument)
-        pioneer.run(8.0)
+        pioneer.obey(8.0, command, argument)
         assert math.degrees(pioneer.rover.pose.theta) == pytest.approx(heading, abs=0.8), command
-    pioneer.tell(MockCommand.ROTATE, 10)
-    pioneer.run(2.0)
+    pioneer.obey(2.0, MockCommand.ROTATE, 10)
     assert pioneer.turn_deg_s == pytest.approx(10, rel=1e-3)
 
 
@@ -206,8 +198,7 @@ def test_stop_keeps_the_limit_and_e_stop_does_not() -> None:
         pioneer = Pioneer().open()
         pioneer.drive(400, 3.0)
         before = pioneer.rover.pose.x
-        pioneer.tell(command)
-        pioneer.run(3.0)
+        pioneer.obey(3.0, command)
         assert pioneer.speed == 0.0
         assert pioneer.sip().flags & Flag.MOTORS
         ways.append(pioneer.rover.pose.x - before)
@@ -231,8 +222,7 @@ def test_position_counters_wrap_at_15_bits_and_the_driver_follows(model: str) ->
 
 @pytest.mark.parametrize("frame", [encode_command(Command.SETO), bytes.fromhex("fafb04073b073b")])
 def test_seto_zeroes_odometry_also_when_cut_short_as_players(pioneer: Pioneer, frame: bytes) -> None:
-    pioneer.tell(MockCommand.MOVE, 300)
-    pioneer.run(6.0)
+    pioneer.obey(6.0, MockCommand.MOVE, 300)
     x = pioneer.rover.pose.x
     pioneer.say(frame)
     sip = pioneer.sip()
@@ -261,24 +251,20 @@ def test_sonars_measure_the_wall_and_follow_commands() -> None:
     ahead = 0.9 - 0.245
     assert heard[3] == pytest.approx(1000 * ahead / math.cos(math.radians(10)), abs=2)
     assert heard[0] == 5000
-    pioneer.tell(Command.SONAR, 0)
-    pioneer.run(0.2)
+    pioneer.obey(0.2, Command.SONAR, 0)
     assert pioneer.sip().sonar == ()
     assert not pioneer.sip().flags & Flag.SONAR_1
     pioneer.tell(Command.SONAR, 0b101)
-    pioneer.tell(MockCommand.POLLING, bytes([9, 10]))
-    pioneer.run(0.2)
+    pioneer.obey(0.2, MockCommand.POLLING, bytes([9, 10]))
     assert {number for number, _ in pioneer.sip().sonar} <= {8, 9}
     assert pioneer.sip().flags & (Flag.SONAR_1 | Flag.SONAR_2) == Flag.SONAR_2
 
 
 def test_encoders_count_the_wheels_way_once_or_in_a_stream(pioneer: Pioneer) -> None:
-    pioneer.tell(MockCommand.ENCODER, 1)
-    pioneer.run(0.5)
+    pioneer.obey(0.5, MockCommand.ENCODER, 1)
     assert len(pioneer.of_kind(ENCODER)) == 1
     pioneer.tell(MockCommand.ENCODER, 2)
-    pioneer.tell(MockCommand.MOVE, 500)
-    pioneer.run(8.0)
+    pioneer.obey(8.0, MockCommand.MOVE, 500)
     left, right = struct.unpack("<2i", pioneer.of_kind(ENCODER)[-1].payload)
     assert left == right == pytest.approx(500 * 128, rel=0.01)
     pioneer.tell(MockCommand.ENCODER, 0)
@@ -315,8 +301,7 @@ def test_a_simulators_commands_move_the_truth_and_not_odometry(pioneer: Pioneer)
     pioneer.say(encode_frame(MockCommand.SIM_STAT))
     assert pioneer.rover.pose == pytest.approx((-1.0, 2.5, math.pi / 2))
     assert pioneer.sip().x == 0
-    pioneer.tell(MockCommand.SIM_STAT, 2)
-    pioneer.run(0.3)
+    pioneer.obey(0.3, MockCommand.SIM_STAT, 2)
     assert true_pose(pioneer) == (-1000, 2500, 90)
     pioneer.drive(100, 1.0)
     pioneer.tell(MockCommand.SIM_RESET)
@@ -326,8 +311,7 @@ def test_a_simulators_commands_move_the_truth_and_not_odometry(pioneer: Pioneer)
 def test_largest_coordinates_can_be_reported(pioneer: Pioneer) -> None:
     pioneer.tell(MockCommand.SIM_SET_POSE, (2**31 - 1, -(2**31), -90))
     pioneer.tell(Command.VEL, 700)
-    pioneer.tell(MockCommand.SIM_STAT, 2)
-    pioneer.run(4.0)
+    pioneer.obey(4.0, MockCommand.SIM_STAT, 2)
     assert true_pose(pioneer)[1] > 0
 
 

@@ -23,7 +23,7 @@ STEP_S = 0.02
 
 
 class Pair:
-    """A session and a base, 50 turns a second; ``driver`` is what a gate would do each turn.
+    """A session and a base, 50 turns a second; ``command`` is what a gate sends in each.
 
     A line that the session gives up is replaced at once, as the bridge does. One with a ``rate`` is serial.
     """
@@ -33,7 +33,7 @@ class Pair:
         self.opened_rate = rate
         self.session = Session()
         self.events: list[SessionEvent] = []
-        self.driver: Callable[[Session], None] = lambda session: None
+        self.command: Velocity | None = None
         self.cut_up = self.cut_down = False
         self.connect()
 
@@ -51,7 +51,8 @@ class Pair:
             self.pioneer.now += STEP_S
             firmware.advance(self.now)
             events = self.session.receive(self.arriving(firmware.data_to_send(), self.cut_up), self.now)
-            self.driver(self.session)
+            if self.command is not None:
+                self.session.set_motion(self.command)
             events += self.session.tick(self.now)
             for event in events:
                 if isinstance(event, BaudChanged):
@@ -75,17 +76,15 @@ class Pair:
 
     def driving(self, v: float, omega: float) -> "Pair":
         self.ready().session.enable(True)
-        self.driver = lambda session: session.set_motion(Velocity(v, omega))
+        self.command = Velocity(v, omega)
         return self
 
-    def of(self, kind: type[SessionEvent]) -> list[SessionEvent]:
+    def of(self, kind: type) -> list:
         return [event for event in self.events if isinstance(event, kind)]
 
     @property
     def state(self) -> BaseReport:
-        last = self.of(BaseReport)[-1]
-        assert isinstance(last, BaseReport)
-        return last
+        return self.of(BaseReport)[-1]
 
 
 @pytest.fixture
@@ -101,14 +100,12 @@ def test_rover_is_ready_within_a_second_follows_setpoints_and_reports_its_motion
     pair = Pair(Pioneer(model)).ready()
     assert pair.now < 1.0
     pair.run(0.3)
-    configured, report = pair.events[:2]
-    assert isinstance(configured, Ready)
-    assert configured.robot.name == model
-    assert isinstance(report, BaseReport)
-    assert not report.motors_on
+    assert [type(event) for event in pair.events[:2]] == [Ready, BaseReport]
+    assert pair.events[0].robot.name == model
+    assert not pair.state.motors_on
     pair.driving(0.16, 0.137).run(10.0)
     assert pair.state.v == pytest.approx(0.16, abs=0.001)
-    pair.driver = lambda session: session.set_motion(Velocity(0.0, 0.0))
+    pair.command = Velocity(0.0, 0.0)
     pair.run(3.0)
     true, state = pair.pioneer.rover.pose, pair.state
     assert (state.x, state.y) == pytest.approx((true.x, true.y), abs=0.003)
@@ -246,9 +243,9 @@ def test_rover_stands_soon_after_any_cut_of_the_line(
     for seconds, cut_up, cut_down, v, omega in story:
         pair.cut_up, pair.cut_down = cut_up, cut_down
         pair.session.enable(True)
-        pair.driver = lambda session, v=v, omega=omega: session.set_motion(Velocity(v, omega))
+        pair.command = Velocity(v, omega)
         pair.run(seconds)
-    pair.driver = lambda session: session.set_motion(Velocity(0.0, 0.0))
+    pair.command = Velocity(0.0, 0.0)
     pair.run(4.0)
     pair.cut_up = pair.cut_down = True
     assert pair.pioneer.rover.velocity == pytest.approx((0.0, 0.0), abs=1e-6)

@@ -1,26 +1,16 @@
 """Faults of the mock: how they are written, when they begin, what a client sees of them."""
 
-from itertools import pairwise
-
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kit.pioneer_bench import Pioneer
-from kit.ros2_world import twist
 
 from bridge.pioneer.framing import Command, Decoder, Packet, encode_frame
 from bridge.pioneer.packets import Flag
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.geometry import Velocity
-from rover_ncp.robot.description import load_description
-from rover_ncp.wire.messages import read_imu, read_odometry
 from sim.pioneer.client_commands import MockCommand
 from sim.pioneer.faults import FAULTS, Fault, Faults, parse_fault
 from sim.pioneer.firmware import ClientState
-from sim.pioneer.ros2_robot import Ros2Robot
-from sim.world.described import described_rover
-from sim.world.pymunk_rover import Ground, PymunkRover
 
 
 @pytest.mark.parametrize(
@@ -178,42 +168,3 @@ def test_injected_fault_counts_from_its_injection() -> None:
         for pressed in (False, True, False):
             pioneer.run(0.8)
             assert bool(pioneer.sips()[-1].stall_right) is pressed
-
-
-def ros2_reports(*faults: str) -> list[tuple[str, bytes]]:
-    """Return what a ROS 2 robot sends in 4 s; faults count from its first command."""
-    description = load_description("turtlebot4")
-    rover = PymunkRover(described_rover(description), Ground())
-    robot = Ros2Robot(description, rover, Faults([parse_fault(text) for text in faults]), 0.0)
-    for period in range(1, 41):
-        robot.command(twist(Velocity(0.1, 0.0)), period / 10)
-    return robot.messages()
-
-
-def test_clock_fault_shifts_the_stamps_of_a_ros2_robot() -> None:
-    stamps = [
-        read_odometry(data).stamp_ns / 1e9 for name, data in ros2_reports("clock=-0.6@2") if name == "odom"
-    ]
-    steps = np.diff(stamps)
-    assert np.sum(steps < 0) == 1
-    assert min(steps) == pytest.approx(-0.6 + np.median(steps), abs=0.02)
-
-
-def test_gyro_fault_adds_to_what_the_gyro_reads() -> None:
-    rates = [read_imu(data).rate for name, data in ros2_reports("gyro=2@2-2.1") if name == "imu"]
-    assert 1 <= sum(rate > 1.9 for rate in rates) < 0.2 * len(rates)
-    assert sum(abs(rate) < 0.1 for rate in rates) > 0.8 * len(rates)
-
-
-def test_readings_of_a_gyro_are_late_and_those_on_their_way_are_lost_in_silence() -> None:
-    newest_ns, behind_ms, stamps_s = None, set(), []
-    for name, data in ros2_reports("mute@2-2.5"):
-        if name == "imu":
-            newest_ns = read_imu(data).stamp_ns
-            stamps_s.append(newest_ns / 1e9)
-        elif name == "odom" and newest_ns is not None:
-            behind_ms.add((read_odometry(data).stamp_ns - newest_ns) // 1_000_000)
-    assert min(behind_ms) >= 20
-    before, after = next(pair for pair in pairwise(stamps_s) if pair[1] - pair[0] > 0.3)
-    # The fault begins 2 s after the first command, which is given at 0.1 s.
-    assert (before, after) == (pytest.approx(2.08, abs=0.011), pytest.approx(2.6, abs=0.011))

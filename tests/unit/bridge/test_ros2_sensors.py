@@ -1,6 +1,7 @@
-"""The room around a ROS 2 robot by its laser."""
+"""A ROS 2 robot's laser, by which there is room around it, and its gyro between two odometry messages."""
 
 import math
+import random
 import struct
 
 import numpy as np
@@ -9,7 +10,7 @@ from kit.ros2_world import EPOCH_S, World, beyond_its_second, header
 
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.cdr import encode
-from rover_ncp.wire.messages import LASER_SCAN
+from rover_ncp.wire.messages import IMU, LASER_SCAN
 
 SIGNALLING_NAN = bytes.fromhex("0100807f")
 """As a float32. numpy warns when it casts one."""
@@ -101,3 +102,82 @@ def test_scans_that_arrive_late_are_no_room(ready):
         ready.run(3.0)
         payload = scan((0, 1.0), stamp_s=EPOCH_S + ready.now - late_s)
         assert room(ready, payload)[0] == pytest.approx(ahead, abs=1e-3, nan_ok=True)
+
+
+# The gyro
+
+
+@pytest.fixture
+def turning(world):
+    """A world with odometry, without readings of a gyro so far."""
+    return world.run(1.5)
+
+
+def imu(rate, stamp_s=None):
+    stamp = {} if stamp_s is None else {"header": header(stamp_s, "imu_link")}
+    return encode(IMU, **stamp, angular_velocity={"z": rate})
+
+
+def turned(world, messages):
+    """Return the angle that a driver integrates, and that of the gyro until then.
+
+    ``messages`` are (arrival, None) of odometry and (arrival, (stamp, rate)) of the gyro, times in seconds;
+    each rate is the mean since the message before.
+    """
+    begin, true, stamp_before_s, angle, last_s, true_then = world.now, 0.0, 0.0, 0.0, None, 0.0
+    for arrival_s, reading in sorted(messages, key=lambda each: each[0]):
+        world.now = begin + arrival_s
+        if reading is None:
+            world.odom()
+        else:
+            stamp_s, rate = reading
+            true += rate * (stamp_s - stamp_before_s)
+            stamp_before_s = stamp_s
+            world.hear("imu", imu(rate, world.clock_s + begin + stamp_s))
+        for turn in world.turns:
+            at_s = world.now - turn.age_s
+            angle = true if last_s is None else angle + turn.rate * (at_s - last_s)
+            last_s, true_then = at_s, true
+        world.turns.clear()
+    return angle, true_then
+
+
+@pytest.mark.parametrize("rate_hz", [20, 25, 100])
+def test_a_gyro_beside_odometry_of_20_hz_shows_its_whole_turn(rate_hz, turning):
+    """Both are sent at the same moments and overtake each other; the robot turns in jerks."""
+    random_ = random.Random(rate_hz)
+    odometry = [(0.05 * k + random_.uniform(0.0, 0.004), None) for k in range(200)]
+    stamps = [k / rate_hz for k in range(10 * rate_hz)]
+    gyro = [(at + random_.uniform(0.0, 0.004), (at, random_.uniform(-0.5, 0.5))) for at in stamps]
+    angle, true = turned(turning, odometry + gyro)
+    assert angle == pytest.approx(true, abs=0.005)
+
+
+def test_a_gyro_without_a_clock_counts_by_arrivals(turning):
+    for rate in (0.2, 0.4, math.nan):
+        turning.run(0.02, odom=False)
+        turning.hear("imu", imu(rate))
+    turning.run(0.06)
+    assert [turn.rate for turn in turning.turns] == [pytest.approx(0.4)]
+    assert turning.turns[0].age_s == pytest.approx(0.03, abs=0.021)
+
+
+def test_the_time_after_a_pause_of_the_gyro_is_not_known(turning):
+    turning.run(0.1, each=lambda: turning.hear("imu", imu(0.5, turning.clock_s + turning.now)))
+    turning.run(0.1)
+    turning.turns.clear()
+    turning.run(1.0)
+    assert not turning.turns
+    turning.hear("imu", imu(-0.5, turning.clock_s + turning.now))
+    turning.run(0.06)
+    assert [turn.rate for turn in turning.turns] == [pytest.approx(-0.5)]
+
+
+def test_a_message_that_comes_twice_counts_once(turning):
+    for rate in (0.1, 0.3, 0.1):
+        turning.now += 0.01
+        for _ in range(2 if rate == 0.3 else 1):
+            turning.hear("imu", imu(rate, turning.clock_s + turning.now))
+    turning.run(0.06)
+    assert [turn.rate for turn in turning.turns] == [pytest.approx(0.2)]
+    assert turning.base.health().counters["imu left out"] == 1

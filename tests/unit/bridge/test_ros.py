@@ -5,7 +5,6 @@ import struct
 from dataclasses import replace
 
 import pytest
-from kit.base_report import STAMP, STATE
 
 from bridge.base import BaseReport, LinkHealth
 from bridge.gate.state import NO_CONTACT, GateState, Lease, Reason
@@ -19,8 +18,17 @@ from rover_ncp.wire.messages import decode, read_odometry, text
 from rover_ncp.wire.protocol import dump_json
 
 ROBOT = ROBOTS["p3at-sh"]
-
-
+STAMP = 1_700_000_000_123_456_789
+STATE = BaseReport(
+    x=1.0,
+    y=-2.0,
+    theta=7.0,  # more than a turn: the base counts on
+    v=0.16,
+    omega=-0.18,
+    motors_on=True,
+    bumpers=(0b10, 0b1),
+    battery_v=12.5,
+)
 CERTAIN = Variances((1e-6, 1e-6, 1e-6), (1e-6, 1e-6), 1e-6)
 
 

@@ -2,12 +2,11 @@
 
 import json
 import math
-from dataclasses import replace
 from xml.etree import ElementTree
 
 import pytest
-from kit.base_report import STAMP, STATE
 
+from bridge.base import BaseReport
 from bridge.pioneer.odometry import ROBOTS
 from bridge.ros2 import messages as ros
 from bridge.ros2.urdf import urdf
@@ -32,7 +31,7 @@ def test_frames_are_those_of_tf_static(robot):
     links = [link.get("name") for link in root.iter("link")]
     joints = {joint.find("child").get("link"): joint for joint in root.iter("joint")}
     assert sorted(links) == sorted({"base_link", *joints})  # one tree, whose root is the base
-    sent = ros.each_second(replace(STATE, sonar={}), robot, STAMP)["tf_static"]
+    sent = ros.each_second(BaseReport(), robot, 0)["tf_static"]
     transforms = decode("tf2_msgs/msg/TFMessage", sent).transforms
     assert len(transforms) == len(joints) == 16
     for item in transforms:

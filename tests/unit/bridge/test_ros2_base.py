@@ -1,6 +1,7 @@
 """The ROS 2 base on a virtual clock."""
 
 import math
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -105,10 +106,7 @@ def test_a_stamp_with_more_than_a_second_of_nanoseconds_does_not_count(ready):
 
 
 def test_the_line_is_closed_even_if_it_does_not_take_the_last_zero(ready, monkeypatch):
-    def fail(payload):
-        raise OSError
-
-    monkeypatch.setattr(ready.line, "publish", fail)
+    monkeypatch.setattr(ready.line, "publish", Mock(side_effect=OSError))
     with pytest.raises(OSError):
         ready.base.close(ready.now)
     assert ready.line.closed
@@ -253,8 +251,6 @@ def test_connected_networks_keep_it_from_starting_and_stop_it_later(world):
 
 
 def test_a_robot_that_drives_without_a_command_is_driven_by_another(ready):
-    def move():
-        ready.x += 0.002
-
-    ready.run(2.0, each=move, v=0.2)
+    for ready.x in np.arange(0.0, 0.4, 0.02):
+        ready.run(0.1, v=0.2)
     assert "the robot drives although the bridge sends zeros" in ready.last.reason

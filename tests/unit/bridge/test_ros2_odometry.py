@@ -74,16 +74,6 @@ def test_publishers_with_ever_new_identities_take_no_memory():
     assert odometer.publishers(7.5) == 1
 
 
-def test_a_router_that_restarts_loses_the_base_and_the_pose_goes_on(ready):
-    ready.x = 0.5
-    ready.run(0.2)
-    ready.run(3.0, odom=False)
-    assert ready.last == Lost("no odometry on odom for 0.5 s")
-    ready.run(2.0)
-    assert isinstance(ready.last, Recovered)
-    assert ready.reports[-1].x == pytest.approx(0.5)
-
-
 def test_odometry_at_200_hz_is_passed_on_at_50(world):
     for _ in range(1000):
         world.now += 0.005
@@ -114,8 +104,7 @@ def test_a_clock_that_is_set_back_a_little_costs_one_message_and_is_named(ready,
     ready.run(0.5)
     ready.clock_s -= back_s
     assert gaps_s(ready, 3.0) < 0.12
-    notice = Notice(f"the clock that stamps odom was set back by {back_s:.2f} s")
-    assert ready.events[1:] == [notice]
+    assert ready.events[1:] == [Notice(f"the clock that stamps odom was set back by {back_s:.2f} s")]
     assert ready.reports[-1].x == pytest.approx(0.4)
     assert ready.stamp_s == pytest.approx(ready.clock_s + ready.now, abs=0.06)
 
@@ -134,8 +123,7 @@ def test_a_bad_stamp_costs_one_message(ready):
     ready.run(0.02)
     ready.clock_s -= 5.0
     assert gaps_s(ready, 3.0) < 0.12
-    assert len(ready.events) == 1
-    assert ready.base.health().counters["stale"] == 1
+    assert (len(ready.events), ready.base.health().counters["stale"]) == (1, 1)
     assert ready.stamp_s == pytest.approx(ready.clock_s + ready.now, abs=0.06)
 
 
@@ -152,32 +140,35 @@ def test_a_link_that_became_slow_stays_lost(ready):
     assert ready.base.health().counters["stale"] > 1000
 
 
+@pytest.fixture
+def driven(ready):
+    """A robot that has driven 0.6 m and is sent zeros."""
+    ready.setpoint_v = 0.2
+    ready.run(3.0)
+    ready.setpoint_v = 0.0
+    return ready
+
+
 @pytest.mark.parametrize(
     "new", [{"x": 0.0}, {"x": 0.6, "theta": 0.5}, {"x": 0.6, "y": 0.3}, {"x": 0.6, "theta": -math.pi}]
 )
 @pytest.mark.parametrize("silent_s", [0.8, 3.5, 60.0])
-def test_a_robot_that_restarts_elsewhere_is_not_taken_for_the_old_one(ready, new, silent_s):
+def test_a_robot_that_restarts_elsewhere_is_not_taken_for_the_old_one(driven, new, silent_s):
     """It was sent zeros while it was silent, so it cannot have driven there."""
-    ready.setpoint_v = 0.2
-    ready.run(3.0)
-    assert ready.x == pytest.approx(0.6)
-    ready.setpoint_v = 0.0
-    ready.run(silent_s, odom=False)
-    ready.run(2.0, **new)
-    assert isinstance(ready.last, Ready)
-    assert (ready.reports[-1].x, ready.reports[-1].y, ready.reports[-1].theta) == (0.0, 0.0, 0.0)
+    driven.run(silent_s, odom=False)
+    driven.run(2.0, **new)
+    assert isinstance(driven.last, Ready)
+    assert (driven.reports[-1].x, driven.reports[-1].y, driven.reports[-1].theta) == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("coasted_m", [0.0, 0.1])
-def test_a_robot_that_coasts_while_it_is_silent_keeps_its_odometry(ready, coasted_m):
-    ready.setpoint_v = 0.2
-    ready.run(3.0)
-    ready.setpoint_v = 0.0
-    ready.run(3.5, odom=False)
-    ready.x += coasted_m
-    ready.run(2.0)
-    assert isinstance(ready.last, Recovered)
-    assert ready.reports[-1].x == pytest.approx(0.6 + coasted_m)
+def test_a_robot_that_coasts_while_it_is_silent_keeps_its_odometry(driven, coasted_m):
+    driven.run(3.5, odom=False)
+    assert driven.last == Lost("no odometry on odom for 0.5 s")
+    driven.x += coasted_m
+    driven.run(2.0)
+    assert isinstance(driven.last, Recovered)
+    assert driven.reports[-1].x == pytest.approx(0.6 + coasted_m)
 
 
 @pytest.mark.parametrize("silent_s", [0.2, 0.7, 3.0])

@@ -40,10 +40,10 @@ def sip(**fields: int) -> bytes:
 class Bench:
     """A session with a simulated peer, which records the bytes sent and the events."""
 
-    def __init__(self, model: str = "auto") -> None:
+    def __init__(self, model: str = "auto", baudrate: int | None = None) -> None:
         self.session = Session(ROBOTS.get(model))
         self.now = 100.0
-        self.baudrate: int | None = None
+        self.baudrate = baudrate
         self.events: list[SessionEvent] = []
         self._decoder = Decoder()
 

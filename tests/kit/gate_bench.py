@@ -15,16 +15,7 @@ import pytest
 from bridge.base import BaseReport
 from bridge.gate.gate import step
 from bridge.gate.limits import Fence, Limits
-from bridge.gate.state import (
-    BaseLost,
-    Enable,
-    GateState,
-    Release,
-    ReleaseStop,
-    Stop,
-    Tick,
-    VelocityCommand,
-)
+from bridge.gate.state import BaseLost, Enable, GateState, Release, ReleaseStop, Stop, Tick, VelocityCommand
 from kit.paths import DATA
 from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.wire.protocol import CommandTag

@@ -10,16 +10,7 @@ from kit.gate_bench import SECRET, SLOW
 from bridge.base import BaseReport
 from bridge.gate.gate import step
 from bridge.gate.limits import Fence, Limits
-from bridge.gate.state import (
-    BaseLost,
-    Enable,
-    GateState,
-    Release,
-    ReleaseStop,
-    Stop,
-    Tick,
-    VelocityCommand,
-)
+from bridge.gate.state import BaseLost, Enable, GateState, Release, ReleaseStop, Stop, Tick, VelocityCommand
 from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.wire.protocol import CommandTag
 
@@ -199,11 +190,7 @@ def forged(event, state):
 
 @settings(max_examples=300)
 @given(happenings=happenings, limits=all_limits, accept_ros=st.booleans())
-@example(
-    [*[(0.02, GOOD)] * 3, (61.0, ("begin", CLEAR)), (0.02, GOOD), (0.3, GOOD)],
-    Limits(),
-    False,
-)
+@example([*[(0.02, GOOD)] * 3, (61.0, ("begin", CLEAR)), (0.02, GOOD), (0.3, GOOD)], Limits(), False)
 def test_output_is_always_finite_within_limits_and_allowed(happenings, limits, accept_ros):
     check(happenings, limits, accept_ros)
 

@@ -179,8 +179,7 @@ def test_fence_measures_the_distance_of_points_outside():
 
 
 @pytest.mark.parametrize(
-    ("x_min", "x_max", "y_min", "y_max"),
-    [(1.0, 1.0, 0.0, 1.0), (2.0, 1.0, 0.0, 1.0), (0.0, 1.0, 1.0, 1.0)],
+    ("x_min", "x_max", "y_min", "y_max"), [(1.0, 1.0, 0.0, 1.0), (2.0, 1.0, 0.0, 1.0), (0.0, 1.0, 1.0, 1.0)]
 )
 def test_a_fence_without_an_inside_is_refused(x_min, x_max, y_min, y_max):
     with pytest.raises(ValidationError, match="a fence needs"):

@@ -181,10 +181,7 @@ def test_a_skid_steered_robot_slides_sideways_as_it_turns():
 @pytest.mark.parametrize(
     ("name", "reports"),
     [
-        (
-            "turtlebot3-burger",
-            [BaseReport(x=0.001 * (k % 3), theta=0.002 * (k % 2)) for k in range(10_000)],
-        ),
+        ("turtlebot3-burger", [BaseReport(x=0.001 * (k % 3), theta=0.002 * (k % 2)) for k in range(10_000)]),
         ("turtlebot4", [*(BaseReport(x=0.1 * k) for k in range(100)), BaseReport(x=math.nan), BaseReport()]),
     ],
     ids=["noise at rest is no way", "sure again after a reset and NaN"],

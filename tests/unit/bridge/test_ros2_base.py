@@ -167,8 +167,7 @@ def test_reason_of_a_robot_that_cannot_be_served_is_named(world, token, odom, wo
 
 
 @pytest.mark.parametrize(
-    "payload",
-    [b"", b"\0\1\0\0", text("x" * 800), odometry(EPOCH_S)[:-9], b"\0\1\0\0" + b"\xff" * 900],
+    "payload", [b"", b"\0\1\0\0", text("x" * 800), odometry(EPOCH_S)[:-9], b"\0\1\0\0" + b"\xff" * 900]
 )
 def test_bytes_that_are_no_odometry_never_make_it_ready(world, payload):
     world.run(7.0, odom=False, each=lambda: world.hear("odom", payload))

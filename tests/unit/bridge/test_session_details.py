@@ -29,9 +29,7 @@ def silent(bench):
     [(None, [], 6), (9600, [38400, 9600, 38400, 9600, 38400], 8), (38400, [], 7)],
 )
 def test_silent_line_is_tried_at_its_own_and_at_the_fast_rate(baudrate, rates, handshakes):
-    bench = Bench()
-    bench.baudrate = baudrate
-    assert silent(bench.connect()) == (rates, handshakes)
+    assert silent(Bench(baudrate=baudrate).connect()) == (rates, handshakes)
 
 
 @pytest.mark.parametrize(("baudrate", "rates", "handshakes"), [(None, [], 3), (9600, [38400, 9600], 5)])
@@ -59,9 +57,8 @@ def test_packets_that_a_session_does_not_use_are_no_answer():
     ],
 )
 def test_slow_line_becomes_faster_if_the_base_can_switch(baudrate, config, asked):
-    bench = Bench()
-    bench.baudrate = baudrate
-    bench.go_to(SessionState.CONFIGURING).hear(config + sip())
+    bench = Bench(baudrate=baudrate).go_to(SessionState.CONFIGURING)
+    bench.hear(config + sip())
     assert bench.session.state is (SessionState.ASKING_FASTER if asked else SessionState.READY)
     assert ((Command.HOSTBAUD, HOSTBAUD_RATES.index(38400)) in bench.sent()) is asked
 

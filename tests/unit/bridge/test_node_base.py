@@ -24,6 +24,7 @@ from rover_ncp.wire.protocol import (
 )
 
 STOP = Setpoint(Velocity(0.0, 0.0), motors=False, emergency=False)
+READY = Ready("x", load_description("p3at"))
 
 
 class FailingBase:
@@ -32,7 +33,7 @@ class FailingBase:
     def __init__(self):
         self.fails, self.driven, self.calls = {}, [], []
         self.timeout = BaseTimeout(TimeoutState.PUBLISHED, 1.0)
-        self.reports = [Ready("x", load_description("p3at"))]
+        self.reports = [READY]
 
     def _call(self, name, result=None):
         self.calls.append(name)
@@ -68,7 +69,7 @@ class FailingBase:
 class Loop:
     """A node with such a base, on a virtual clock: each turn takes 20 ms and brings a report."""
 
-    def __init__(self, accept_ros=False, limits=None):
+    def __init__(self, accept_ros=False, limits=None, turns=0):
         self.now_ns, self.base, self.driver = 10**9, FailingBase(), DriverClient(self)
         self.arrivals, self.silent = [], False
         self.node = Node(
@@ -81,6 +82,7 @@ class Loop:
             clock=self,
             suspended_s=lambda: 0.0,
         )
+        self.turn(turns)
 
     def monotonic(self):
         return self.now_ns * 1e-9
@@ -125,8 +127,7 @@ class Loop:
 @pytest.fixture
 def driving(caplog):
     caplog.set_level(logging.INFO, "rover_ncp")
-    loop = Loop()
-    loop.turn(3)
+    loop = Loop(turns=3)
     assert loop.driver.motors().granted
     assert loop.drive().velocity == (0.2, 0.0)
     return loop
@@ -173,19 +174,14 @@ def test_exception_of_the_base_is_a_lost_base(driving, fails, error, caplog):
 
 
 @pytest.mark.parametrize("method", ["receive", "drive"])
-def test_base_that_returns_no_events_is_a_lost_base(driving, method, monkeypatch):
+def test_base_that_returns_no_events_is_a_lost_base_without_a_driver(driving, method, monkeypatch):
     monkeypatch.setattr(driving.base, method, lambda *_: None)
-    driving.turn(3)
-    assert driving.node.gate.held == "no-base"
-    driving.node.run(lambda: True)
-    assert driving.base.calls[-1] == "close"
-
-
-def test_base_that_takes_no_setpoint_gets_no_driver(driving):
-    driving.base.fails["drive"] = OSError("gone")
     driving.turn(100)
+    assert driving.node.gate.held == "no-base"
     driving.driver.lease.end()
     assert driving.driver.motors().reason == "no-base"
+    driving.node.run(lambda: True)
+    assert driving.base.calls[-1] == "close"
 
 
 @pytest.mark.parametrize(
@@ -213,8 +209,7 @@ def test_base_that_cannot_be_reached_later_does_not_end_the_bridge(driving):
 
 @pytest.mark.parametrize("fails", ["health", "base_timeout", "reset_odometry", "measure_base_timeout"])
 def test_exception_of_another_call_of_the_base_ends_nothing(fails):
-    loop = Loop(accept_ros=True)
-    loop.turn(3)
+    loop = Loop(accept_ros=True, turns=3)
     loop.base.fails[fails] = OSError("gone")
     loop.turn(60)
     assert b"gone" in loop.query("rover/reset_odometry", b"{}") or fails != "reset_odometry"
@@ -227,10 +222,8 @@ def test_exception_of_another_call_of_the_base_ends_nothing(fails):
 @pytest.mark.parametrize("again", ["ready", "recovered"])
 def test_base_that_is_ready_again_has_other_odometry_and_one_that_recovers_the_same(fenced, again):
     fence = Fence(x_min=-1.0, x_max=1.0, y_min=-1.0, y_max=1.0) if fenced else None
-    loop = Loop(limits=Limits(fence=fence))
-    ready = loop.base.reports[0]
-    loop.turn(3)
-    loop.base.reports = [Lost("x"), ready if again == "ready" else Recovered()]
+    loop = Loop(limits=Limits(fence=fence), turns=3)
+    loop.base.reports = [Lost("x"), READY if again == "ready" else Recovered()]
     loop.turn(2)
     reply = loop.driver.motors()
     assert reply.granted is (not fenced or again == "recovered")
@@ -242,7 +235,7 @@ def test_end_of_a_lease_by_a_base_that_is_ready_again_has_its_own_reason(driving
     driving.turn(2)
     driving.driver.lease.end()
     assert driving.driver.motors().granted
-    driving.base.reports = [Ready("x", load_description("p3at"))]
+    driving.base.reports = [READY]
     driving.turn()
     assert driving.node.gate.lease_over_detail == "the base is not connected: its odometry restarted"
 

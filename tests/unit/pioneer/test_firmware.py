@@ -127,9 +127,7 @@ def test_watchdog_halts_and_any_packet_resumes_the_setpoints(pioneer: Pioneer) -
     assert pioneer.speed == pytest.approx(0.2)
 
 
-def test_watchdog_halts_two_seconds_after_the_last_packet_at_whatever_step_that_came(
-    pioneer: Pioneer,
-) -> None:
+def test_watchdog_halts_two_seconds_after_the_last_packet_at_any_step(pioneer: Pioneer) -> None:
     steps_to_braking = set()
     for _ in range(12):
         pioneer.drive(200, 1.01)

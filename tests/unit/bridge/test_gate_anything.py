@@ -10,7 +10,16 @@ from kit.gate_bench import SECRET, SLOW
 from bridge.base import BaseReport
 from bridge.gate.gate import step
 from bridge.gate.limits import Fence, Limits
-from bridge.gate.state import BaseLost, Enable, GateState, Release, ReleaseStop, Stop, Tick, VelocityCommand
+from bridge.gate.state import (
+    BaseLost,
+    Enable,
+    GateState,
+    Release,
+    ReleaseStop,
+    Stop,
+    Tick,
+    VelocityCommand,
+)
 from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.wire.protocol import CommandTag
 
@@ -22,11 +31,14 @@ velocities = st.builds(Velocity, speeds, speeds) | st.none()
 signatures = st.sampled_from([True, True, True, False])
 sequences = st.integers(0, 40) | st.integers(0, 2**64 - 1)
 stamp_errors = st.sampled_from([0, 0, 0, 10_000_000, -10_000_000, 10**9, -(10**9), 2**62, -(2**62)])
-ages = st.none() | st.floats() | st.floats(-0.4, 0.4)
 numbers = st.floats(-5, 5) | st.sampled_from([0.0, math.nan, math.inf, 1e308])
 reports = st.builds(
     BaseReport,
-    **dict.fromkeys(("x", "y", "theta", "v", "omega"), numbers),
+    x=numbers,
+    y=numbers,
+    theta=numbers,
+    v=numbers,
+    omega=numbers,
     battery_v=st.sampled_from([0.0, 12.0, 12.0, 10.0, math.nan]),
     motors_on=st.sampled_from([True, True, True, False]),
     stop_pressed=st.sampled_from([False] * 9 + [True]),
@@ -36,27 +48,26 @@ reports = st.builds(
     clear_behind_m=st.sampled_from([5.0, 0.4, math.nan]),
 )
 CLEAR = BaseReport(clear_ahead_m=1.0, clear_behind_m=1.0)
-GOOD = ("drive", (CLEAR, SLOW))
 TOUCHING = [BaseReport(bumpers=(0, 4)), BaseReport(bumpers=(1, 0)), BaseReport(stalled=(True, True))]
-touching = st.sampled_from(TOUCHING)
+good = st.just(("good", None))
 happenings = st.lists(
     st.tuples(
         st.sampled_from([*[0.02, 0.05, 0.1] * 5, 0.0, 0.3, 1.1, 61.0, -1.0]),
         st.one_of(
-            *[st.just(GOOD)] * 8,
-            st.just(("begin", CLEAR)),
-            st.tuples(st.just("begin"), touching),
-            st.tuples(st.just("drive"), st.tuples(touching, velocities)),
+            *[good] * 8,
+            st.just(("start", None)),
+            st.tuples(st.just("touch"), st.sampled_from(TOUCHING)),
+            st.tuples(st.just("touching"), st.tuples(st.sampled_from(TOUCHING), velocities)),
+            st.tuples(st.just("report"), reports),
+            st.tuples(st.just("event"), st.sampled_from([Tick(), BaseLost(), Stop("x"), ReleaseStop()])),
             st.tuples(st.just("enable"), st.tuples(st.none() | sequences, stamp_errors)),
-            st.tuples(st.just("tagged"), st.tuples(velocities, signatures, sequences, stamp_errors)),
-            *(
-                st.tuples(st.just("event"), events)
-                for events in (
-                    reports,
-                    st.sampled_from([Tick(), BaseLost(), Stop("x"), ReleaseStop()]),
-                    st.builds(Release, sequences),
-                    st.builds(VelocityCommand, velocities, st.none(), ages),
-                )
+            st.tuples(st.just("release"), sequences),
+            st.tuples(
+                st.just("tagged"),
+                st.tuples(velocities, signatures, sequences, stamp_errors),
+            ),
+            st.tuples(
+                st.just("plain"), st.tuples(velocities, st.none() | st.floats() | st.floats(-0.4, 0.4))
             ),
         ),
     ),
@@ -75,23 +86,38 @@ all_limits = st.builds(
 
 
 def events_of(kind, what, now, sequence):
-    """The events that a happening stands for: "begin" is all it takes to begin, "drive" to go on."""
+    """The events that a happening stands for: "start" is all it takes to begin, "good" to go on.
+
+    "touch" is all it takes to begin in contact, "touching" to go on.
+    """
     stamp = round(now * 1e9)
     match kind:
-        case "begin":
-            yield from (what, ReleaseStop(), Enable("x", stamp, SECRET))
-        case "drive":
-            report, velocity = what
-            yield report
-            yield VelocityCommand(velocity, CommandTag(1, sequence, stamp), signed=True)
+        case "good":
+            yield CLEAR
+            yield VelocityCommand(SLOW, CommandTag(1, sequence, stamp), signed=True)
         case "publisher":
-            yield from (CLEAR, VelocityCommand(SLOW))
+            yield CLEAR
+            yield VelocityCommand(SLOW)
+        case "start":
+            yield ReleaseStop()
+            yield CLEAR
+            yield Enable("x", stamp, SECRET)
+        case "touch":
+            yield what
+            yield ReleaseStop()
+            yield Enable("x", stamp, SECRET)
+        case "touching":
+            yield what[0]
+            yield VelocityCommand(what[1], CommandTag(1, sequence, stamp), signed=True)
         case "enable":
-            number, error = what
-            yield Enable("x", stamp + error, SECRET, number)
+            yield Enable("x", stamp + what[1], SECRET, what[0])
+        case "release":
+            yield Release(what)
         case "tagged":
             velocity, signed, number, error = what
             yield VelocityCommand(velocity, CommandTag(1, number, stamp + error), signed=signed)
+        case "plain":
+            yield VelocityCommand(what[0], None, what[1])
         case _:
             yield what
 
@@ -113,13 +139,12 @@ def allowed_to_move(history, limits):
     last = -1 if command.tag is None else command.tag.sequence
     latches = [event for _, event, _ in history if isinstance(event, Stop | ReleaseStop)]
     hazards = hazardous(history)
-    since = [event for _, event, _ in history[counted[-1] + 1 :]]
     return (
         now - commanded_s <= limits.command_timeout_s + ROUNDING_S
         and report.motors_on
         and all(math.isfinite(getattr(report, name)) for name in ("x", "y", "theta", "v", "omega"))
         and not any(hazards[counted[-1] + 1 :])
-        and not any(isinstance(event, Release) and event.sequence > last for event in since)
+        and not any(released(event, last) for _, event, _ in history[counted[-1] + 1 :])
         and asked_again(history, counted, hazards)
         and away(report, history[-1][2].velocity)
         and not (latches and isinstance(latches[-1], Stop))
@@ -180,6 +205,10 @@ def away(report, velocity):
     return sided and velocity.omega == 0.0 and abs(velocity.v) <= 0.1
 
 
+def released(event, last):
+    return isinstance(event, Release) and event.sequence > last
+
+
 def forged(event, state):
     """Whether an event is of a driver that does not have the key of the lease that is held."""
     if state.lease is None or state.lease.secret is None:
@@ -190,19 +219,33 @@ def forged(event, state):
 
 @settings(max_examples=300)
 @given(happenings=happenings, limits=all_limits, accept_ros=st.booleans())
-@example([*[(0.02, GOOD)] * 3, (61.0, ("begin", CLEAR)), (0.02, GOOD), (0.3, GOOD)], Limits(), False)
+@example(
+    [(0.02, ("good", None))] * 3 + [(61.0, ("start", None)), *[(w, ("good", None)) for w in (0.02, 0.3)]],
+    Limits(),
+    False,
+)
 def test_output_is_always_finite_within_limits_and_allowed(happenings, limits, accept_ros):
     check(happenings, limits, accept_ros)
 
 
-pauses = st.sampled_from([0.1] * 20 + [0.3, 1.1])
-others = st.sampled_from([Stop("x"), ReleaseStop(), BaseLost(), BaseReport(bumpers=(0, 4))])
-between = st.tuples(st.just("event"), st.just(VelocityCommand(STANDSTILL)) | others)
-publishing = st.one_of(*[st.just(("publisher", None))] * 20, *[between] * 2)
-
-
 @settings(max_examples=100)
-@given(happenings=st.lists(st.tuples(pauses, publishing), min_size=20, max_size=60))
+@given(
+    happenings=st.lists(
+        st.tuples(
+            st.sampled_from([0.1] * 20 + [0.3, 1.1]),
+            st.one_of(
+                *[st.just(("publisher", None))] * 20,
+                st.tuples(st.just("plain"), st.tuples(st.just(STANDSTILL), st.none())),
+                st.tuples(
+                    st.just("event"),
+                    st.sampled_from([Stop("x"), ReleaseStop(), BaseLost(), BaseReport(bumpers=(0, 4))]),
+                ),
+            ),
+        ),
+        min_size=20,
+        max_size=60,
+    )
+)
 def test_a_plain_publisher_moves_the_rover_only_when_allowed(happenings):
     check(happenings, Limits(), accept_ros=True)
 
@@ -211,7 +254,7 @@ def check(happenings, limits, accept_ros):
     """Run the gate on the happenings and check each verdict against the history."""
     state, now, before = GateState(), 100.0, (100.0, STANDSTILL)
     history = []
-    prelude = [(0.0, ("event", CLEAR)), (0.0, ("enable", (None, 0)))]
+    prelude = [(0.0, ("report", CLEAR)), (0.0, ("enable", (None, 0)))]
     for sequence, (wait, (kind, what)) in enumerate(prelude + happenings):
         now += wait
         for event in events_of(kind, what, now, sequence):
@@ -222,12 +265,16 @@ def check(happenings, limits, accept_ros):
                 assert replace(state, dropped={}) == replace(idle, dropped={})
             v, omega = verdict.velocity
             history.append((max(now, before[0]), event, verdict))
+            assert math.isfinite(v)
+            assert math.isfinite(omega)
             assert abs(v) <= limits.v_max
             assert abs(omega) <= limits.omega_max
             elapsed = min(max(now - before[0], 0.0), 0.1)
             for new, old, rate in ((v, before[1].v, limits.accel), (omega, before[1].omega, limits.alpha)):
                 assert abs(new) <= (abs(old) if new * old > 0 else 0.0) + rate * elapsed + 1e-12
-            assert verdict.velocity == STANDSTILL or (verdict.motors and allowed_to_move(history, limits))
+            if verdict.velocity != STANDSTILL:
+                assert verdict.motors
+                assert allowed_to_move(history, limits)
             before = (max(now, before[0]), verdict.velocity)
     assert state.accepted + sum(state.dropped.values()) == sum(
         isinstance(event, VelocityCommand) for _, event, _ in history

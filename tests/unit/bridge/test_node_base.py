@@ -174,14 +174,19 @@ def test_exception_of_the_base_is_a_lost_base(driving, fails, error, caplog):
 
 
 @pytest.mark.parametrize("method", ["receive", "drive"])
-def test_base_that_returns_no_events_is_a_lost_base_without_a_driver(driving, method, monkeypatch):
+def test_base_that_returns_no_events_is_a_lost_base(driving, method, monkeypatch):
     monkeypatch.setattr(driving.base, method, lambda *_: None)
-    driving.turn(100)
+    driving.turn(3)
     assert driving.node.gate.held == "no-base"
-    driving.driver.lease.end()
-    assert driving.driver.motors().reason == "no-base"
     driving.node.run(lambda: True)
     assert driving.base.calls[-1] == "close"
+
+
+def test_base_that_takes_no_setpoint_gets_no_driver(driving):
+    driving.base.fails["drive"] = OSError("gone")
+    driving.turn(100)
+    driving.driver.lease.end()
+    assert driving.driver.motors().reason == "no-base"
 
 
 @pytest.mark.parametrize(

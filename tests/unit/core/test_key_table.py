@@ -30,6 +30,8 @@ def test_only_driver_commands_and_only_bridge_reports():
     assert len({row.name for row in KEYS}) == len(KEYS)
     assert spec("cmd_vel").senders == {Role.DRIVER}
     for row in KEYS:
+        assert row.senders
+        assert row.receivers
         if row.kind is Kind.QUERYABLE:
             assert row.receivers == {Role.BRIDGE}
             assert Role.VIEWER not in row.senders

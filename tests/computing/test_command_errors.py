@@ -106,6 +106,7 @@ TABLE = [
     ("train --course blocked.yaml", "an obstacle stands where the rover starts"),
     ("eval course --course blocked.yaml", "an obstacle stands where the rover starts"),
     ("eval course --course typo.yaml", "$.horizon: unknown key"),
+    ("course check poses.yaml", "$.checkpoints: this key is missing; $.poses: unknown key"),
     # circuits and policies
     ("eval small.bnn", "small.bnn: to drive a rover it needs at least 12 neurons"),
     ("eval damaged.bnn", "damaged.bnn"),
@@ -114,6 +115,12 @@ TABLE = [
     ("eval typo.yaml", "typo.yaml: $.format: this key is missing; $.circuit: this key is missing"),
     ("eval parking.bnn --task mountain-car", "'REV'"),
     ("train --randomize full --circuit parking", "no neuron 'REV'"),
+    ("train --randomize full --circuit parking --refine", "parking is an untrained circuit"),
+    ("train --circuit smell.yaml", "policy forward: unknown signals: smell (expected some of x, "),
+    ("train --task CartPole-v1 --circuit parking", "a task needs a policy file"),
+    ("eval kanayama --task mountain-car", "kanayama follows a course"),
+    ("eval task.yaml --task Nowhere-v0", "no task Nowhere-v0: it is none of pendulum"),
+    ("eval task.yaml --task CartPole-v1", "rover-ncp: environment CartPole-v1: its observation has 4"),
     # other files
     ("train --out done", "is not empty"),
     ("train --randomize full --out done", "is not empty"),
@@ -124,6 +131,9 @@ TABLE = [
     (f"deploy {ROBOT} --zenoh-config zenoh.json5", "zenoh.json5: not a Zenoh configuration: "),
     (f"bridge {BASE} --limits fast.yaml", "$.v_max: input should be less than or equal to 1.2, got 3.0"),
     (f"bridge {BASE} --limits unknown.yaml", "$.speed: unknown key"),
+    (f"bridge {BASE} --zenoh-config listen.json5 --insecure", "tcp/192.0.2.1:9: cannot listen there"),
+    ("eval course --randomize ranges.yaml", "less than 1, got 1.5; $.start: unknown key"),
+    ("eval course --profile profile.yaml", "less than 5, got 99; $.delay: unknown key"),
     # names
     ("fly", "No such command 'fly'"),
     ("evla", "Did you mean 'eval'"),
@@ -137,7 +147,6 @@ TABLE = [
     ("paper run --task cart", "no task 'cart'"),
     (f"deploy {ROBOT} --policy unheard-of", "unheard-of: no such file, and none of the shipped"),
     (f"bridge {BASE} --model hal", "hal: no such file, and none of the shipped robots"),
-    (f"bridge {BASE} --ros corba", "Invalid value for '--ros'"),
     # options that do not go together
     ("train --resume", "--resume needs --out"),
     ("train --cluster tcp://127.0.0.1:9 --processes 2", "do not go together"),
@@ -193,7 +202,13 @@ TABLE = [
     ("bridge --base ftp/x", "base ftp/x: expected tcp/HOST"),
     (f"bridge {BASE} --listen garbage", "expected PROTOCOL/HOST:PORT, like tcp/127.0.0.1:7447"),
     (f"bridge {BASE} --listen tcp/127.0.0.1", "tcp/127.0.0.1: cannot listen there: invalid socket address"),
-    (f"bridge {BASE} --listen tcp/192.0.2.1:0", "any client that reaches it could drive the rover"),
+    *(
+        (f"bridge {BASE} {options}", ": any client that reaches it could drive the rover")
+        for options in (
+            *("--listen tcp/192.0.2.1:0", "--listen tcp/0.0.0.0:0", "--listen tcp/[::]:0"),
+            *("--listen tls/0.0.0.0:0", "--listen tcp/127.0.0.1:0 --zenoh-config connect.json5"),
+        )
+    ),
     ("deploy --robot tcp/127.0.0.1:99999", "expected a port from 1 to 65535"),
     ("deploy --robot tcp/127.0.0.1:0", "expected a port from 1 to 65535"),
     ("bridge --base tcp/127.0.0.1:99999 --listen tcp/127.0.0.1:0", "99999"),
@@ -209,38 +224,47 @@ def folder(tmp_path_factory):
     for made in ("done/run.mcap", "trained/train/settings.yaml"):
         (folder / made).parent.mkdir(parents=True)
         (folder / made).write_text("x")
-    (folder / "deep.yaml").write_text("a: " + "[" * 100_000 + "]" * 100_000)
     row = "- {{t: {}, x: {}, y: 0, theta: 0}}\n"
     head = "name: a\nstart_signal_s: 0\nhorizon_s: 3600\ncheckpoints:\n"
-    (folder / "long.yaml").write_text(head + "".join(row.format(0.01 * k, 0) for k in range(100_000)))
-    many = (row.format(k, 0) for k in range(1001))
-    (folder / "many.yaml").write_text(head + "".join(many))
-    (folder / "far.yaml").write_text(head + row.format(1, "1.0e+300"))
-    (folder / "poses.csv").write_text("x,y,theta\n0,0,0\n1,0,0\n")
-    (folder / "far.csv").write_text("x,y,theta\n0,0,0\n1e300,0,0\n")
-    (folder / "slow.csv").write_text("x,y,theta\n0,0,0\n900,0,0\n")
-    (folder / "blocked.yaml").write_text(
-        SHORT.read_text() + "obstacles: [{x: 0.2, y: 0, length: 0.1, width: 0.1}]\n"
-    )
-    (folder / "typo.yaml").write_text(SHORT.read_text().replace("horizon_s", "horizon"))
-    parking = circuit_to_bnn(load_circuit("parking"))
-    (folder / "parking.bnn").write_text(parking)
-    (folder / "small.bnn").write_text(circuit_to_bnn(load_circuit("tap_withdrawal")))
-    (folder / "damaged.bnn").write_text(parking.replace("size 12", "size twelve"))
-    (folder / "nan.bnn").write_text(parking + "cm 3 nan\n")
-    (folder / "nogyro.yaml").write_text("name: nogyro\nbased_on: turtlebot4\ngyro: null\n")
-    for empty in ("empty.mcap", "empty.bnn"):
-        (folder / empty).touch()
+    short, parking = SHORT.read_text(), circuit_to_bnn(load_circuit("parking"))
+    forward = (ROOT / "docs/examples/policy.yaml").read_text()
     tutorial = (ROOT / "docs/tutorials/own_task.md").read_text()
-    (folder / "task.yaml").write_text(re.search(r'title="wall.yaml"\n(.*?)```', tutorial, re.DOTALL)[1])
-    (folder / "zenoh.json5").write_text('{ mode: "client", no_such_key: 1 }')
-    (folder / "fast.yaml").write_text("v_max: 3.0")
-    (folder / "unknown.yaml").write_text("speed: 1")
+    written = {
+        "deep.yaml": "a: " + "[" * 100_000 + "]" * 100_000,
+        "long.yaml": head + "".join(row.format(0.01 * k, 0) for k in range(100_000)),
+        "many.yaml": head + "".join(row.format(k, 0) for k in range(1001)),
+        "far.yaml": head + row.format(1, "1.0e+300"),
+        "blocked.yaml": short + "obstacles: [{x: 0.2, y: 0, length: 0.1, width: 0.1}]\n",
+        "typo.yaml": short.replace("horizon_s", "horizon"),
+        "poses.yaml": "poses:\n- {x: 0, y: 0, theta: 0}\n- {x: 1, y: 0, theta: 0}\n",
+        "poses.csv": "x,y,theta\n0,0,0\n1,0,0\n",
+        "far.csv": "x,y,theta\n0,0,0\n1e300,0,0\n",
+        "slow.csv": "x,y,theta\n0,0,0\n900,0,0\n",
+        "parking.bnn": parking,
+        "small.bnn": circuit_to_bnn(load_circuit("tap_withdrawal")),
+        "damaged.bnn": parking.replace("size 12", "size twelve"),
+        "nan.bnn": parking + "cm 3 nan\n",
+        "empty.bnn": "",
+        "empty.mcap": "",
+        "smell.yaml": re.sub("(inputs: .|name: )x([],])", r"\1smell\2", forward),
+        "task.yaml": re.search(r'title="wall.yaml"\n(.*?)```', tutorial, re.DOTALL)[1],
+        "nogyro.yaml": "name: nogyro\nbased_on: turtlebot4\ngyro: null\n",
+        "ranges.yaml": "name: bad\nlost: 1.5\nstart: 3\n",
+        "profile.yaml": "name: x\ngain_v: 99\ndelay: 1\n",
+        "zenoh.json5": '{ mode: "client", no_such_key: 1 }',
+        "listen.json5": '{ listen: { endpoints: ["tcp/192.0.2.1:9"] } }',
+        "connect.json5": '{ connect: { endpoints: ["tcp/0.0.0.0:0"] } }',
+        "fast.yaml": "v_max: 3.0",
+        "unknown.yaml": "speed: 1",
+    }
+    for name, text in written.items():
+        (folder / name).write_text(text)
     return folder
 
 
 def files(folder):
-    return {str(path): path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
+    """Return all folders, and when each file was changed last."""
+    return {str(path): path.is_file() and path.stat().st_mtime_ns for path in folder.rglob("*")}
 
 
 @pytest.mark.parametrize(("command", "words"), TABLE, ids=lambda text: text.replace(LONG, "LONG"))

@@ -109,14 +109,6 @@ def test_a_port_in_use_is_exit_2_and_the_robot_is_left_alone(fails):
     assert line == f"--listen {listen}: another process listens there already"
 
 
-def test_a_zenoh_configuration_says_where_to_listen(tmp_path, capsys):
-    config = tmp_path / "zenoh.json5"
-    config.write_text('{ listen: { endpoints: ["tcp/192.0.2.1:9"] } }')
-    arguments = ["bridge", "--base", NO_ROBOT, "--zenoh-config", str(config)]
-    assert cli.run([*arguments, "--insecure"]) == 2
-    assert "--listen tcp/192.0.2.1:9: cannot listen there" in capsys.readouterr().err
-
-
 def test_bridge_that_may_open_too_few_files_is_refused(fails, monkeypatch):
     monkeypatch.setattr(resource, "getrlimit", lambda kind: (60, 60))
     code, line = fails(NO_ROBOT)

@@ -153,19 +153,6 @@ def test_deploy_says_not_authorised_and_drives_when_it_is(secured, keys, capsys,
     assert (code, json.loads(printed.out)["ticks"]) == (1, 5)
 
 
-LAN = ["tcp/0.0.0.0:0", "tcp/[::]:0", "tls/0.0.0.0:0"]
-
-
-@pytest.mark.parametrize("listen", LAN)
-def test_listening_beyond_this_machine_needs_certificates(listen, capsys, tmp_path):
-    arguments = ["bridge", "--base", "tcp/127.0.0.1:1", "--listen", listen]
-    assert cli.run(arguments) == 2
-    assert f"{listen}: any client that reaches it could drive the rover" in capsys.readouterr().err
-    config = tmp_path / "zenoh.json5"
-    config.write_text(f'{{ connect: {{ endpoints: ["{listen}"] }} }}')
-    assert cli.run([*arguments[:4], "tcp/127.0.0.1:0", "--zenoh-config", str(config)]) == 2
-
-
 def test_insecure_option_allows_listening_beyond_this_machine(capsys, monkeypatch):
     monkeypatch.setattr(base_connection, "FIRST_TRIES", 1)
     # What fails then is the robot, which is not there: the bridge did listen.

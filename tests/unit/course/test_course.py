@@ -7,10 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import ConfigError
-from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import load_course
 from rover_ncp.course.scoring import SURE, Failure, Parked, judge, probability_within
@@ -19,16 +17,6 @@ COURSE = load_course("parking")
 GOAL, RULE = COURSE.goal, COURSE.parked
 TIMES = [0.1 * k for k in range(321)]
 SURE_HEADING, STD_ERROR = 1e-12, 0.004
-
-
-def test_a_file_of_another_kind_is_one_line_with_its_keys(tmp_path):
-    poses = tmp_path / "poses.yaml"
-    poses.write_text("poses:\n- {x: 0, y: 0, theta: 0}\n- {x: 1, y: 0, theta: 0}\n")
-    with pytest.raises(ConfigError, match=r"\$\.poses: unknown key") as caught:
-        load_course(poses)
-    assert "\n" not in str(caught.value)
-    with pytest.raises(ConfigError, match=r"\$\.circuit: this key is missing"):
-        load_policy(resolve("courses", "parking"))
 
 
 @pytest.mark.parametrize(("tick", "signal"), [(0, 0.0), (29, 0.0), (30, 1.0), (31, 1.0), (320, 1.0)])

@@ -9,7 +9,6 @@ from kit.tutorials import PAGES, write_files
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.runner import Runner
-from rover_ncp.cli import run
 from rover_ncp.core.errors import ConfigError, UsageError
 from sim import api
 from sim.learn.engine.environment import MAX_STEPS, EnvironmentEvaluator
@@ -142,18 +141,3 @@ def test_training_is_the_same_after_an_interruption_which_loses_no_generation(fo
     for name in ("policy.yaml", "curve.csv", "search.json", "settings.yaml"):
         assert (folder / "parts" / name).read_bytes() == (folder / "whole" / name).read_bytes(), name
     assert load_policy(whole.path).sensing.inputs == ("far", "heading")
-
-
-def test_a_circuit_without_sensing_is_refused(folder):
-    with pytest.raises(UsageError, match="needs a policy file"):
-        api.train_task("run", task=TASK, circuit="parking")
-    assert not (folder / "run").exists()
-
-
-def test_error_for_an_unknown_environment_differs_from_one_for_a_misfit(folder, capsys):
-    assert run(["eval", "wall.yaml", "--task", "Nowhere-v0"]) == 2
-    assert "no task Nowhere-v0: it is none of pendulum" in capsys.readouterr().err
-    assert run(["eval", "wall.yaml", "--task", "CartPole-v1"]) == 2
-    said = capsys.readouterr().err
-    assert "its observation has 4 entries" in said
-    assert "no task" not in said

@@ -7,7 +7,7 @@ import pytest
 from kit.paths import DATA, ROOT
 
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.errors import ConfigError, UsageError
+from rover_ncp.core.errors import ConfigError
 from sim import api
 from sim.learn.robust import policy_box
 
@@ -45,18 +45,3 @@ def test_robust_training_goes_on_from_a_shipped_policy_in_small_steps(tmp_path):
         assert ("--refine" in found.policy.provenance["command"].split()) == refine
         moved.append(np.linalg.norm(policy_box(found.policy).start - policy_box(start).start))
     assert 0.0 < moved[0] < 0.5 * moved[1]
-
-
-def test_only_a_policy_is_refined(tmp_path):
-    with pytest.raises(UsageError, match="parking is an untrained circuit"):
-        api.train_robust(tmp_path / "run", circuit="parking", refine=True)
-    assert not (tmp_path / "run").exists()
-
-
-def test_a_start_that_drives_no_rover_is_refused(tmp_path):
-    wrong = tmp_path / "wrong.yaml"
-    wrong.write_text(
-        FORWARD.read_text().replace("inputs: [x]", "inputs: [smell]").replace("name: x,", "name: smell,")
-    )
-    with pytest.raises(ConfigError, match="smell"):
-        api.train(tmp_path / "run", course=SHORT, circuit=str(wrong), agents=1, iterations=1, processes=1)

@@ -55,11 +55,6 @@ def test_stored_agent_drives_as_a_policy(name, monkeypatch):
     assert np.isfinite(found(np.zeros(len(found.signals)))).all()
 
 
-def test_unknown_agent_is_refused():
-    with pytest.raises(KeyError):
-        find_agent("oracle", 0)
-
-
 @pytest.mark.parametrize(
     ("first", "second", "p"), [(0, 0, 1.0), (3, 3, 1.0), (0, 5, 2 / 32), (5, 0, 2 / 32), (1, 9, 22 / 1024)]
 )

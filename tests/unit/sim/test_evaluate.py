@@ -148,8 +148,3 @@ def test_a_law_drives_once_and_in_trials(capsys):
 def test_api_takes_a_law():
     assert sim_api.rollout("kanayama").verdict.parked
     assert sim_api.evaluate("kanayama", trials=2).success_rate == 1.0
-
-
-def test_a_law_is_no_circuit_for_a_task(capsys):
-    assert run(["eval", "kanayama", "--task", "mountain-car"]) == 2
-    assert "kanayama follows a course" in capsys.readouterr().err

@@ -94,8 +94,9 @@ def test_rover_drives_stops_in_time_and_stops_again_at_ctrl_c(tmp_path):
     assert "\x1b" not in "".join(lines)
 
 
-def test_no_robot_is_exit_3(fails):
-    assert fails(NO_ROBOT) == (3, f"{NO_ROBOT}: connection refused: nothing listens there")
+@pytest.mark.parametrize("options", [(), ("--listen", "tcp/0.0.0.0:0", "--insecure")], ids=["", "insecure"])
+def test_no_robot_is_exit_3_once_the_bridge_listens(fails, options):
+    assert fails(NO_ROBOT, *options) == (3, f"{NO_ROBOT}: connection refused: nothing listens there")
 
 
 def test_a_port_in_use_is_exit_2_and_the_robot_is_left_alone(fails):

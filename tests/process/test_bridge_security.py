@@ -10,7 +10,6 @@ import zenoh
 from kit.bridge_bench import Driver, wait_for
 from kit.zenoh_session import open_router
 
-from bridge.pioneer import base_connection
 from bridge.zenoh.certificate_authority import access_control
 from deploy.drive import config
 from deploy.drive.config import DriveConfig
@@ -151,14 +150,6 @@ def test_deploy_says_not_authorised_and_drives_when_it_is(secured, keys, capsys,
     assert printed.err.startswith("rover-ncp: not authorised: the process at tls/127.0.0.1")
     code, printed = deploy("--zenoh-config", str(keys / "driver.json5"), "--duration", "0.5", "--json")
     assert (code, json.loads(printed.out)["ticks"]) == (1, 5)
-
-
-def test_insecure_option_allows_listening_beyond_this_machine(capsys, monkeypatch):
-    monkeypatch.setattr(base_connection, "FIRST_TRIES", 1)
-    # What fails then is the robot, which is not there: the bridge did listen.
-    arguments = ["bridge", "--base", "tcp/127.0.0.1:1", "--listen", "tcp/0.0.0.0:0", "--insecure"]
-    assert cli.run(arguments) == 3
-    assert "connection refused" in capsys.readouterr().err
 
 
 def test_files_that_hold_secrets_are_their_owners_alone_and_never_replaced(keys, capsys):

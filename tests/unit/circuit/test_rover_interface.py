@@ -34,15 +34,8 @@ def test_simulator_lanes_and_controller_agree_to_the_last_bit(name):
     assert motor_outputs(policy, run.potentials) == pytest.approx(run.commands, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "problem"),
-    [
-        ("theta", "smell", r"unknown signals: smell \(expected some of x, .*turn"),
-        ("omega", "left", "outputs are v, left; expected v, omega"),
-    ],
-)
-def test_an_unknown_name_is_answered_with_the_known_ones(old, new, problem):
-    named = policy_to_yaml(api.load_policy("parking")).replace(f"name: {old}", f"name: {new}")
-    policy = policy_from_yaml(re.sub(rf"(inputs|outputs)(.*)\b{old}\b", rf"\1\2{new}", named), "renamed")
-    with pytest.raises(ConfigError, match=problem):
+def test_unknown_outputs_are_answered_with_the_known_ones():
+    named = policy_to_yaml(api.load_policy("parking")).replace("name: omega", "name: left")
+    policy = policy_from_yaml(re.sub(r"(outputs.*)\bomega\b", r"\1left", named), "renamed")
+    with pytest.raises(ConfigError, match="outputs are v, left; expected v, omega"):
         RoverInterface(policy)

@@ -1,6 +1,11 @@
 """What holds for all runs of these tests."""
 
+import itertools
+
 import pytest
+
+from rover_ncp.core.files import write_atomic
+from sim.learn import run_folder
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -10,3 +15,33 @@ def quick_runs():
         patch.setenv("PATH", "")
         patch.setattr("sim.learn.train.curve_png", lambda *_: b"a picture")
         yield
+
+
+@pytest.fixture
+def dies(monkeypatch):
+    """Return a function that calls another one, which a write of a run folder kills, as no handler notices.
+
+    It returns whether the write of that number came. Runs write a checkpoint each round.
+    """
+    monkeypatch.setattr(run_folder, "_CHECKPOINT_SHARE", float("inf"))
+
+    class DiedError(BaseException):
+        pass
+
+    def dies(number, train):
+        numbers = itertools.count()
+
+        def dying_write(path, data):
+            if next(numbers) == number:
+                raise DiedError
+            write_atomic(path, data)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(run_folder, "write_atomic", dying_write)
+            try:
+                train()
+            except DiedError:
+                return True
+        return False
+
+    return dies

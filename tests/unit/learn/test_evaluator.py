@@ -194,15 +194,8 @@ def test_courses_and_trials_in_one_batch_as_each_alone():
         assert found.error_m[3, j] == pytest.approx(run.verdict.error_m, abs=1e-12)
     assert np.array_equal(engine.outcomes(vectors[5:7]).total, found.total[5:7])
     # Others, with longer delays than lanes had room for before, and back.
-    engine.change_trials(
-        draw_trials(
-            load_randomization("none"),
-            default_rover(delay_v_s=0.9),
-            0,
-            count=2,
-            ticks=320,
-        )
-    )
+    slow = default_rover(delay_v_s=0.9)
+    engine.change_trials(draw_trials(load_randomization("none"), slow, 0, count=2, ticks=320))
     assert not np.array_equal(engine.outcomes(vectors).total, found.total[:, :2])
     engine.change_trials(trials)
     assert np.array_equal(engine.outcomes(vectors).total, found.total)

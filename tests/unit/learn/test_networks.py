@@ -67,13 +67,7 @@ def test_sizes_ranges_and_limits_are_those_of_the_circuit():
     assert lstm.layout().size == 4 * 11 * (4 + 11 + 1) + 2 * (11 + 1)
     assert (mlp.low, mlp.high) == ((0.0, -0.18), (0.16, 0.18))
     assert mlp.most == (1.0,) * 4
-    assert net_for(FOLLOWING, NetKind.MLP).scale == (
-        0.2,
-        0.2,
-        0.4,
-        0.16,
-        0.18,
-    )
+    assert net_for(FOLLOWING, NetKind.MLP).scale == (0.2, 0.2, 0.4, 0.16, 0.18)
 
 
 def test_a_network_that_asks_for_nothing_stays():

@@ -177,14 +177,6 @@ def test_stages_set_the_count_the_turn_of_the_courses_and_the_rounding():
     assert all(np.array_equal(a, b) for a, b in zip(free, rounded._replace(step=free.step), strict=True))
 
 
-def test_a_search_goes_on_where_it_was():
-    drive, going, again = drive_trials(engine(), FULL, MODEL, 3), searching(), searching()
-    for _ in range(3):
-        going.advance(drive)
-    again.restore(json.loads(json.dumps(going.state())))
-    assert np.array_equal(going.advance(drive).winner, again.advance(drive).winner)
-
-
 @pytest.mark.long
 def test_the_command_leaves_a_policy_that_says_how_it_was_made(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

@@ -7,7 +7,6 @@ from kit.paths import DATA, content
 
 from rover_ncp.cli import run as shell
 from rover_ncp.core.errors import FileError
-from sim.learn import run_folder
 from sim.learn.record import RobustSettings
 from sim.learn.robust_run import train_robust
 from sim.learn.workers import Inline
@@ -41,26 +40,9 @@ def test_workers_change_nothing(reference, tmp_path, monkeypatch):
     assert files == content(reference)
 
 
-class _Died(BaseException):
-    """Stands for a kill: no handler of the code under test knows it."""
-
-
 @pytest.mark.parametrize("writes", range(7))
-def test_dying_before_any_write_changes_nothing(reference, tmp_path, monkeypatch, writes):
-    monkeypatch.setattr(run_folder, "_CHECKPOINT_SHARE", float("inf"))  # a checkpoint each generation
-    left, write = writes, run_folder.write_atomic
-
-    def dying_write(path, data):
-        nonlocal left
-        if left == 0:
-            raise _Died
-        left -= 1
-        write(path, data)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(run_folder, "write_atomic", dying_write)
-        with pytest.raises(_Died):
-            train_robust(SETTINGS, tmp_path, processes=1)
+def test_dying_before_any_write_changes_nothing(reference, tmp_path, dies, writes):
+    assert dies(writes, lambda: train_robust(SETTINGS, tmp_path, processes=1))
     train_robust(SETTINGS, tmp_path, resume=(tmp_path / "settings.yaml").exists(), processes=1)
     assert content(tmp_path) == content(reference)
 

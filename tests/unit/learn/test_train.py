@@ -7,6 +7,7 @@ import os
 import shlex
 import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,6 @@ from kit.paths import DATA, content
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core import files
 from rover_ncp.core.errors import ConfigError, FileError, UsageError
 from rover_ncp.course.course import load_course
 from sim.learn.agents import AgentState, Snapshot
@@ -98,41 +98,18 @@ def test_resuming_a_complete_run_writes_the_same_bytes(reference: Path) -> None:
     assert result.iterations_per_s is None
 
 
-class _Died(BaseException):
-    """Stands for a kill: no handler of the code under test knows it."""
-
-
 @pytest.mark.long
 def test_dying_before_any_single_write_changes_nothing(
-    reference: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    reference: Path, tmp_path: Path, dies: Callable[[int, Callable[[], Any]], bool]
 ) -> None:
-    """With a checkpoint every round: the death comes before the first write, the second, ... the last."""
-    monkeypatch.setattr("sim.learn.run_folder._CHECKPOINT_SHARE", float("inf"))
-    left = 0
-
-    def dying_write(path: Path, data: bytes | str) -> None:
-        nonlocal left
-        left -= 1
-        if left < 0:
-            raise _Died
-        files.write_atomic(path, data)
-
-    monkeypatch.setattr("sim.learn.run_folder.write_atomic", dying_write)
     expected, deaths = content(reference), 0
-    while True:
-        out, left = tmp_path / str(deaths), deaths
-        try:
-            run(out)
-        except _Died:
-            deaths += 1
-            (out / ".policy.yaml.x1y2z3").write_text("half a pol")
-            if (out / "agents").is_dir():
-                (out / "agents" / ".00.json.abc").write_text("{")
-            left = 1_000_000
-            run(out, resume=(out / "settings.yaml").exists())
-            assert content(out) == expected
-        else:
-            break
+    while dies(deaths, partial(run, out := tmp_path / str(deaths))):
+        deaths += 1
+        (out / ".policy.yaml.x1y2z3").write_text("half a pol")
+        if (out / "agents").is_dir():
+            (out / "agents" / ".00.json.abc").write_text("{")
+        run(out, resume=(out / "settings.yaml").exists())
+        assert content(out) == expected
     # The record, three rounds and the end of two agents, policy and curve; two policies and the picture.
     assert deaths == 1 + 4 * 4 + 3
 

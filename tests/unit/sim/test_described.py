@@ -15,22 +15,7 @@ from sim.world.described import described_rover, ranges_of
 from sim.world.randomization import draw_trials
 from sim.world.skid_robot import SkidRobot, rigid_body_of
 
-BRIEF, ARC = str(DATA / "brief_course.yaml"), str(DATA / "arc_course.yaml")
-FIFTH = """
-name: fifth
-based_on: turtlebot4
-footprint: {radius_m: 0.25}
-motion: {v_max: 0.15, omega_max: 0.9, accel: 0.5, decel: 0.5}
-odometry: {rate_hz: 10}
-topics: {odom: wheels/odom, cmd_vel: base/cmd_vel, cmd_vel_type: TwistStamped, base_frame: base_footprint}
-"""
-
-
-@pytest.fixture
-def fifth(tmp_path):
-    file = tmp_path / "fifth.yaml"
-    file.write_text(FIFTH)
-    return str(file)
+BRIEF, ARC, FIFTH = (str(DATA / f"{name}.yaml") for name in ("brief_course", "arc_course", "fifth_robot"))
 
 
 def test_motors_of_a_description_are_those_of_the_mock_alone():
@@ -76,11 +61,11 @@ def test_a_skid_steered_robot_has_a_rigid_body_of_its_own():
     assert stack.drive(0).parked
 
 
-def test_a_fifth_robot_is_evaluated_from_its_file(fifth, capsys):
-    assert run(["eval", "course", "--stack", "--course", BRIEF, "--model", fifth, "--json"]) == 0
+def test_a_fifth_robot_is_evaluated_from_its_file(capsys):
+    assert run(["eval", "course", "--stack", "--course", BRIEF, "--model", FIFTH, "--json"]) == 0
     fields = json.loads(capsys.readouterr().out)
     assert fields["success_rate"] == 1.0
     assert fields["randomize"] == "fifth"
     assert "1.6 times as long for fifth: fifth reaches 0.15 m/s" in fields["scaled"][0]
-    assert run(["course", "check", BRIEF, "--model", fifth]) == 0
+    assert run(["course", "check", BRIEF, "--model", FIFTH]) == 0
     assert "1.6 times as long for fifth" in capsys.readouterr().out

@@ -1,7 +1,7 @@
 """``park`` trains, judges and drives one course and one robot, for a number of iterations, not of seconds."""
 
 import time
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 import pytest
 
@@ -26,15 +26,9 @@ class StoppedError(Exception):
     """The training was asked for and would begin."""
 
 
-@dataclass
-class Best:
-    number: int
-    value: float
-
-
-@dataclass
-class Round:
-    best: Best
+def after_round(number, value):
+    """Return a snapshot whose best agent has this number and return."""
+    return SimpleNamespace(best=SimpleNamespace(number=number, value=value))
 
 
 @pytest.fixture
@@ -78,7 +72,7 @@ def test_a_slow_robot_is_trained_and_judged_as_it_is_driven(asked, tmp_path):
     assert pace
     assert course_of(settings) == course
     assert settings.rover == described_rover(robot)
-    stop(Round(Best(0, -1.0)), load_policy("parking"))
+    stop(after_round(0, -1.0), load_policy("parking"))
     assert asked["rollouts"] == [(course, described_rover(robot))]
 
 
@@ -91,8 +85,8 @@ def test_the_usual_robot_is_trained_as_train_does_by_default(asked, tmp_path):
 def test_the_best_agent_is_driven_only_when_it_has_changed(asked, tmp_path):
     _, stop = begin(asked, tmp_path)
     policy = load_policy("reverse")  # parks elsewhere
-    for best in (Best(0, -1.0), Best(0, -1.0), Best(1, -0.5), Best(1, -0.5), Best(1, -0.4)):
-        assert not stop(Round(best), policy)
+    for best in ((0, -1.0), (0, -1.0), (1, -0.5), (1, -0.5), (1, -0.4)):
+        assert not stop(after_round(*best), policy)
     assert len(asked["rollouts"]) == 3
 
 
@@ -101,8 +95,8 @@ def test_a_slow_machine_trains_as_many_iterations(asked, tmp_path, monkeypatch):
     monkeypatch.setattr(time, "monotonic", lambda: now)
     settings, stop = begin(asked, tmp_path)
     now += 36_000.0  # compiling and ten rounds took ten hours
-    assert not stop(Round(Best(0, -1.0)), load_policy("reverse"))
-    assert stop(Round(Best(1, -0.1)), load_policy("parking"))
+    assert not stop(after_round(0, -1.0), load_policy("reverse"))
+    assert stop(after_round(1, -0.1), load_policy("parking"))
     assert settings.iterations == park.ITERATIONS
 
 

@@ -11,7 +11,6 @@ import pytest
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import Checkpoint, Course, Obstacle, load_course
 from rover_ncp.course.scoring import due_checkpoints
-from sim.world.described import default_rover
 from sim.world.env import ENV_ID
 
 
@@ -104,12 +103,6 @@ def test_collision_is_reported_and_does_not_end_the_episode():
     assert not infos[0]["touched"]
     assert infos[-1]["touched"]
     assert observations[-1, 0] == pytest.approx(0.9 - 0.313, abs=0.002)
-
-
-def test_episodes_are_alike():
-    env = gymnasium.make(ENV_ID, model=default_rover(delay_v_s=0.2))
-    first, second = (play(env, lambda tick: np.array([0.1, 0.1 * (-1) ** tick]))[0] for _ in range(2))
-    assert np.array_equal(first, second)
 
 
 def test_a_blocked_start_is_refused():

@@ -17,7 +17,6 @@ from kit.rigid_body import (
     stopping_m,
 )
 
-from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.course import Obstacle
 from sim.world.bodies import PRESETS, Body
@@ -177,10 +176,6 @@ def test_presets_name_their_body():
     for body, names in PRESETS.items():
         for name in names:
             assert load_randomization(name, body).body is body
-    with pytest.raises(UsageError, match="full is for the body pymunk, expected one for mujoco"):
-        load_randomization("full", Body.MUJOCO)
-    with pytest.raises(UsageError, match="varied is for the body mujoco, expected one for pymunk"):
-        load_randomization("varied")
 
 
 def test_only_the_body_mujoco_has_ranges_of_its_wheels():

@@ -1,5 +1,6 @@
 """What holds for all tests."""
 
+import json
 import logging
 import os
 import signal
@@ -8,6 +9,7 @@ import pytest
 from hypothesis import Phase, settings
 from result_fields import RESULTS
 
+from rover_ncp import cli
 from rover_ncp.core.console import Output
 
 # Two processes test on two cores: threads for matrices as small as ours would only wait for each other, fifty
@@ -53,6 +55,18 @@ def documented_results(monkeypatch):
         printed(output, found, text)
 
     monkeypatch.setattr(Output, "result", result)
+
+
+@pytest.fixture
+def run_json(capsys):
+    """Return a function that runs a command line with --json and returns its exit code and its result."""
+
+    def run_json(line):
+        capsys.readouterr()
+        code = cli.run([*line.split(), "--json"])
+        return code, json.loads(capsys.readouterr().out)
+
+    return run_json
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects

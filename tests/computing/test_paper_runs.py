@@ -1,6 +1,5 @@
 """Runs of the paper's grid: made once, the same bits again, replayed to their returns."""
 
-import json
 from dataclasses import replace
 
 import pytest
@@ -73,17 +72,13 @@ def test_a_command_line_selects_runs():
 
 
 @pytest.mark.long
-def test_command_makes_runs_once_and_replays_them(tmp_path, capsys):
-    runs = ["--task", "mountain-car", "--agent", "circuit", "--seed", "0", "--budget", "quick", "--json"]
-    runs += ["--results", str(tmp_path / "results")]
-    assert run(["paper", "run", *runs, "--processes", "1"]) == 0
-    first = json.loads(capsys.readouterr().out)
+def test_command_makes_runs_once_and_replays_them(tmp_path, run_json):
+    runs = f"--task mountain-car --agent circuit --seed 0 --budget quick --results {tmp_path}"
+    code, first = run_json(f"paper run {runs} --processes 1")
     [made] = first["made"]
-    assert (made["agent"], made["budget"]) == ("circuit", "quick")
-    assert run(["paper", "run", *runs]) == 0
-    assert json.loads(capsys.readouterr().out) == {"made": [], "found": 1}
-    assert run(["paper", "replay", *runs]) == 0
-    assert json.loads(capsys.readouterr().out) == {"replayed": 1, "exact": 1, "differ": []}
+    assert (code, made["agent"], made["budget"]) == (0, "circuit", "quick")
+    assert run_json(f"paper run {runs}") == (0, {"made": [], "found": 1})
+    assert run_json(f"paper replay {runs}") == (0, {"replayed": 1, "exact": 1, "differ": []})
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,7 @@ def messages_of(path):
         return list(reader.iter_messages())
 
 
-def test_a_killed_process_loses_half_a_second_and_its_recording_is_made_whole(record, capsys):
+def test_a_killed_process_loses_half_a_second_and_its_recording_is_made_whole(record, run_json, capsys):
     process, path = record()
     wait_for(lambda: path.exists() and path.stat().st_size > 30_000, 60.0)
     # No recording is overwritten or repaired while it is written.
@@ -77,9 +77,8 @@ def test_a_killed_process_loses_half_a_second_and_its_recording_is_made_whole(re
     before = read_recording(path)
     assert not before.complete
     assert killed_ns - before.messages[-1].log_ns < LOST_S * 1e9
-    assert cli.run(["recover", str(path), "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert (said["was_complete"], said["messages"]) == (False, len(before.messages))
+    code, said = run_json(f"recover {path}")
+    assert (code, said["was_complete"], said["messages"]) == (0, False, len(before.messages))
     assert len(messages_of(path)) == len(before.messages)
     assert [m.data for m in read_recording(path).messages] == [m.data for m in before.messages]
     content = path.read_bytes()

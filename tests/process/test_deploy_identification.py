@@ -1,31 +1,23 @@
 """A live robot is identified: mock and bridge as processes."""
 
-import json
-
 import pytest
 from kit.identified import errors, robot, truth
 
 from deploy.identify.excitation import steps
-from rover_ncp.cli import run
 from rover_ncp.robot.profile import load_profile
 from sim.live.live_run import LiveRun
 from sim.world.randomization import load_randomization
 
 
 @pytest.mark.long
-def test_a_live_robot_is_identified_and_its_recording_says_the_same(tmp_path, capsys, monkeypatch):
+def test_a_live_robot_is_identified_and_its_recording_says_the_same(tmp_path, run_json, monkeypatch):
     # Half of the drive. A command that a busy machine loses spoils one of its steps, and three must be left.
     half = [*steps()[:9], *steps()[15:23]]
     for module in ("run", "excitation"):
         monkeypatch.setattr(f"deploy.identify.{module}.steps", lambda robot=None: half)
     with LiveRun(tmp_path / "log", mock=["--randomize", "full", "--seed", "4711", "--trial", "3"]) as live:
-        code = run(
-            [
-                *("identify", "--robot", live.robot, "--json"),
-                *("--out", str(tmp_path / "a.yaml"), "--record", str(tmp_path / "run.mcap")),
-            ]
-        )
-    fields = json.loads(capsys.readouterr().out)
+        files = f"--out {tmp_path}/a.yaml --record {tmp_path}/run.mcap"
+        code, fields = run_json(f"identify --robot {live.robot} {files}")
     assert code == 0
     profile = load_profile(tmp_path / "a.yaml")
     assert fields["delay_v_s"] == profile.delay_v_s
@@ -33,7 +25,7 @@ def test_a_live_robot_is_identified_and_its_recording_says_the_same(tmp_path, ca
     off = errors(profile, truth(ranges, robot(ranges, 4711, 3)))
     assert max(abs(off[key].error) for key in ("delay_v_s", "delay_omega_s")) < 0.02
     assert max(abs(off[key].error) for key in ("gain_v", "gain_omega")) < 0.03
-    assert run(["identify", str(tmp_path / "run.mcap"), "--out", str(tmp_path / "b.yaml"), "--json"]) == 0
+    assert run_json(f"identify {tmp_path}/run.mcap --out {tmp_path}/b.yaml")[0] == 0
     again = load_profile(tmp_path / "b.yaml")
     assert again.delay_v_s == pytest.approx(profile.delay_v_s, abs=0.005)
     assert again.gain_omega == pytest.approx(profile.gain_omega, rel=0.005)

@@ -1,6 +1,5 @@
 """Peers beside the bridge that publish or answer in its place, and another model of robot."""
 
-import json
 import time
 from contextlib import ExitStack
 
@@ -12,7 +11,6 @@ from deploy.drive.measurements import Measurements
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.view.server import Viewer
 from deploy.zenoh_client import BridgeAddress
-from rover_ncp import cli
 from rover_ncp.core.errors import NoBridge
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.robot.description import load_description
@@ -104,11 +102,11 @@ def test_a_driver_that_gets_two_answers_about_the_motors_does_not_start(rig):
         assert link.lease.number == 0
 
 
-def test_another_model_is_a_warning_to_a_driver_and_a_finding_of_check(rig, capsys):
+def test_another_model_is_a_warning_to_a_driver_and_a_finding_of_check(rig, run_json):
     with ZenohLink(BridgeAddress(rig.robot), lambda message: None) as link:
         assert "drives p3at-sh, but --model is turtlebot4" in link.other_model(load_description("turtlebot4"))
         assert link.other_model(load_description("p3at-sh")) == ""
-    assert cli.run(["check", "--robot", rig.robot, "--on-blocks", "--json", "--model", "turtlebot4"]) == 1
-    (finding,) = json.loads(capsys.readouterr().out)["findings"]
-    assert (finding["name"], finding["ok"]) == ("model", False)
+    code, fields = run_json(f"check --robot {rig.robot} --on-blocks --model turtlebot4")
+    (finding,) = fields["findings"]
+    assert (code, finding["name"], finding["ok"]) == (1, "model", False)
     assert "the bridge drives p3at-sh, expected turtlebot4" in finding["detail"]

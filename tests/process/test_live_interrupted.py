@@ -8,12 +8,11 @@ import sys
 import psutil
 import pytest
 
-from rover_ncp.cli import run
 from sim.live.live_run import LiveRun
 from sim.live.processes import Process
 
 
-def test_second_interruption_does_not_keep_processes_from_being_ended(tmp_path, capsys, monkeypatch):
+def test_second_interruption_does_not_keep_processes_from_being_ended(tmp_path, run_json, monkeypatch):
     stop = Process.stop
 
     def interrupted_stop(process):
@@ -27,8 +26,8 @@ def test_second_interruption_does_not_keep_processes_from_being_ended(tmp_path, 
     monkeypatch.setattr(Process, "stop", interrupted_stop)
     monkeypatch.setattr(LiveRun, "deploy", interrupted_deploy)
     before = set(psutil.Process().children(recursive=True))
-    assert run(["park", "--policy", "course", "--out", str(tmp_path / "out"), "--json"]) == 130
-    assert json.loads(capsys.readouterr().out)["kind"] == "Interrupted"
+    code, fields = run_json(f"park --policy course --out {tmp_path / 'out'}")
+    assert (code, fields["kind"]) == (130, "Interrupted")
     assert set(psutil.Process().children(recursive=True)) <= before
 
 

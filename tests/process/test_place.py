@@ -1,7 +1,5 @@
 """The command ``place`` beside a process that publishes poses, in each form that ROS sends them."""
 
-import json
-
 import numpy as np
 import pytest
 from kit.zenoh_session import open_router, repeating
@@ -37,20 +35,21 @@ def publish():
     ],
     ids=["with covariance", "stamped", "rmw_zenoh"],
 )
-def test_place_set_stores_what_is_seen_and_check_finds_it(publish, key, data, tmp_path, monkeypatch, capsys):
+def test_place_set_stores_what_is_seen_and_check_finds_it(
+    publish, key, data, tmp_path, monkeypatch, run_json
+):
     monkeypatch.chdir(tmp_path)
-    command = ["--robot", publish(key, data), "--seconds", "1", "--json"]
-    assert cli.run(["place", "set", "charger", "--direction", "backward", *command]) == 0
+    options = f"charger --robot {publish(key, data)} --seconds 1"
+    assert run_json(f"place set {options} --direction backward")[0] == 0
     made = load_place("charger")
     assert (made.name, made.frame, made.backward) == ("charger", "map", True)
     assert made.goal == pytest.approx(DOCKED)
     assert made.scatter.poses >= 10
-    assert cli.run(["place", "check", "charger", *command]) == 0
+    assert run_json(f"place check {options}")[0] == 0
     moved = (tmp_path / "charger.yaml").read_text().replace("y: 1.0", "y: 1.05")
     (tmp_path / "charger.yaml").write_text(moved)
-    capsys.readouterr()
-    assert cli.run(["place", "check", "charger", *command]) == 1
-    assert not json.loads(capsys.readouterr().out)["fits"]
+    code, checked = run_json(f"place check {options}")
+    assert (code, checked["fits"]) == (1, False)
 
 
 def test_place_set_without_poses_says_so_and_keeps_the_file(publish, tmp_path, monkeypatch, capsys):

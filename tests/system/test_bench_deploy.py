@@ -1,20 +1,17 @@
 """The benchmark of the driver, with real processes: that it measures what it says, not how fast it is."""
 
-import json
-
 import pytest
 
-from rover_ncp.cli import run
 from sim.benchmarks import deploy as bench_deploy
 
 pytestmark = pytest.mark.timed
 
 
-def test_it_measures_the_driver(capfd, monkeypatch):
+def test_it_measures_the_driver(run_json, monkeypatch):
     monkeypatch.setattr(bench_deploy, "RATES_HZ", (100.0,))
     monkeypatch.setattr(bench_deploy, "CIRCUIT_REPEATS", 2)
-    assert run(["bench", "deploy", "--seconds", "3", "--json"]) == 0
-    found = json.loads(capfd.readouterr().out)
+    code, found = run_json("bench deploy --seconds 3")
+    assert code == 0
     assert found["circuit_us"] > 0.0
     (rate,) = found["rates"]
     assert rate["ticks"] + rate["missed"] == 320  # the course is no shorter than that

@@ -1,7 +1,6 @@
 """Exported C, compiled with gcc, against the solver and the reference."""
 
 import ctypes
-import json
 import math
 import shutil
 import subprocess
@@ -170,11 +169,12 @@ def test_build_has_no_static_memory_needs_only_libm_and_runs_in_a_cpp_program(na
     [("course", "course"), ("2nd-try.v3", "policy_2nd_try_v3")],
     ids=["name", "no identifier"],
 )
-def test_the_command_writes_files_that_compile_and_names_them(stem, name, tmp_path, capsys):
+def test_the_command_writes_files_that_compile_and_names_them(stem, name, tmp_path, run_json):
     path = tmp_path / f"{stem}.yaml"
     shutil.copy(resolve("policies", "course"), path)
-    assert run(["export", str(path), "--to", "c", "--out", str(tmp_path / "new"), "--json"]) == 0
-    files = {Path(file).name: Path(file).read_text() for file in json.loads(capsys.readouterr().out)["files"]}
+    code, fields = run_json(f"export {path} --to c --out {tmp_path / 'new'}")
+    assert code == 0
+    files = {Path(file).name: Path(file).read_text() for file in fields["files"]}
     endings = (".h", ".c", "_course.h", "_course.c", "_check.c")
     assert files.keys() == {f"{name}{ending}" for ending in endings}
     compile_c(files, tmp_path / "built", "check")

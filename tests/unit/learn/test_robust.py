@@ -1,7 +1,5 @@
 """Training on random trials, and its command."""
 
-import json
-
 import numpy as np
 import pytest
 import yaml
@@ -178,11 +176,11 @@ def test_stages_set_the_count_the_turn_of_the_courses_and_the_rounding():
 
 
 @pytest.mark.long
-def test_the_command_leaves_a_policy_that_says_how_it_was_made(tmp_path, monkeypatch, capsys):
+def test_the_command_leaves_a_policy_that_says_how_it_was_made(tmp_path, monkeypatch, run_json):
     monkeypatch.chdir(tmp_path)
-    options = ["--randomize", "mild", "--iterations", "2", "--rollouts", "4", "--random-courses", "2"]
-    assert run(["train", *options, "--seed", "5", "--out", "mine", "--json"]) == 0
-    fields = json.loads(capsys.readouterr().out)
+    options = "--randomize mild --iterations 2 --rollouts 4 --random-courses 2 --seed 5"
+    code, fields = run_json(f"train {options} --out mine")
+    assert code == 0
     assert (fields["generations"], fields["randomize"], fields["worst"]) == (2, "mild", 4)
     policy = load_policy("mine/policy.yaml")
     assert policy.sensing.name == "course"

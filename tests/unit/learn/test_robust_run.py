@@ -1,11 +1,8 @@
 """A robust training on disk: the number of workers and dying anywhere change nothing."""
 
-import json
-
 import pytest
 from kit.paths import DATA, content
 
-from rover_ncp.cli import run as shell
 from rover_ncp.core.errors import FileError
 from sim.learn.record import RobustSettings
 from sim.learn.robust_run import train_robust
@@ -55,8 +52,8 @@ def test_a_damaged_search_is_refused(tmp_path):
         train_robust(settings, tmp_path, resume=True, processes=1)
 
 
-def test_resuming_needs_no_option_again(reference, capsys):
+def test_resuming_needs_no_option_again(reference, run_json):
     before = content(reference)
-    assert shell(["train", "--out", str(reference), "--resume", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["generations"] == 3
+    code, fields = run_json(f"train --out {reference} --resume")
+    assert (code, fields["generations"]) == (0, 3)
     assert content(reference) == before

@@ -1,6 +1,5 @@
 """Verdicts on the paper's claims, and the report."""
 
-import json
 import re
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,7 +9,6 @@ import pytest
 from kit.paper_runs import result
 
 from deploy.view.interpretation import Sign, sign_of
-from rover_ncp.cli import run
 from sim.paper import BudgetName, claims
 from sim.paper.agents import build_agent
 from sim.paper.claims import Claim, Verdict, judge_claims, load_claims
@@ -174,13 +172,13 @@ def test_each_claim_that_answers_a_question_is_named_under_its_verdict_and_the_o
     assert sum(counted) == len(judged)
 
 
-def test_command_reports_runs_and_draws_their_curves(store, tmp_path, capsys):
+def test_command_reports_runs_and_draws_their_curves(store, tmp_path, run_json):
     untuned = Packed.of(build_agent(TASKS["parking"], "circuit", 0).parameters())
     fill(store, "parking", "circuit", [-0.05] * 5, parameters=untuned)
     picture = tmp_path / "curves.png"
-    assert run(["paper", "report", "--json", "--results", str(tmp_path), "--curves", str(picture)]) == 0
+    code, printed = run_json(f"paper report --results {tmp_path} --curves {picture}")
+    assert code == 0
     assert picture.read_bytes().startswith(b"\x89PNG")
-    printed = json.loads(capsys.readouterr().out)
     found = {claim["name"]: claim for claim in printed["claims"]}
     verdicts = {"size": "not tested", "parameters-mlp": "differs", "park-all": "inconclusive"}
     assert {name: found[name]["verdict"] for name in verdicts} == verdicts

@@ -2,13 +2,11 @@
 
 import csv
 import importlib
-import json
 
 import pytest
 from kit.paths import ROOT
 
 from benchmarks import search as bench_search
-from rover_ncp.cli import run as run_command
 from sim.benchmarks import deploy as bench_deploy
 from sim.learn.agents import AgentState, Batch
 from sim.learn.record import TrainSettings, resolve_task
@@ -43,7 +41,7 @@ def test_the_searches_are_compared_by_what_training_gives(monkeypatch: pytest.Mo
     assert said[0].endswith(f"{past[0]} past -30, {past[1]} past -8 of 3")
 
 
-def test_rates_that_were_measured_are_kept_when_a_safety_rule_stops_another(monkeypatch, capfd):
+def test_rates_that_were_measured_are_kept_when_a_safety_rule_stops_another(monkeypatch, run_json):
     def measure(rate_hz, seconds):
         if rate_hz == 50.0:
             raise ProcessError("deploy", 4, "stopped by odometry: it is 0.45 s old")
@@ -53,8 +51,8 @@ def test_rates_that_were_measured_are_kept_when_a_safety_rule_stops_another(monk
 
     monkeypatch.setattr(bench_deploy, "_measure", measure)
     monkeypatch.setattr(bench_deploy, "_circuit_us", lambda: 5.0)
-    assert run_command(["bench", "deploy", "--json"]) == 1
-    found = json.loads(capfd.readouterr().out)
+    code, found = run_json("bench deploy")
+    assert code == 1
     assert [(rate["rate_hz"], bool(rate["stopped"])) for rate in found["rates"]] == [
         (10.0, False),
         (50.0, True),

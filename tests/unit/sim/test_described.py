@@ -1,7 +1,5 @@
 """Described robots in evaluations, and a fifth robot that is one YAML file."""
 
-import json
-
 import pytest
 from kit.paths import DATA
 
@@ -61,11 +59,9 @@ def test_a_skid_steered_robot_has_a_rigid_body_of_its_own():
     assert stack.drive(0).parked
 
 
-def test_a_fifth_robot_is_evaluated_from_its_file(capsys):
-    assert run(["eval", "course", "--stack", "--course", BRIEF, "--model", FIFTH, "--json"]) == 0
-    fields = json.loads(capsys.readouterr().out)
-    assert fields["success_rate"] == 1.0
-    assert fields["randomize"] == "fifth"
+def test_a_fifth_robot_is_evaluated_from_its_file(run_json, capsys):
+    code, fields = run_json(f"eval course --stack --course {BRIEF} --model {FIFTH}")
+    assert (code, fields["success_rate"], fields["randomize"]) == (0, 1.0, "fifth")
     assert "1.6 times as long for fifth: fifth reaches 0.15 m/s" in fields["scaled"][0]
     assert run(["course", "check", BRIEF, "--model", FIFTH]) == 0
     assert "1.6 times as long for fifth" in capsys.readouterr().out

@@ -1,6 +1,5 @@
 """``rover-ncp eval`` through the real command line."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,28 +48,29 @@ def files(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_scores_a_published_circuit_with_sensors_that_are_not_clamped(files, capsys):
-    assert run(["eval", "untuned.bnn", "--json"]) == 1
-    fields = json.loads(capsys.readouterr().out)
+def test_scores_a_published_circuit_with_sensors_that_are_not_clamped(files, run_json):
+    code, fields = run_json("eval untuned.bnn")
     expected = rollout(parking_policy(load_circuit("parking"), clamp=False), load_course("parking"))
-    assert fields == {
-        "return": expected.total,
-        "parked": False,
-        "reason": expected.verdict.reason,
-        "failure": "too far from the goal",
-        "error_m": expected.verdict.error_m,
-        "error_rad": expected.verdict.error_rad,
-        "rms_m": expected.rms_m,
-        "model": None,
-        "scaled": [],
-    }
+    assert (code, fields) == (
+        1,
+        {
+            "return": expected.total,
+            "parked": False,
+            "reason": expected.verdict.reason,
+            "failure": "too far from the goal",
+            "error_m": expected.verdict.error_m,
+            "error_rad": expected.verdict.error_rad,
+            "rms_m": expected.rms_m,
+            "model": None,
+            "scaled": [],
+        },
+    )
     assert fields["return"] == pytest.approx(-47.06, abs=0.02)  # by the published simulator
 
 
-def test_a_policy_that_parks_ends_with_0(files, capsys):
-    assert run(["eval", "numb.bnn", "--course", "stay.yaml", "--json"]) == 0
-    fields = json.loads(capsys.readouterr().out)
-    assert fields["parked"] is True
+def test_a_policy_that_parks_ends_with_0(files, run_json, capsys):
+    code, fields = run_json("eval numb.bnn --course stay.yaml")
+    assert (code, fields["parked"]) == (0, True)
     assert fields["return"] == pytest.approx(-(0.03**2 + 0.04**2 + 0.05**2))
     assert fields["rms_m"] == pytest.approx(0.05 / np.sqrt(2))
     assert (fields["error_m"], fields["error_rad"]) == (0.0, pytest.approx(0.05))
@@ -80,12 +80,10 @@ def test_a_policy_that_parks_ends_with_0(files, capsys):
     assert out.count("\n") == 1
 
 
-def test_trials_are_counted_as_each_alone_is_judged(files, capsys):
+def test_trials_are_counted_as_each_alone_is_judged(files, run_json):
     policy = course_policy(load_circuit("tracking"))
     save_policy(Path("tracker.yaml"), policy)
-    arguments = ["--course", ARC, "--trials", "12", "--seed", "4", "--randomize", "harsh", "--json"]
-    assert run(["eval", "tracker.yaml", *arguments]) == 0
-    fields = json.loads(capsys.readouterr().out)
+    code, fields = run_json(f"eval tracker.yaml --course {ARC} --trials 12 --seed 4 --randomize harsh")
     model, course = default_rover(), load_course(ARC)
     trials = draw_trials(load_randomization("harsh"), model, 4, count=12, ticks=course.ticks)
     reference = plan_reference(course)
@@ -95,8 +93,7 @@ def test_trials_are_counted_as_each_alone_is_judged(files, capsys):
     parked = sum(verdict.parked for verdict in verdicts)
     errors = [verdict.error_m for verdict in verdicts]
     assert 0 < parked < 12
-    assert fields["trials"] == 12
-    assert fields["success_rate"] == parked / 12
+    assert (code, fields["trials"], fields["success_rate"]) == (0, 12, parked / 12)
     assert sum(fields["failures"].values()) == 12 - parked
     assert fields["error_m"] == pytest.approx(
         {"p50": np.median(errors), "p95": np.percentile(errors, 95), "max": max(errors)}
@@ -111,16 +108,14 @@ def test_only_a_single_trial_that_fails_ends_with_1(files, capsys):
     assert capsys.readouterr().out.count("0.0% of") == 2
 
 
-def test_random_courses_are_driven_in_turn(files, capsys):
+def test_random_courses_are_driven_in_turn(files, run_json):
     save_policy(Path("tracker.yaml"), course_policy(load_circuit("tracking")))
-    arguments = ["--trials", "5", "--seed", "2", "--random-courses", "2", "--json"]
-    assert run(["eval", "tracker.yaml", *arguments]) == 0
-    fields = json.loads(capsys.readouterr().out)
+    code, fields = run_json("eval tracker.yaml --trials 5 --seed 2 --random-courses 2")
     # Without randomisation a course ends the same each time: three trials on the first, two on the second.
     courses = unseen_courses(2, 2)
     verdicts = [rollout(course_policy(load_circuit("tracking")), course).verdict for course in courses]
     shares = [3 * verdicts[0].parked, 2 * verdicts[1].parked]
-    assert fields["success_rate"] == sum(shares) / 5
+    assert (code, fields["success_rate"]) == (0, sum(shares) / 5)
     assert fields["error_m"]["max"] == pytest.approx(max(verdict.error_m for verdict in verdicts))
 
 
@@ -136,12 +131,11 @@ def test_outcomes_do_not_depend_on_the_batch_size(monkeypatch):
     assert found() == whole
 
 
-def test_a_law_drives_once_and_in_trials(capsys):
-    assert run(["eval", "kanayama", "--json"]) == 0
-    once = json.loads(capsys.readouterr().out)
-    assert once["parked"]
-    assert run(["eval", "kanayama", "--trials", "1", "--randomize", "none", "--json"]) == 0
-    trial = json.loads(capsys.readouterr().out)
+def test_a_law_drives_once_and_in_trials(run_json):
+    code, once = run_json("eval kanayama")
+    assert (code, once["parked"]) == (0, True)
+    code, trial = run_json("eval kanayama --trials 1 --randomize none")
+    assert code == 0
     assert trial["error_m"]["max"] == pytest.approx(once["error_m"], abs=1e-9)
 
 

@@ -1,6 +1,5 @@
 """Policies of a user behind the judge: the trials of a circuit, plain and in the stack, and clear errors."""
 
-import json
 import shutil
 
 import gymnasium
@@ -106,14 +105,14 @@ def test_a_function_drives_through_the_stack_as_a_circuit():
 @pytest.mark.parametrize(
     "options",
     [
-        [],
-        ["--trials", "2"],
-        pytest.param(["--trials", "2", "--stack", "--processes", "2"], marks=pytest.mark.long),
+        "",
+        "--trials 2",
+        pytest.param("--trials 2 --stack --processes 2", marks=pytest.mark.long),
     ],
 )
-def test_a_class_of_a_module_in_the_working_folder_is_judged(options, capsys):
-    assert run(["eval", "own_module:Follow", "--course", SHORT, *options, "--json"]) in {0, 1}
-    fields = json.loads(capsys.readouterr().out)
+def test_a_class_of_a_module_in_the_working_folder_is_judged(options, run_json):
+    code, fields = run_json(f"eval own_module:Follow --course {SHORT} {options}")
+    assert code in {0, 1}
     error_m = fields["error_m"]
     assert (error_m["max"] if options else error_m) < 0.2
 

@@ -1,6 +1,5 @@
 """Random trials through the whole stack on a virtual clock, and what a base does in a trial."""
 
-import json
 import math
 import multiprocessing
 import signal
@@ -12,7 +11,6 @@ from kit.paths import DATA
 from scipy.stats import chi2
 
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.cli import run
 from rover_ncp.core.geometry import Pose, Velocity, distance
 from rover_ncp.course.course import load_course
 from rover_ncp.course.scoring import Parked
@@ -312,12 +310,10 @@ def test_noise_of_the_estimate_does_not_move_a_rover_at_its_goal():
     assert stack("full", seed=61201, course="parking").drive(28).reason == ""
 
 
-def test_the_command_line_drives_another_body(capsys):
-    options = ["--stack", "--body", "mujoco", "--sensors", "camera", "--course", BRIEF]
-    assert run(["eval", "course", *options, "--json"]) == 0
-    fields = json.loads(capsys.readouterr().out)
-    assert (fields["body"], fields["randomize"], fields["success_rate"]) == ("mujoco", "nominal", 1.0)
-    assert (fields["trials"], fields["course"], fields["overruns"]) == (1, BRIEF, 0)
+def test_the_command_line_drives_another_body(run_json):
+    code, fields = run_json(f"eval course --stack --body mujoco --sensors camera --course {BRIEF}")
+    assert (code, fields["success_rate"], fields["trials"], fields["overruns"]) == (0, 1.0, 1, 0)
+    assert (fields["body"], fields["randomize"], fields["course"]) == ("mujoco", "nominal", BRIEF)
     assert math.isfinite(fields["times_real_time"])
 
 

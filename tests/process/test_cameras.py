@@ -2,7 +2,6 @@
 
 import http.server
 import itertools
-import json
 import math
 import struct
 import threading
@@ -34,6 +33,7 @@ from rover_ncp.wire.messages import (
 )
 
 POSE = Pose(0.9, 0.05, 0.1)
+PICTURES = [picture_of(POSE, seed=seed) for seed in range(3)]
 
 
 class Stream:
@@ -136,50 +136,47 @@ def publish():
         yield publish
 
 
+@pytest.fixture
+def tags(tmp_path):
+    """The file of the tags."""
+    file = tmp_path / "tags.yaml"
+    file.write_text(dump_yaml(WALL.model_dump(mode="json")))
+    return file
+
+
+RAW, COMPRESSED_TOPIC = "camera/image_raw", "camera/image_raw/compressed"
+
+
 @pytest.mark.parametrize(
-    ("convention", "settings", "ros_type", "message"),
+    ("convention", "settings", "topic", "ros_type", "message"),
     [
-        (Convention.ROS2DDS, "#image=camera/image_raw", IMAGE, image),
-        (
-            Convention.RMW_ZENOH,
-            "#rmw=zenoh&domain=3&image=camera/image_raw/compressed",
-            COMPRESSED,
-            compressed_image,
-        ),
+        (Convention.ROS2DDS, "", RAW, IMAGE, image),
+        (Convention.RMW_ZENOH, "rmw=zenoh&domain=3&", COMPRESSED_TOPIC, COMPRESSED, compressed_image),
     ],
 )
 def test_poses_come_from_a_ros_camera_with_its_own_camera_info_and_mount(
-    publish, convention, settings, ros_type, message, tmp_path, capsys
+    publish, convention, settings, topic, ros_type, message, tags, run_json
 ):
-    pictures = [message(picture_of(POSE, seed=seed)) for seed in range(3)]
-    topic = settings.partition("image=")[2]
-    topics = [(topic, ros_type, pictures), ("camera/camera_info", CAMERA_INFO, [INFO])]
-    source = f"ros2/{publish(convention, topics)}{settings}"
-    tags = tmp_path / "tags.yaml"
-    tags.write_text(dump_yaml(WALL.model_dump(mode="json")))
-    assert cli.run(["tag", "run", "--camera", source, "--map", str(tags), "--seconds", "1", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    topics = [(topic, ros_type, [*map(message, PICTURES)]), ("camera/camera_info", CAMERA_INFO, [INFO])]
+    source = f"ros2/{publish(convention, topics)}#{settings}image={topic}"
+    code, found = run_json(f"tag run --camera {source} --map {tags} --seconds 1")
+    assert code == 0
     assert found["poses"] >= 2
     assert math.dist((found["last"]["x"], found["last"]["y"]), POSE[:2]) < 0.01
 
 
 def test_picture_of_ros_is_as_much_older_than_its_stamp_as_its_file_says(publish):
-    pictures = [image(picture_of(POSE, seed=seed)) for seed in range(3)]
-    source = f"ros2/{publish(Convention.ROS2DDS, [('camera/image_raw', IMAGE, pictures)])}"
+    source = f"ros2/{publish(Convention.ROS2DDS, [(RAW, IMAGE, [*map(image, PICTURES)])])}"
     with RosCamera(source, 0.0) as stamped_right, RosCamera(source, 2.0) as stamped_late:
         ages_s = [(time.time_ns() - next(iter(each)).wall_ns) / 1e9 for each in (stamped_right, stamped_late)]
     assert 1.0 < ages_s[1] - ages_s[0] < 3.0
 
 
-def test_ros_camera_without_camera_info_says_what_to_give(publish, tmp_path, capsys, monkeypatch):
+def test_ros_camera_without_camera_info_says_what_to_give(publish, tags, run_json, monkeypatch):
     monkeypatch.setattr("deploy.tag.ros_camera.WAIT_S", 0.3)
-    tags = tmp_path / "tags.yaml"
-    tags.write_text(dump_yaml(WALL.model_dump(mode="json")))
-    source = f"ros2/{publish(Convention.ROS2DDS, [])}"
-    assert cli.run(["tag", "run", "--camera", source, "--map", str(tags)]) == 2
-    assert (
-        "no camera_info on 'camera/camera_info' within 0.3 s; give --camera-file" in capsys.readouterr().err
-    )
+    code, found = run_json(f"tag run --camera ros2/{publish(Convention.ROS2DDS, [])} --map {tags}")
+    assert code == 2
+    assert "no camera_info on 'camera/camera_info' within 0.3 s; give --camera-file" in found["error"]
 
 
 AMCL = pose_with_covariance(POSE, np.eye(3) * 1e-4, 7, "map")
@@ -200,25 +197,16 @@ TRANSFORMS = transforms(
         ("tf", TF, TRANSFORMS, Convention.ROS2DDS, "#topic=tf"),
     ],
 )
-def test_poses_of_ros_reach_the_bridge(publish, topic, ros_type, data, convention, settings, capsys):
+def test_poses_of_ros_reach_the_bridge(publish, topic, ros_type, data, convention, settings, run_json):
     source = publish(convention, [(topic, ros_type, [data])])
     bridge, address = open_router()
     with bridge:
         arrived = []
         held = bridge.declare_subscriber("pose", lambda sample: arrived.append(sample.payload.to_bytes()))
-        command = [
-            "tag",
-            "relay",
-            "--from",
-            f"ros2/{source}{settings}",
-            "--robot",
-            address,
-            "--seconds",
-            "0.6",
-        ]
-        assert cli.run([*command, "--json"]) == 0
+        code, found = run_json(f"tag relay --from ros2/{source}{settings} --robot {address} --seconds 0.6")
         del held
-    assert json.loads(capsys.readouterr().out)["poses"] == len(arrived) > 0
+    assert code == 0
+    assert found["poses"] == len(arrived) > 0
     found = read_pose(arrived[0])
     assert found.pose == pytest.approx(POSE)
     assert (found.frame, found.covariance[0, 0]) == ("map", 1e-4 if topic == "amcl_pose" else 0.0)
@@ -228,6 +216,6 @@ def test_pose_of_another_frame_is_not_relayed_and_names_both(publish, capsys):
     source = publish(Convention.ROS2DDS, [("amcl_pose", POSE_WITH_COVARIANCE, [AMCL])])
     bridge, address = open_router()
     with bridge:
-        command = ["tag", "relay", "--from", f"ros2/{source}", "--robot", address, "--seconds", "0.5"]
-        assert cli.run([*command, "--frame", "odom"]) == 1
+        command = f"tag relay --from ros2/{source} --robot {address} --seconds 0.5 --frame odom"
+        assert cli.run(command.split()) == 1
     assert capsys.readouterr().out.count("pose in frame 'map', expected 'odom'") == 1

@@ -4,15 +4,9 @@
 iteration. The tests compare them with the fast searches (``sim/paper/search/published.py``).
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-
-Vector = NDArray[np.float64]
-Evaluate = Callable[[Vector], float]
-Step = tuple[Vector, float]
 
 
 class Kind(NamedTuple):
@@ -26,17 +20,7 @@ class Kind(NamedTuple):
     noise: tuple[float, float]
 
 
-def algorithm1(  # the symbols of the paper
-    evaluate: Evaluate,
-    start: Vector,
-    lower: Vector,
-    upper: Vector,
-    rng: np.random.Generator,
-    iterations: int,
-    sigma: float,
-    alpha: float,
-    failures: int,
-) -> Iterator[Step]:
+def algorithm1(evaluate, start, lower, upper, rng, iterations, sigma, alpha, failures):
     """Algorithm 1 as printed; ``failures`` is the paper's N, sigma a share of each parameter's range."""
     theta, value, i = start, evaluate(start), 0
     for _ in range(iterations):
@@ -54,18 +38,8 @@ def algorithm1(  # the symbols of the paper
 
 
 def published_circuit_search(
-    evaluate: Evaluate,
-    defaults: Vector,
-    lower: Vector,
-    upper: Vector,
-    kinds: Sequence[Kind],
-    rng: np.random.Generator,
-    iterations: int,
-    *,
-    estimates_again: bool,
-    falls_back: Mapping[int, tuple[int, int]] | None = None,
-    layers: Sequence[int] = (),
-) -> Iterator[Step]:
+    evaluate, defaults, lower, upper, kinds, rng, iterations, *, estimates_again, falls_back=None, layers=()
+):
     """The search of the published code for circuits.
 
     ``estimates_again``: after 51 failures the incumbent is estimated anew, which takes an iteration.
@@ -115,9 +89,7 @@ def published_circuit_search(
         yield theta, value
 
 
-def published_network_search(
-    evaluate: Evaluate, size: int, rng: np.random.Generator, iterations: int
-) -> Iterator[Step]:
+def published_network_search(evaluate, size, rng, iterations):
     """The search of the published code for MLP and LSTM: one amplitude of noise on all weights."""
     amplitude = 0.01
     theta = amplitude * rng.standard_normal(size)

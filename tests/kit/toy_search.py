@@ -5,7 +5,6 @@ import numpy as np
 from rover_ncp.circuit.compiled import dead_parameters
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
-from sim.learn.search.base import Strategy
 
 POLICY = parking_policy(load_circuit("parking"))
 LAYOUT = POLICY.layout()
@@ -17,18 +16,18 @@ CHECKPOINTS = -(-LAYOUT.size // 3)
 SAMPLES = LAYOUT.lower + WIDTH * np.random.default_rng(5).random((2000, LAYOUT.size))
 
 
-def sphere(vectors: np.ndarray) -> np.ndarray:
+def sphere(vectors):
     """Residuals (n, 1, C, 3): the distance of each parameter from the goal, as a fraction of its range."""
     residuals = np.zeros((len(vectors), CHECKPOINTS * 3))
     residuals[:, : LAYOUT.size] = (vectors - GOAL) / WIDTH
     return residuals.reshape(len(vectors), 1, CHECKPOINTS, 3)
 
 
-def returns(residuals: np.ndarray) -> np.ndarray:
+def returns(residuals):
     return -np.sum(residuals**2, axis=(1, 2, 3))
 
 
-def advance(search: Strategy, evaluations: int, toy=sphere, ahead: int = 1000) -> np.ndarray:
+def advance(search, evaluations, toy=sphere, ahead=1000):
     """Evaluate so many candidates; return all that were asked for (n, P)."""
     asked = [np.empty((0, LAYOUT.size))]
     while search.evaluations < evaluations:

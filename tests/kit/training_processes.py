@@ -13,7 +13,7 @@ ENVIRONMENT = {**os.environ, "PATH": ""}
 FREE_PORT = "tcp://127.0.0.1:0"
 
 
-def start(*arguments: str, output: int = subprocess.DEVNULL) -> subprocess.Popen[str]:
+def start(*arguments, output=subprocess.DEVNULL):
     return subprocess.Popen(
         [sys.executable, *arguments],
         env=ENVIRONMENT,
@@ -24,11 +24,11 @@ def start(*arguments: str, output: int = subprocess.DEVNULL) -> subprocess.Popen
     )
 
 
-def start_rover_ncp(*arguments: str, output: int = subprocess.DEVNULL) -> subprocess.Popen[str]:
+def start_rover_ncp(*arguments, output=subprocess.DEVNULL):
     return start("-c", "from rover_ncp.entry import main; main()", *arguments, output=output)
 
 
-def is_running(pid: int) -> bool:
+def is_running(pid):
     """Whether a process has not ended; one that nobody waited for yet has."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
@@ -39,25 +39,25 @@ def is_running(pid: int) -> bool:
 class Cluster:
     """A scheduler on loopback, and the workers that are added."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.file = folder / "scheduler.json"
         options = f"-m distributed.cli.dask_scheduler --host {FREE_PORT} --no-dashboard --no-show"
         self.processes = [start(*options.split(), "--scheduler-file", str(self.file))]
         wait_for(self._written, 60.0, "the scheduler")
         self.address = json.loads(self.file.read_text())["address"]
 
-    def _written(self) -> bool:
+    def _written(self):
         try:
             return "address" in json.loads(self.file.read_text())
         except (FileNotFoundError, json.JSONDecodeError):
             return False
 
-    def add_worker(self) -> subprocess.Popen[str]:
+    def add_worker(self):
         options = "-m distributed.cli.dask_worker --nthreads 1 --no-nanny --no-dashboard --host 127.0.0.1"
         self.processes.append(start(*options.split(), "--scheduler-file", str(self.file)))
         return self.processes[-1]
 
-    def stop(self) -> None:
+    def stop(self):
         for process in reversed(self.processes):
             process.kill()
             process.wait()

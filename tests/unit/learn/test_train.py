@@ -6,47 +6,43 @@ import json
 import os
 import shlex
 import shutil
-from collections.abc import Callable
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import pytest
 from kit.paths import DATA, content
 
-from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import ConfigError, FileError, UsageError
 from rover_ncp.course.course import load_course
-from sim.learn.agents import AgentState, Snapshot
+from sim.learn.agents import AgentState
 from sim.learn.curve import curve_csv, curve_iterations, curve_png
 from sim.learn.engine.evaluator import Evaluator
 from sim.learn.record import TrainSettings, resolve_task
-from sim.learn.train import TrainResult, train, training_plan
+from sim.learn.train import train, training_plan
 
 COURSE = DATA / "short_course.yaml"
 SETTINGS = TrainSettings(course=str(COURSE), seed=1, agents=2, iterations=150)
 
 
 @pytest.fixture(scope="module")
-def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def reference(tmp_path_factory):
     """A run without interruption."""
     out = tmp_path_factory.mktemp("reference") / "run"
     run(out)
     return out
 
 
-def run(out: Path, settings: TrainSettings = SETTINGS, **options: Any) -> TrainResult:
+def run(out, settings=SETTINGS, **options):
     return train(settings, out, processes=1, **options)
 
 
-def test_a_run_leaves_these_files(reference: Path) -> None:
+def test_a_run_leaves_these_files(reference):
     names = ["agents/00.json", "agents/00.yaml", "agents/01.json", "agents/01.yaml"]
     others = ["curve.csv", "curve.png", "policy.yaml", "settings.yaml"]
     assert sorted(content(reference)) == [*names, *others]
 
 
-def test_the_policy_scores_what_its_provenance_says_to_the_last_bit(reference: Path) -> None:
+def test_the_policy_scores_what_its_provenance_says_to_the_last_bit(reference):
     course = load_course(COURSE)
     rows = list(csv.reader((reference / "curve.csv").read_text().splitlines()))
     for name, column in (("00", 1), ("01", 2)):
@@ -58,7 +54,7 @@ def test_the_policy_scores_what_its_provenance_says_to_the_last_bit(reference: P
     assert best.provenance["return"] == max(float(value) for value in rows[-1][1:])
 
 
-def test_the_command_in_a_policy_makes_it_again(reference: Path, tmp_path: Path) -> None:
+def test_the_command_in_a_policy_makes_it_again(reference, tmp_path):
     command = shlex.split(load_policy(reference / "policy.yaml").provenance["command"])
     assert command[:2] == ["rover-ncp", "train"]
     options = dict(zip(command[2::2], command[3::2], strict=True))
@@ -70,10 +66,10 @@ def test_the_command_in_a_policy_makes_it_again(reference: Path, tmp_path: Path)
     assert content(tmp_path / "again") == content(reference)
 
 
-def test_run_that_ended_early_names_the_command_that_ends_there(tmp_path: Path) -> None:
-    seen: list[Policy] = []
+def test_run_that_ended_early_names_the_command_that_ends_there(tmp_path):
+    seen = []
 
-    def enough(snapshot: Snapshot, best: Policy) -> bool:
+    def enough(snapshot, best):
         seen.append(best)
         assert best.provenance["return"] == snapshot.best.value
         return snapshot.iterations == 100
@@ -89,7 +85,7 @@ def test_run_that_ended_early_names_the_command_that_ends_there(tmp_path: Path) 
     assert exact.agents.returns == stopped.agents.returns
 
 
-def test_resuming_a_complete_run_writes_the_same_bytes(reference: Path) -> None:
+def test_resuming_a_complete_run_writes_the_same_bytes(reference):
     before = content(reference)
     stamps = {name: (reference / name).stat().st_mtime_ns for name in before}
     result = run(reference, resume=True)
@@ -99,9 +95,7 @@ def test_resuming_a_complete_run_writes_the_same_bytes(reference: Path) -> None:
 
 
 @pytest.mark.long
-def test_dying_before_any_single_write_changes_nothing(
-    reference: Path, tmp_path: Path, dies: Callable[[int, Callable[[], Any]], bool]
-) -> None:
+def test_dying_before_any_single_write_changes_nothing(reference, tmp_path, dies):
     expected, deaths = content(reference), 0
     while dies(deaths, partial(run, out := tmp_path / str(deaths))):
         deaths += 1
@@ -114,12 +108,10 @@ def test_dying_before_any_single_write_changes_nothing(
     assert deaths == 1 + 4 * 4 + 3
 
 
-def test_an_interrupted_run_saves_its_last_round(
-    reference: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_run_saves_its_last_round(reference, tmp_path, monkeypatch):
     monkeypatch.setattr("sim.learn.run_folder._CHECKPOINT_SHARE", 1e-9)
 
-    def interrupt(snapshot: Snapshot) -> None:
+    def interrupt(snapshot):
         if snapshot.iterations == 100:
             raise KeyboardInterrupt
 
@@ -132,7 +124,7 @@ def test_an_interrupted_run_saves_its_last_round(
     assert content(tmp_path / "run") == content(reference)
 
 
-def test_a_folder_in_use_is_refused(reference: Path, tmp_path: Path) -> None:
+def test_a_folder_in_use_is_refused(reference, tmp_path):
     with pytest.raises(UsageError, match=r"holds a training run; go on with --resume, or choose"):
         run(reference)
     (tmp_path / "holiday.jpg").write_bytes(b"")
@@ -161,14 +153,14 @@ def test_a_folder_in_use_is_refused(reference: Path, tmp_path: Path) -> None:
         ({"course": "parking"}, "--course was .*short_course.yaml .*now parking$"),
     ],
 )
-def test_other_settings_are_refused_by_name(reference: Path, change: dict[str, Any], problem: str) -> None:
+def test_other_settings_are_refused_by_name(reference, change, problem):
     before = content(reference)
     with pytest.raises(ConfigError, match=f"settings.yaml: {problem}"):
         run(reference, SETTINGS.model_copy(update=change), resume=True)
     assert content(reference) == before
 
 
-def test_a_course_that_changed_is_refused(tmp_path: Path) -> None:
+def test_a_course_that_changed_is_refused(tmp_path):
     course = tmp_path / "course.yaml"
     course.write_text(COURSE.read_text())
     settings = SETTINGS.model_copy(update={"course": str(course), "iterations": 1})
@@ -179,47 +171,45 @@ def test_a_course_that_changed_is_refused(tmp_path: Path) -> None:
         run(tmp_path / "run", settings, resume=True)
 
 
-def _other_value(agents: Path) -> None:
+def _other_value(agents):
     data = json.loads((agents / "00.json").read_text())
     data["state"]["search"]["value"] -= 1.0
     (agents / "00.json").write_text(json.dumps(data))
 
 
-def _half(agents: Path) -> None:
+def _half(agents):
     (agents / "00.json").write_bytes((agents / "00.json").read_bytes()[:200])
 
 
-def _no_object(agents: Path) -> None:
+def _no_object(agents):
     (agents / "00.json").write_text("[]")
 
 
-def _other_agent(agents: Path) -> None:
+def _other_agent(agents):
     shutil.copy(agents / "01.json", agents / "00.json")
 
 
-def _other_run(agents: Path) -> None:
+def _other_run(agents):
     run(agents.parent.parent / "other", SETTINGS.model_copy(update={"seed": 2}))
     shutil.copy(agents.parent.parent / "other" / "agents" / "00.json", agents)
 
 
 @pytest.mark.parametrize("damage", [_other_value, _half, _no_object, _other_agent, _other_run])
-def test_a_damaged_or_foreign_agent_is_refused_by_name(
-    reference: Path, tmp_path: Path, damage: Callable[[Path], None]
-) -> None:
+def test_a_damaged_or_foreign_agent_is_refused_by_name(reference, tmp_path, damage):
     shutil.copytree(reference, tmp_path / "run")
     damage(tmp_path / "run" / "agents")
     with pytest.raises(FileError, match=r"00.json: damaged, or not of this run; delete it"):
         run(tmp_path / "run", resume=True)
 
 
-def test_a_deleted_agent_is_done_again(reference: Path) -> None:
+def test_a_deleted_agent_is_done_again(reference):
     before = content(reference)
     (reference / "agents" / "01.json").unlink()
     run(reference, resume=True)
     assert content(reference) == before
 
 
-def test_a_damaged_record_is_refused(tmp_path: Path) -> None:
+def test_a_damaged_record_is_refused(tmp_path):
     (tmp_path / "settings.yaml").write_text("format: 1\nseed: ]")
     with pytest.raises(ConfigError, match=r"settings.yaml: not valid YAML at line 2"):
         run(tmp_path, resume=True)
@@ -239,15 +229,15 @@ def test_a_damaged_record_is_refused(tmp_path: Path) -> None:
         (2150, [*range(101), *range(110, 1001, 10), *range(1100, 2101, 100), 2150]),
     ],
 )
-def test_a_curve_shows_iterations_of_two_digits_and_the_last(last: int, shown: list[int]) -> None:
+def test_a_curve_shows_iterations_of_two_digits_and_the_last(last, shown):
     assert curve_iterations(last) == shown
 
 
-def agents_with(*curves: list[tuple[int, float]]) -> list[AgentState]:
+def agents_with(*curves):
     return [AgentState(n, {"value": curve[-1][1]}, tuple(curve)) for n, curve in enumerate(curves)]
 
 
-def test_the_table_holds_the_best_so_far_with_all_digits() -> None:
+def test_the_table_holds_the_best_so_far_with_all_digits():
     agents = agents_with([(0, -2.5), (2, -0.1)], [(0, -1 / 3)])
     assert curve_csv(agents, 3) == (
         "iteration,agent_00,agent_01\n"
@@ -256,7 +246,7 @@ def test_the_table_holds_the_best_so_far_with_all_digits() -> None:
     )
 
 
-def test_the_picture_depends_on_the_curves_alone() -> None:
+def test_the_picture_depends_on_the_curves_alone():
     first = agents_with([(0, -2.5), (20, -0.1)], [(0, -1.0)])
     second = agents_with([(0, -2.5), (20, -0.2)], [(0, -1.0)])
     pictures = [curve_png(agents, 30, "a title") for agents in (first, first, second)]
@@ -267,7 +257,7 @@ def test_the_picture_depends_on_the_curves_alone() -> None:
     assert curve_png(agents_with([(0, 0.0)]), 0, "a perfect return has no logarithm")
 
 
-def test_a_described_robot_is_trained_on_and_named_in_the_command(tmp_path: Path) -> None:
+def test_a_described_robot_is_trained_on_and_named_in_the_command(tmp_path):
     described = tmp_path / "slow.yaml"
     described.write_text("name: slow\nbased_on: turtlebot4\nmotion: {v_max: 0.12}\n")
     settings = TrainSettings(model=str(described))

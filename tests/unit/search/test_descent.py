@@ -12,7 +12,7 @@ from sim.learn.search.descent import Descent, Outcome, known_checkpoints, surviv
 from sim.learn.search.least_squares import correct_slopes, damped_steps, measure_slopes
 
 
-def descent_at(value: float, gain: float, steps: int) -> Descent:
+def descent_at(value, gain, steps):
     """A climb of the return of 22 checkpoints that gained so much before its last ``steps`` steps."""
     residuals = np.zeros((22, 3))
     residuals[0, 0] = math.sqrt(-value)
@@ -21,14 +21,14 @@ def descent_at(value: float, gain: float, steps: int) -> Descent:
 
 
 @pytest.mark.parametrize(("value", "share"), [(-0.5, 0.05), (-0.09, 0.01)])
-def test_slow_descent_ends_sooner_far_from_the_goal(value: float, share: float) -> None:
+def test_slow_descent_ends_sooner_far_from_the_goal(value, share):
     for factor, continues in ((0.97, False), (1.03, True)):
         descent = descent_at(value, -share * factor * value, CONSTANTS.window - 1)
         worse = Outcome(np.full(4, 0.01), value - 1.0, descent.at.residuals * 2.0)
         assert descent.take([worse]) == continues
 
 
-def test_descent_that_would_not_overtake_the_best_in_time_ends() -> None:
+def test_descent_that_would_not_overtake_the_best_in_time_ends():
     window = CONSTANTS.overtaking_window
     for gain, continues in ((0.026, True), (0.024, False)):
         descent = descent_at(-0.5, gain, window)
@@ -38,7 +38,7 @@ def test_descent_that_would_not_overtake_the_best_in_time_ends() -> None:
         assert descent.overtakes(-0.5)
 
 
-def stalled() -> Descent:
+def stalled():
     """A descent at a point of four parameters, of which the second and the last have no slope."""
     slopes = np.full((4, 6), 0.5)
     slopes[[1, 3]] = 0.0
@@ -48,7 +48,7 @@ def stalled() -> Descent:
     return descent
 
 
-def test_only_dead_parameters_are_moved_far_and_stay_in_the_box() -> None:
+def test_only_dead_parameters_are_moved_far_and_stay_in_the_box():
     descent = stalled()
     probes = descent.revival_probes()
     moves = probes - descent.at.point
@@ -60,10 +60,10 @@ def test_only_dead_parameters_are_moved_far_and_stay_in_the_box() -> None:
     assert sorted(-moves[moves[:, 3] != 0, 3]) == pytest.approx(far)
 
 
-def test_revival_takes_the_largest_effect_at_a_fair_price() -> None:
+def test_revival_takes_the_largest_effect_at_a_fair_price():
     descent = stalled()
 
-    def probe(miss: float) -> Outcome:
+    def probe(miss):
         residuals = descent.at.residuals.copy()
         residuals[1, 2] += miss
         return Outcome(np.full(4, miss), -float((residuals**2).sum()), residuals)
@@ -87,9 +87,7 @@ def test_revival_takes_the_largest_effect_at_a_fair_price() -> None:
     seed=st.integers(0, 10**6),
 )
 @settings(max_examples=60, deadline=None)
-def test_steps_solve_the_damped_normal_equations(
-    parameters: int, count: int, damping: float, seed: int
-) -> None:
+def test_steps_solve_the_damped_normal_equations(parameters, count, damping, seed):
     rng = np.random.default_rng(seed)
     slopes, residuals = rng.standard_normal((parameters, count)), rng.standard_normal(count)
     point = np.where(rng.random(parameters) < 0.3, np.round(rng.random(parameters)), rng.random(parameters))
@@ -106,20 +104,20 @@ def test_steps_solve_the_damped_normal_equations(
         assert target == pytest.approx(np.clip(point + step, 0, 1), abs=1e-8)
 
 
-def test_singular_system_almost_without_damping_still_gives_a_step() -> None:
+def test_singular_system_almost_without_damping_still_gives_a_step():
     ones = np.ones(66)
     targets = damped_steps(np.full((5, 66), 1e4), ones, ones, np.full(5, 0.5), np.array([1e-9]))
     assert np.isfinite(targets).all()
 
 
-def test_slope_that_is_not_a_number_is_an_error() -> None:
+def test_slope_that_is_not_a_number_is_an_error():
     slopes, ones = np.ones((5, 6)), np.ones(6)
     slopes[3, 2] = np.nan
     with pytest.raises(np.linalg.LinAlgError, match="not finite"):
         damped_steps(slopes, ones, ones, np.full(5, 0.5), np.array([1.0]))
 
 
-def test_correction_explains_the_step_and_changes_nothing_across_it() -> None:
+def test_correction_explains_the_step_and_changes_nothing_across_it():
     rng = np.random.default_rng(0)
     slopes, residuals, found = rng.normal(size=(7, 12)), rng.normal(size=(4, 3)), rng.normal(size=(2, 3))
     point, step = rng.normal(size=7), rng.normal(size=7)
@@ -136,7 +134,7 @@ def test_correction_explains_the_step_and_changes_nothing_across_it() -> None:
     assert slopes.tolist() == once.tolist()
 
 
-def test_probe_measures_the_slopes_of_the_parameter_that_it_moved() -> None:
+def test_probe_measures_the_slopes_of_the_parameter_that_it_moved():
     rng = np.random.default_rng(1)
     slopes, residuals, found = rng.normal(size=(5, 6)), rng.normal(size=(2, 3)), rng.normal(size=(2, 3))
     before, point = slopes.copy(), rng.normal(size=5)
@@ -147,7 +145,7 @@ def test_probe_measures_the_slopes_of_the_parameter_that_it_moved() -> None:
     assert np.delete(slopes, 3, axis=0).tolist() == np.delete(before, 3, axis=0).tolist()
 
 
-def test_survival_counts_checkpoints_and_its_weights_are_its_slopes() -> None:
+def test_survival_counts_checkpoints_and_its_weights_are_its_slopes():
     rng = np.random.default_rng(2)
     residuals, lifetime = rng.normal(size=(6, 3)), 5.0
     assert survival(np.zeros((6, 3)), lifetime) == 6.0
@@ -170,6 +168,6 @@ def test_survival_counts_checkpoints_and_its_weights_are_its_slopes() -> None:
 @pytest.mark.parametrize(
     ("to_beat", "known"), [(-0.05, 1), (-0.1001, 2), (-0.7, 3), (-0.9, 3), (-math.inf, 3)]
 )
-def test_misses_are_known_up_to_the_checkpoint_where_the_return_is_lost(to_beat: float, known: int) -> None:
+def test_misses_are_known_up_to_the_checkpoint_where_the_return_is_lost(to_beat, known):
     residuals = np.sqrt(np.array([[0.1, 0.0, 0.0], [0.1, 0.1, 0.0], [0.0, 0.0, 0.5]]))
     assert known_checkpoints(residuals, to_beat) == known

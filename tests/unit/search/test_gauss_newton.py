@@ -2,20 +2,10 @@
 
 import json
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
-from kit.toy_search import (
-    CHECKPOINTS,
-    DEFAULTS,
-    INERT,
-    LAYOUT,
-    WIDTH,
-    advance,
-    returns,
-    sphere,
-)
+from kit.toy_search import CHECKPOINTS, DEFAULTS, INERT, LAYOUT, WIDTH, advance, returns, sphere
 from kit.toy_search import SAMPLES as RANDOM_VECTORS
 
 from rover_ncp.circuit.circuit import ParameterKind
@@ -27,10 +17,8 @@ from sim.learn.search.unit_box import UnitBox
 FREE = np.flatnonzero(~INERT)
 SAMPLES, RESTARTS = CONSTANTS.samples, CONSTANTS.restarts
 
-Toy = Callable[[np.ndarray], np.ndarray]
 
-
-def valley(vectors: np.ndarray) -> np.ndarray:
+def valley(vectors):
     """Residuals of a bent, narrow valley (Rosenbrock's) between each two parameters, with other hollows."""
     unit = 3.0 * (vectors - LAYOUT.lower) / WIDTH - 1.0
     unit[:, INERT] = 1.0
@@ -42,10 +30,10 @@ def valley(vectors: np.ndarray) -> np.ndarray:
     return residuals[:, None]
 
 
-def hollow(depths: dict[int, float]) -> Toy:
+def hollow(depths):
     """Losses by how far a point is from the start, in hundredths of a range; the largest for all others."""
 
-    def toy(vectors: np.ndarray) -> np.ndarray:
+    def toy(vectors):
         place = np.floor(100 * np.abs((vectors - DEFAULTS) / WIDTH).sum(axis=1)).astype(int)
         depth = np.array([depths.get(int(at), max(depths.values())) for at in place])
         return np.ones((len(vectors), 1, CHECKPOINTS, 3)) * np.sqrt(depth / 3)[:, None, None, None]
@@ -53,11 +41,11 @@ def hollow(depths: dict[int, float]) -> Toy:
     return toy
 
 
-def begin(seed: int = 0) -> GaussNewton:
+def begin(seed=0):
     return GaussNewton.begin(LAYOUT, DEFAULTS, np.random.default_rng(seed), INERT)
 
 
-def batch(search: GaussNewton, toy: Toy = sphere) -> np.ndarray:
+def batch(search, toy=sphere):
     """Evaluate all that a search asks for; return the candidates (n, P)."""
     vectors = search.ask(1000)
     residuals = toy(vectors)
@@ -68,7 +56,7 @@ def batch(search: GaussNewton, toy: Toy = sphere) -> np.ndarray:
 # -- the search --------------------------------------------------------------------------------------------
 
 
-def test_narrow_valley_beats_random_sampling() -> None:
+def test_narrow_valley_beats_random_sampling():
     for seed in range(3):
         search = begin(seed)
         advance(search, 2000, valley)
@@ -76,18 +64,18 @@ def test_narrow_valley_beats_random_sampling() -> None:
         assert search.value > 0.25 * float(returns(valley(RANDOM_VECTORS)).max())
 
 
-def test_misses_are_needed() -> None:
+def test_misses_are_needed():
     search = begin()
     search.ask()
     with pytest.raises(ValueError, match="needs the residuals"):
         search.tell([1.0])
 
 
-def test_one_descent_reaches_the_goal_of_linear_misses() -> None:
+def test_one_descent_reaches_the_goal_of_linear_misses():
     box = UnitBox.of(LAYOUT, DEFAULTS, INERT)
     target = np.random.default_rng(3).uniform(0.2, 0.8, box.size)
 
-    def linear(vectors: np.ndarray) -> np.ndarray:
+    def linear(vectors):
         unit = (vectors - LAYOUT.lower) / WIDTH
         for kind in (ParameterKind.LEAK, ParameterKind.CAPACITANCE):
             at = LAYOUT.block(kind).slice
@@ -102,7 +90,7 @@ def test_one_descent_reaches_the_goal_of_linear_misses() -> None:
     assert search.incumbent == pytest.approx(box.vectors(target[None])[0], rel=1e-4, abs=1e-4)
 
 
-def test_samples_come_first_then_all_slopes_then_steps_with_a_probe() -> None:
+def test_samples_come_first_then_all_slopes_then_steps_with_a_probe():
     search = begin()
     batch(search)
     assert len(batch(search)) == SAMPLES
@@ -116,15 +104,15 @@ def test_samples_come_first_then_all_slopes_then_steps_with_a_probe() -> None:
     assert sizes == [2] * far + [3] * (10 - far)  # close to the goal a second step
 
 
-def test_candidates_move_every_parameter_but_the_inert_ones() -> None:
+def test_candidates_move_every_parameter_but_the_inert_ones():
     search = begin(3)
     seen = np.concatenate([batch(search, valley) for _ in range(200)])
     assert np.all(seen[:, INERT] == DEFAULTS[INERT])
     assert np.all(np.ptp(seen[:, ~INERT], axis=0) > 0)
 
 
-def test_descent_without_gain_tries_to_revive_and_then_gives_way_to_new_samples() -> None:
-    def hopeless(vectors: np.ndarray) -> np.ndarray:
+def test_descent_without_gain_tries_to_revive_and_then_gives_way_to_new_samples():
+    def hopeless(vectors):
         return np.ones((len(vectors), 1, CHECKPOINTS, 3)) + 1e-6 * np.sin(1e3 * vectors[:, :1, None, None])
 
     search = begin()
@@ -134,8 +122,8 @@ def test_descent_without_gain_tries_to_revive_and_then_gives_way_to_new_samples(
     assert CONSTANTS.max_dead <= revival <= CONSTANTS.max_dead * 2 * len(CONSTANTS.revival_moves)
 
 
-def test_dead_motor_neuron_is_revived() -> None:
-    def motor(vectors: np.ndarray) -> np.ndarray:
+def test_dead_motor_neuron_is_revived():
+    def motor(vectors):
         """Residuals that eight parameters could end, each from 3.5 deviations of the samples on."""
         away = (vectors - DEFAULTS) / WIDTH
         acts = np.maximum(away[:, FREE[:8]] - 0.35, 0.0).sum(axis=1)
@@ -161,7 +149,7 @@ def test_dead_motor_neuron_is_revived() -> None:
         (0.9 * CONSTANTS.good_loss, [RESTARTS] * 2 * (CONSTANTS.patience + 1) * (CONSTANTS.races + 1)),
     ],
 )
-def test_restarts_take_more_turns_the_better_the_best_is(loss: float, expected: list[int]) -> None:
+def test_restarts_take_more_turns_the_better_the_best_is(loss, expected):
     """Nothing is better than the untuned start."""
     search, toy, starts = begin(), hollow({0: loss, 1: 1.05 * loss}), []
     while len(starts) < len(expected):
@@ -170,16 +158,16 @@ def test_restarts_take_more_turns_the_better_the_best_is(loss: float, expected: 
     assert starts == expected
 
 
-def distance(vectors: np.ndarray) -> np.ndarray:
+def distance(vectors):
     """Residuals that grow with the distance (n,) from the untuned start, where the best is good."""
     away = np.abs((vectors - DEFAULTS) / WIDTH).sum(axis=1)
     return np.ones((len(vectors), 1, CHECKPOINTS, 3)) * (0.01 * (1.0 + away))[:, None, None, None]
 
 
-def test_restarts_from_a_good_point_are_wide_and_race_against_the_best_of_them() -> None:
+def test_restarts_from_a_good_point_are_wide_and_race_against_the_best_of_them():
     search = begin()
     batch(search, distance)
-    found: list[float] = []
+    found = []
     shares = []
     for number in range(CONSTANTS.races + 1):
         candidates = search.ask(1000)
@@ -198,7 +186,7 @@ def test_restarts_from_a_good_point_are_wide_and_race_against_the_best_of_them()
     assert returns(distance(start[None]))[0] == max(found)
 
 
-def truncated(residuals: np.ndarray, to_beat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def truncated(residuals, to_beat):
     """Return values and residuals (n, 1, C, 3) of episodes that end where they are lost."""
     running = -np.cumsum((residuals[:, 0] ** 2).sum(axis=2), axis=1)
     values, residuals = returns(residuals), residuals.copy()
@@ -208,7 +196,7 @@ def truncated(residuals: np.ndarray, to_beat: np.ndarray) -> tuple[np.ndarray, n
     return values, residuals
 
 
-def test_truncating_lost_episodes_changes_no_candidate() -> None:
+def test_truncating_lost_episodes_changes_no_candidate():
     whole, raced = begin(2), begin(2)
     lost = {"steps": 0, "restarts": 0}
     while whole.evaluations < 9000:
@@ -224,7 +212,7 @@ def test_truncating_lost_episodes_changes_no_candidate() -> None:
     assert min(lost.values()) > 20
 
 
-def test_race_continues_from_its_state() -> None:
+def test_race_continues_from_its_state():
     search, again = begin(), begin(7)
     advance(search, 1 + 3 * RESTARTS + 4, distance)
     again.restore(json.loads(dump_state(search.state())))

@@ -1,7 +1,5 @@
 """The random searches on toy objectives: what they may do, what they must decide, and that they repeat."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,19 +10,18 @@ from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout
 from sim.learn.search.algorithm1 import ESTIMATE_AFTER, Algorithm1, Scale
 from sim.learn.search.published import RULES, Caps, Published
-from sim.learn.search.random_search import RandomSearch, perturb
+from sim.learn.search.random_search import perturb
 
-Kind = type[RandomSearch[Any]]
 both = pytest.mark.parametrize("kind", [Published, Algorithm1])
 
 
-def begin(kind: Kind, seed: int = 0) -> RandomSearch[Any]:
+def begin(kind, seed=0):
     return kind.begin(LAYOUT, DEFAULTS, np.random.default_rng(seed))
 
 
-def judge(search: RandomSearch[Any], value: float) -> np.ndarray:
+def judge(search, value):
     """Ask for one candidate (P,), give it a return, and hand it over."""
-    candidate: np.ndarray = search.ask()[0]
+    candidate = search.ask()[0]
     search.tell([value])
     return candidate
 
@@ -32,9 +29,7 @@ def judge(search: RandomSearch[Any], value: float) -> np.ndarray:
 @both
 @given(seed=st.integers(0, 2**32), outcomes=st.lists(st.booleans(), min_size=1, max_size=150))
 @settings(max_examples=30, deadline=None)
-def test_candidates_stay_in_bounds_and_failures_leave_incumbent_unchanged(
-    kind: Kind, seed: int, outcomes: list[bool]
-) -> None:
+def test_candidates_stay_in_bounds_and_failures_leave_incumbent_unchanged(kind, seed, outcomes):
     search = begin(kind, seed)
     judge(search, 0.0)
     value = 0.0
@@ -51,7 +46,7 @@ def test_candidates_stay_in_bounds_and_failures_leave_incumbent_unchanged(
 
 
 @both
-def test_any_value_that_is_not_better_is_a_failure(kind: Kind) -> None:
+def test_any_value_that_is_not_better_is_a_failure(kind):
     full, raced = begin(kind), begin(kind)
     advance(full, 501, ahead=1)
     while raced.evaluations < 501:
@@ -84,14 +79,14 @@ LEAST, MOST = (4, 3, 2, 2, 2), (12, 8, 6, 6, 4)
         ("F" * 51 * 8 + "S" * 20, LEAST, 0),
     ],
 )
-def test_caps_follow_published_rule(outcomes: str, caps: tuple[int, ...], failures: int) -> None:
+def test_caps_follow_published_rule(outcomes, caps, failures):
     state = Caps(LEAST, MOST, LEAST)
     for outcome in outcomes:
         state = state.after_success() if outcome == "S" else state.after_failure()
     assert (state.caps, state.failures) == (caps, failures)
 
 
-def test_published_changes_have_published_numbers_and_sizes() -> None:
+def test_published_changes_have_published_numbers_and_sizes():
     """Wide bounds, so that no clamp hides what was drawn; many entries, so that hardly any is hit twice."""
     size = 5_000
     blocks = tuple(
@@ -100,8 +95,8 @@ def test_published_changes_have_published_numbers_and_sizes() -> None:
     )
     layout = ParameterLayout(blocks)
     search = Published(layout, np.zeros(layout.size), np.random.default_rng(3))
-    counts: list[list[int]] = [[] for _ in blocks]
-    noise: list[list[float]] = [[] for _ in blocks]
+    counts = [[] for _ in blocks]
+    noise = [[] for _ in blocks]
     for _ in range(1500):
         candidate = search.propose(Caps(LEAST, MOST, LEAST), np.random.default_rng(len(counts[0])))
         for i, block in enumerate(blocks):
@@ -120,7 +115,7 @@ def test_published_changes_have_published_numbers_and_sizes() -> None:
         assert np.std(noise[i]) == pytest.approx(expected, rel=0.08)
 
 
-def test_start_is_perturbed_within_bounds_and_differs_between_agents() -> None:
+def test_start_is_perturbed_within_bounds_and_differs_between_agents():
     starts = [perturb(LAYOUT, DEFAULTS, np.random.default_rng(seed)) for seed in range(20)]
     for start in starts:
         assert np.all((start >= LAYOUT.lower) & (start <= LAYOUT.upper))
@@ -134,7 +129,7 @@ def test_start_is_perturbed_within_bounds_and_differs_between_agents() -> None:
 # -- Algorithm 1 -------------------------------------------------------------------------------------------
 
 
-def test_scale_follows_success_and_failure_within_its_limits() -> None:
+def test_scale_follows_success_and_failure_within_its_limits():
     first = Scale()
     greater, smaller = first.after_success(), first.after_failure()
     assert smaller.scale < first.scale < greater.scale
@@ -145,7 +140,7 @@ def test_scale_follows_success_and_failure_within_its_limits() -> None:
     assert smaller.after_failure().scale == smaller.scale > 0.0
 
 
-def test_lucky_incumbent_is_estimated_anew() -> None:
+def test_lucky_incumbent_is_estimated_anew():
     search = begin(Algorithm1)
     lucky = judge(search, 100.0)
     for _ in range(ESTIMATE_AFTER):

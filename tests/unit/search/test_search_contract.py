@@ -9,18 +9,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kit.toy_search import DEFAULTS, INERT, LAYOUT, SAMPLES, advance, returns, sphere
 
-from sim.learn.search.base import Strategy, dump_state
+from sim.learn.search.base import dump_state
 from sim.learn.search.strategies import SearchName, start_search
 
 every = pytest.mark.parametrize("name", list(SearchName))
 
 
-def begin(name: str, seed: int = 0) -> Strategy:
+def begin(name, seed=0):
     return start_search(name, LAYOUT, DEFAULTS, np.random.default_rng(seed), INERT)
 
 
 @every
-def test_search_beats_random_sampling(name: str) -> None:
+def test_search_beats_random_sampling(name):
     for seed in range(3):
         search = begin(name, seed)
         start = float(returns(sphere(search.incumbent[None]))[0])
@@ -31,7 +31,7 @@ def test_search_beats_random_sampling(name: str) -> None:
 
 
 @every
-def test_candidates_stay_in_bounds_and_the_caller_owns_them(name: str) -> None:
+def test_candidates_stay_in_bounds_and_the_caller_owns_them(name):
     search = begin(name, 3)
     seen = advance(search, 500)
     assert np.all((seen >= LAYOUT.lower) & (seen <= LAYOUT.upper))
@@ -43,9 +43,7 @@ def test_candidates_stay_in_bounds_and_the_caller_owns_them(name: str) -> None:
 @every
 @given(cuts=st.sets(st.integers(1, 399), min_size=1, max_size=6), ahead=st.integers(1, 9))
 @settings(max_examples=settings().max_examples // 8)
-def test_a_seed_decides_and_pauses_portions_and_json_change_nothing(
-    name: str, cuts: set[int], ahead: int
-) -> None:
+def test_a_seed_decides_and_pauses_portions_and_json_change_nothing(name, cuts, ahead):
     whole, search, other = begin(name), begin(name), begin(name, seed=8)
     for each in (whole, other):
         advance(each, 400, ahead=1)
@@ -58,7 +56,7 @@ def test_a_seed_decides_and_pauses_portions_and_json_change_nothing(
 
 
 @every
-def test_start_is_evaluated_first_and_is_no_iteration(name: str) -> None:
+def test_start_is_evaluated_first_and_is_no_iteration(name):
     search = begin(name)
     start = search.incumbent.copy()
     assert search.value is None
@@ -70,7 +68,7 @@ def test_start_is_evaluated_first_and_is_no_iteration(name: str) -> None:
 
 
 @every
-def test_ask_and_tell_must_alternate(name: str) -> None:
+def test_ask_and_tell_must_alternate(name):
     search = begin(name)
     with pytest.raises(ValueError, match="0 candidates wait"):
         search.tell([1.0], sphere(DEFAULTS[None]))
@@ -86,7 +84,7 @@ def test_ask_and_tell_must_alternate(name: str) -> None:
             call()
 
 
-def begin_asked(name: str) -> Strategy:
+def begin_asked(name):
     search = begin(name)
     search.ask()
     return search

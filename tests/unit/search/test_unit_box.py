@@ -12,7 +12,7 @@ from sim.learn.engine.evaluator import Evaluator
 from sim.learn.search.unit_box import UnitBox, reflected
 
 
-def test_box_reaches_every_bound_and_returns_to_its_start() -> None:
+def test_box_reaches_every_bound_and_returns_to_its_start():
     box = UnitBox.of(LAYOUT, DEFAULTS)
     corners = box.vectors(np.array([np.zeros(box.size), np.ones(box.size)]))
     assert corners[0] == pytest.approx(LAYOUT.lower, rel=1e-12)
@@ -21,7 +21,7 @@ def test_box_reaches_every_bound_and_returns_to_its_start() -> None:
     assert box.vectors(box.start[None])[0] == pytest.approx(DEFAULTS, rel=1e-12)
 
 
-def test_factors_go_by_their_logarithm_and_all_else_is_linear() -> None:
+def test_factors_go_by_their_logarithm_and_all_else_is_linear():
     box = UnitBox.of(LAYOUT, DEFAULTS)
     middle = box.vectors(np.full((1, box.size), 0.5))[0]
     for block in LAYOUT.blocks:
@@ -30,7 +30,7 @@ def test_factors_go_by_their_logarithm_and_all_else_is_linear() -> None:
         assert middle[block.slice] == pytest.approx(mean)
 
 
-def test_inert_parameters_keep_their_defaults() -> None:
+def test_inert_parameters_keep_their_defaults():
     box = UnitBox.of(LAYOUT, DEFAULTS, INERT)
     assert box.size == LAYOUT.size - INERT.sum()
     vectors = box.vectors(np.random.default_rng(0).random((5, box.size)))
@@ -38,7 +38,7 @@ def test_inert_parameters_keep_their_defaults() -> None:
     assert (vectors[:, ~INERT] != DEFAULTS[~INERT]).all()
 
 
-def test_inert_parameters_change_no_miss_and_all_others_do() -> None:
+def test_inert_parameters_change_no_miss_and_all_others_do():
     rng = np.random.default_rng(1)
     base = np.clip(DEFAULTS + 0.05 * WIDTH * rng.standard_normal(LAYOUT.size), LAYOUT.lower, LAYOUT.upper)
     moves = np.where(base < LAYOUT.upper - 0.02 * WIDTH, 0.01, -0.01) * WIDTH
@@ -52,6 +52,6 @@ def test_inert_parameters_change_no_miss_and_all_others_do() -> None:
     assert same.tolist() == INERT.tolist()
 
 
-def test_walls_reflect() -> None:
+def test_walls_reflect():
     points = np.array([-0.25, 0.0, 0.3, 1.0, 1.2, 2.5, -1.5])
     assert reflected(points) == pytest.approx([0.25, 0.0, 0.3, 1.0, 0.8, 0.5, 0.5])

@@ -24,11 +24,11 @@ def test_benchmark_is_imported_and_prints_its_help(path, monkeypatch, capsys):
         assert capsys.readouterr().out.startswith("usage: ")
 
 
-def test_the_searches_are_compared_by_what_training_gives(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_searches_are_compared_by_what_training_gives(monkeypatch):
     monkeypatch.setattr(bench_search, "available_processes", lambda: 1)
     monkeypatch.setattr(bench_search, "MARKS", (20, 40))
     monkeypatch.setattr(bench_search, "PASSED", (-30.0, -8.0))
-    said: list[str] = []
+    said = []
     rows = csv.DictReader(bench_search.returns_table(4, 3, 60, said.append, ["published"]))
     settings = TrainSettings.model_validate({"seed": 4, "search": "published"})
     batch = Batch(training_plan(settings, resolve_task(settings)))

@@ -16,6 +16,15 @@ CHECKPOINTS = -(-LAYOUT.size // 3)
 SAMPLES = LAYOUT.lower + WIDTH * np.random.default_rng(5).random((2000, LAYOUT.size))
 
 
+def candidates(count, seed=0, policy=POLICY):
+    """Parameter vectors around those of a policy; most of the untuned one's drive, some in circles."""
+    layout = policy.layout()
+    noise = np.random.default_rng(seed).normal(size=(count, layout.size))
+    return np.clip(
+        policy.parameters() + 0.08 * noise * (layout.upper - layout.lower), layout.lower, layout.upper
+    )
+
+
 def sphere(vectors):
     """Residuals (n, 1, C, 3): the distance of each parameter from the goal, as a fraction of its range."""
     residuals = np.zeros((len(vectors), CHECKPOINTS * 3))

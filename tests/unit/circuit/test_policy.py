@@ -10,7 +10,7 @@ from rover_ncp.circuit.motors import Motors, parking_motors
 from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.runner import Runner
-from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
+from rover_ncp.circuit.sensing import Sensing, parking_sensing
 from rover_ncp.core.errors import ConfigError, UsageError
 
 CIRCUIT = load_circuit("parking")
@@ -114,17 +114,3 @@ def test_runner_starts_at_rest_and_returns_to_it():
     runner.reset()
     assert (runner.potentials == RESTING_MV).all()
     assert runner.tick([0.5, 0.5, 0.5, 1.0]) == first
-
-
-def test_neurons_that_sense_nothing_leak():
-    channel = Channel(name="x", positive="PVD", maximum=1.0)
-    sensing = Sensing(name="one", inputs=("x",), channels=(channel,))
-    policy = Policy(CIRCUIT, sensing, parking_motors())
-    # PLM, ALM and AVM are then neurons like any other: they leak towards their own leak potential.
-    vector = policy.parameters()
-    vector[policy.layout().block(ParameterKind.LEAK_POTENTIAL).slice] = -30.0
-    runner = Runner(policy.with_parameters(vector))
-    for _ in range(20):
-        runner.tick([0.0])
-    assert runner.potentials[[1, 6, 7]] == pytest.approx(-30.0, abs=1e-6)
-    assert runner.potentials[0] == -70.0

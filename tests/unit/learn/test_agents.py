@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kit.paths import DATA
-from kit.toy_search import LAYOUT, POLICY
+from kit.toy_search import LAYOUT, POLICY, candidates
 
 from rover_ncp.course.course import load_course
 from sim.learn import agents as agents_module
@@ -220,29 +220,6 @@ def test_a_snapshot_has_best_median_and_total():
 @pytest.fixture(scope="module")
 def evaluator():
     return Evaluator(POLICY, SHORT)
-
-
-def candidates(count, seed=1):
-    noise = np.random.default_rng(seed).normal(size=(count, LAYOUT.size))
-    vectors = POLICY.parameters() + 0.05 * noise * (LAYOUT.upper - LAYOUT.lower)
-    return np.clip(vectors, LAYOUT.lower, LAYOUT.upper)
-
-
-def test_answers_of_a_stream_are_those_of_a_batch(evaluator):
-    stream, single, expected, seen = evaluator.stream(4), evaluator.stream(1), {}, []
-    for agent in range(4):
-        vectors = candidates(2 + agent, seed=agent)
-        never = np.full(len(vectors), -np.inf)
-        single.submit(0, vectors, never)
-        [answer] = single.collect()
-        expected[agent] = evaluator.returns(vectors), answer.residuals.copy()
-        stream.submit(agent, vectors, never)
-    while answers := stream.collect():
-        for agent, returns, residuals in answers:
-            seen.append(agent)
-            assert returns.tolist() == expected[agent][0].tolist()
-            assert np.array_equal(residuals, expected[agent][1])
-    assert sorted(seen) == [0, 1, 2, 3]
 
 
 def test_truncated_episode_does_not_delay_the_others(evaluator):

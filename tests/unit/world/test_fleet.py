@@ -126,24 +126,6 @@ def test_shapes_and_mirrored_drives_change_no_bit_on_open_ground():
     assert np.array_equal(*unmirrored)
 
 
-def test_a_rover_placed_again_drives_as_a_new_one():
-    start, model = Pose(0.0, 0.0, 0.0), default_rover()
-    commands = random_commands(8, 200, 8, 0.5, 2.0)
-    fleet = Driven([model] * 8, BOX)
-    for command in commands:
-        fleet.tick(command.T)
-    assert fleet.touched.any()
-    for _ in range(2):  # the second time without what the last contact left over
-        for lane in range(8):
-            fleet.place(lane, start)
-        fleet.tick(np.zeros((2, 8)))
-    for lane in range(8):
-        fleet.place(lane, start)
-    poses = np.array([fleet.tick(command.T) for command in commands])
-    for lane in range(8):
-        assert np.array_equal(poses[:, :, lane], drive_alone(model, BOX, start, commands[:, lane])[0])
-
-
 @settings(max_examples=300)
 @given(st.floats(-1e4, 1e4) | st.integers(-40, 40).map(lambda n: n * math.pi))
 def test_headings_wrap_as_everywhere_else(angle):

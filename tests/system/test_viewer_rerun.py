@@ -16,9 +16,8 @@ from rover_ncp.recording.recording import read_recording
 pytestmark = pytest.mark.browser
 
 COURSE = DATA / "short_course.yaml"
-
-
 QUIET = os.environ | {"RERUN_ANALYTICS": "0", "NO_COLOR": "1"}
+HOW = {"env": QUIET, "timeout": 60, "capture_output": True, "text": True}
 
 
 def rerun():
@@ -32,14 +31,7 @@ def rerun():
 
 def checked(recording):
     """Return topic → status as `rerun mcap check` prints them; it must find the file sound."""
-    done = subprocess.run(
-        [rerun(), "mcap", "check", str(recording)],
-        env=QUIET,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    done = subprocess.run([rerun(), "mcap", "check", str(recording)], check=False, **HOW)
     assert done.returncode == 0, done.stdout + done.stderr
     rows = [line.split() for line in done.stdout.splitlines()]
     return {row[3]: (row[0], row[4]) for row in rows if len(row) == 5 and row[1].isdigit()}
@@ -74,9 +66,8 @@ def test_layout_and_recording_are_written_into_one_file(tmp_path):
     target = tmp_path / "run.rrd"
     script = ROOT / "docs" / "viewing" / "rerun_drive.py"
     recording = DATA / "formats" / "0.1.0" / "drive.mcap"
-    how = {"env": QUIET, "timeout": 60, "capture_output": True, "text": True}
-    subprocess.run([sys.executable, str(script), str(recording), "--save", str(target)], check=True, **how)
-    text = subprocess.run([rerun(), "rrd", "print", str(target)], check=True, **how).stdout
+    subprocess.run([sys.executable, str(script), str(recording), "--save", str(target)], check=True, **HOW)
+    text = subprocess.run([rerun(), "rrd", "print", str(target)], check=True, **HOW).stdout
     assert "Blueprint" in text
     for path in ("/neurons/AVB", "/paths/rover/estimate", "/rover/status"):
         assert f" - {path} " in text

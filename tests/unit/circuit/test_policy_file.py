@@ -1,6 +1,4 @@
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -189,15 +187,6 @@ def test_a_missing_or_empty_file(tmp_path):
         for load in (load_policy, load_circuit):
             with pytest.raises(FileError, match=f"{name}: .*{problem}"):
                 load(tmp_path / name)
-
-
-def test_a_policy_is_read_without_numba():
-    # The bridge's machine or a reader of policies may lack it; only running one needs it.
-    code = (
-        "import sys; sys.modules['numba'] = None\n"
-        f"from rover_ncp.circuit.policy_file import load_policy\nload_policy({str(GOLDEN / 'parking.bnn')!r})"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 
 @pytest.mark.parametrize(

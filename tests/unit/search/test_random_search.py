@@ -4,13 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kit.toy_search import DEFAULTS, LAYOUT, POLICY, advance, returns, sphere
+from kit.toy_search import DEFAULTS, LAYOUT, advance, returns, sphere
 
-from rover_ncp.circuit.circuit import ParameterKind
-from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout
 from sim.learn.search.algorithm1 import ESTIMATE_AFTER, Algorithm1, Scale
-from sim.learn.search.published import RULES, Caps, Published
-from sim.learn.search.random_search import perturb
+from sim.learn.search.published import Published
 
 both = pytest.mark.parametrize("kind", [Published, Algorithm1])
 
@@ -60,70 +57,6 @@ def test_any_value_that_is_not_better_is_a_failure(kind):
     before = without_a_number.incumbent.copy()
     judge(without_a_number, float("nan"))
     assert np.array_equal(without_a_number.incumbent, before)
-
-
-# -- the published variant ---------------------------------------------------------------------------------
-
-LEAST, MOST = (4, 3, 2, 2, 2), (12, 8, 6, 6, 4)
-
-
-@pytest.mark.parametrize(
-    ("outcomes", "caps", "failures"),
-    [
-        ("F" * 50, LEAST, 50),
-        ("F" * 50 + "S" + "F" * 50, LEAST, 50),
-        ("F" * 51 + "F" * 50, (5, 4, 3, 3, 3), 50),
-        ("F" * 153, (7, 6, 5, 5, 4), 0),  # capacitance stops at 4
-        ("F" * 51 * 30, MOST, 0),
-        ("F" * 51 * 8 + "SSSF", (9, 5, 3, 3, 2), 1),
-        ("F" * 51 * 8 + "S" * 20, LEAST, 0),
-    ],
-)
-def test_caps_follow_published_rule(outcomes, caps, failures):
-    state = Caps(LEAST, MOST, LEAST)
-    for outcome in outcomes:
-        state = state.after_success() if outcome == "S" else state.after_failure()
-    assert (state.caps, state.failures) == (caps, failures)
-
-
-def test_published_changes_have_published_numbers_and_sizes():
-    """Wide bounds, so that no clamp hides what was drawn; many entries, so that hardly any is hit twice."""
-    size = 5_000
-    blocks = tuple(
-        ParameterBlock(kind, slice(i * size, (i + 1) * size), -1e6, 1e6)
-        for i, kind in enumerate(list(ParameterKind)[:5])
-    )
-    layout = ParameterLayout(blocks)
-    search = Published(layout, np.zeros(layout.size), np.random.default_rng(3))
-    counts = [[] for _ in blocks]
-    noise = [[] for _ in blocks]
-    for _ in range(1500):
-        candidate = search.propose(Caps(LEAST, MOST, LEAST), np.random.default_rng(len(counts[0])))
-        for i, block in enumerate(blocks):
-            moved = candidate[block.slice]
-            moved = moved[moved != 0]
-            counts[i].append(len(moved))
-            noise[i].extend(moved.tolist())
-    for i, block in enumerate(blocks):
-        rule = RULES[block.kind]
-        assert set(counts[i]) == set(range(LEAST[i] + 1))  # both ends included
-        shares = np.bincount(counts[i]) / len(counts[i])
-        assert np.abs(shares - 1 / (LEAST[i] + 1)).max() < 0.05
-        # The variance of a normal whose deviation is uniform in [a, b] is the mean of its square.
-        a, b = rule.low, rule.high
-        expected = np.sqrt((a * a + a * b + b * b) / 3)
-        assert np.std(noise[i]) == pytest.approx(expected, rel=0.08)
-
-
-def test_start_is_perturbed_within_bounds_and_differs_between_agents():
-    starts = [perturb(LAYOUT, DEFAULTS, np.random.default_rng(seed)) for seed in range(20)]
-    for start in starts:
-        assert np.all((start >= LAYOUT.lower) & (start <= LAYOUT.upper))
-        for block in LAYOUT.blocks:
-            moved = np.count_nonzero(start[block.slice] != DEFAULTS[block.slice])
-            assert 1 <= moved <= 15
-    assert len({start.tobytes() for start in starts}) == len(starts)
-    assert DEFAULTS.tobytes() == POLICY.parameters().tobytes()
 
 
 # -- Algorithm 1 -------------------------------------------------------------------------------------------

@@ -188,33 +188,3 @@ def test_placing_a_rover_forgets_its_contact_and_its_commands():
         rover.substep()
     assert rover.pose == pytest.approx(Pose(-1.0, 0.5, 0.1), abs=1e-12)
     assert not rover.in_contact
-
-
-def push_a_box(mass):
-    """Drive at a box that stands on the ground with friction 0.6; return how far it moved in 20 s."""
-    ground = Ground()
-    size = (0.3, 0.6)
-    box = pymunk.Body(mass, pymunk.moment_for_box(mass, size))
-    box.position = (0.6, 0.0)
-    slip = pymunk.PivotJoint(ground.space.static_body, box, (0.6, 0.0), (0.0, 0.0))
-    slip.max_bias, slip.max_force = 0.0, 0.6 * mass * 9.81
-    turn = pymunk.GearJoint(ground.space.static_body, box, 0.0, 1.0)
-    turn.max_bias, turn.max_force = 0.0, 0.6 * mass * 9.81 * 0.2
-    ground.space.add(box, pymunk.Poly.create_box(box, size), slip, turn)
-    rover = PymunkRover(default_rover(), ground)
-    rover.command(0.16, 0.0)
-    for _ in range(2000):
-        rover.substep()
-    return math.dist(box.position, (0.6, 0.0)), rover
-
-
-@pytest.mark.parametrize(("mass", "least", "most"), [(200.0, 0.0, 0.005), (0.2, 1.0, 5.0)])
-def test_a_light_box_is_pushed_along_and_a_heavy_one_is_not(mass, least, most):
-    # The heavy one creeps at 0.2 mm/s: Chipmunk shares out the correction of overlaps by mass alone.
-    moved, rover = push_a_box(mass)
-    assert least <= moved <= most
-    assert rover.in_contact
-    if mass == 200.0:
-        assert rover.velocity.v == pytest.approx(0.0, abs=1e-3)
-    else:
-        assert rover.velocity.v > 0.1

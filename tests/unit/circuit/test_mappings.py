@@ -42,29 +42,6 @@ def test_sensory_potentials(clamp, pair, single, expected):
     assert tuple(runner.potentials[:3]) == pytest.approx(expected, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("motors", "potentials", "expected"),
-    [
-        (parking_motors(), (-60, 0, -60, -60), (0.0, 0.0)),
-        (parking_motors(), (-20, 0, -20, -60), (0.16, 0.18)),
-        (parking_motors(), (-60, 0, -60, -20), (0.0, -0.18)),
-        (parking_motors(), (-40, 0, -40, -50), (0.08, 0.045)),
-        (parking_motors(), (-90, 0, -90, -61), (0.0, 0.0)),
-        (parking_motors(), (0, 0, 0, -90), (0.16, 0.18)),
-        (four_dof_motors(), (-60, -20, -60, -60), (-0.16, 0.0)),
-        (four_dof_motors(), (-20, -20, -20, -20), (0.0, 0.0)),
-        (four_dof_motors(), (-20, -40, -60, -30), (0.08, -0.135)),
-        (four_dof_motors(), (-90, 0, 0, -90), (-0.16, 0.18)),
-    ],
-)
-def test_motor_outputs(motors, potentials, expected):
-    """``potentials`` in mV at which the motor neurons are held."""
-    circuit = build_circuit("held", ("S", "FWD", "REV", "LFT", "RGT"), ())
-    circuit = replace(circuit, held=dict(enumerate(map(float, potentials), 1)))
-    sensing = Sensing(name="test", inputs=("x",), channels=(Channel(name="x", positive="S", maximum=1.0),))
-    assert Runner(Policy(circuit, sensing, motors)).tick([0.0]) == pytest.approx(expected, abs=1e-12)
-
-
 X, Y = ({"name": name, "positive": neuron, "maximum": 1.0} for name, neuron in (("x", "A"), ("y", "B")))
 SENSING = {"name": "test", "inputs": ("x", "y"), "channels": (X, Y)}
 MOTOR = {"outputs": ("x", "y"), "channels": (X, Y)}

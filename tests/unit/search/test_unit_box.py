@@ -30,14 +30,6 @@ def test_factors_go_by_their_logarithm_and_all_else_is_linear():
         assert middle[block.slice] == pytest.approx(mean)
 
 
-def test_inert_parameters_keep_their_defaults():
-    box = UnitBox.of(LAYOUT, DEFAULTS, INERT)
-    assert box.size == LAYOUT.size - INERT.sum()
-    vectors = box.vectors(np.random.default_rng(0).random((5, box.size)))
-    assert (vectors[:, INERT] == DEFAULTS[INERT]).all()
-    assert (vectors[:, ~INERT] != DEFAULTS[~INERT]).all()
-
-
 def test_inert_parameters_change_no_miss_and_all_others_do():
     rng = np.random.default_rng(1)
     base = np.clip(DEFAULTS + 0.05 * WIDTH * rng.standard_normal(LAYOUT.size), LAYOUT.lower, LAYOUT.upper)

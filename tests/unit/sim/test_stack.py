@@ -1,9 +1,6 @@
 """Random trials through the whole stack on a virtual clock, and what a base does in a trial."""
 
 import math
-import multiprocessing
-import signal
-import time
 
 import numpy as np
 import pytest
@@ -104,27 +101,6 @@ def test_a_trial_is_the_same_whatever_the_number_of_processes():
     assert drive_all(stack("harsh"), 4, 2) == alone
     assert stack("harsh").drive(3) == alone[3]
     assert len({trial.pose for trial in alone}) == 4
-
-
-@pytest.mark.long
-def test_interrupted_trials_end_their_processes_at_once_and_no_others():
-    of_the_host = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(600.0,))
-    of_the_host.start()
-    processes = []
-
-    def interrupt():
-        processes.extend(set(multiprocessing.active_children()) - {of_the_host})
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        drive_all(stack("harsh"), 20, 2, interrupt)
-    while any(process.exitcode is None for process in processes):
-        time.sleep(0.01)
-    # Not at the end of their trials.
-    assert [process.exitcode for process in processes] == [-signal.SIGKILL] * 2
-    assert of_the_host.is_alive()
-    of_the_host.kill()
-    of_the_host.join()
 
 
 def test_a_known_start_reaches_the_driver_through_external_poses():

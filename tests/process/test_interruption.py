@@ -54,10 +54,20 @@ def python(script, *arguments):
 
 
 @pytest.mark.parametrize(
-    ("module", "number"), list(zip(["typer", "rich", "rover_ncp.core.console"], SIGNALS, strict=True))
+    ("module", "number", "command"),
+    [
+        *(
+            (module, number, "course check parking")
+            for module, number in zip(["typer", "rich", "rover_ncp.core.console"], SIGNALS, strict=True)
+        ),
+        ("numpy", signal.SIGINT, "course check parking"),
+        ("scipy.linalg", signal.SIGINT, "course check parking"),
+        ("numba.core.types", signal.SIGINT, "eval parking"),
+        pytest.param("pymunk", signal.SIGINT, "eval parking", marks=pytest.mark.long),
+    ],
 )
-def test_signal_while_the_command_line_is_imported_is_an_interruption(module, number):
-    done = python(AT_IMPORT, module, int(number), "course", "check", "parking", "--json")
+def test_signal_while_modules_are_imported_is_an_interruption(module, number, command):
+    done = python(AT_IMPORT, module, int(number), *command.split(), "--json")
     assert (done.returncode, done.stderr) == (130, "rover-ncp: interrupted\n")
     assert json.loads(done.stdout)["exit_code"] == 130
 
@@ -88,20 +98,6 @@ def test_signal_while_a_lock_is_waited_for_is_an_interruption(number):
     """The first two waits are for the start of the threads that write output."""
     done = python(AT_WAIT, number, "course", "check", "parking", "--json")
     assert (done.returncode, done.stderr) == (130, "rover-ncp: interrupted\n")
-
-
-@pytest.mark.parametrize(
-    ("module", "command"),
-    [
-        ("numpy", "course check parking"),
-        ("scipy.linalg", "course check parking"),
-        ("numba.core.types", "eval parking"),
-        pytest.param("pymunk", "eval parking", marks=pytest.mark.long),
-    ],
-)
-def test_signal_while_libraries_are_imported_is_an_interruption(module, command):
-    done = python(AT_IMPORT, module, int(signal.SIGINT), *command.split())
-    assert (done.returncode, done.stderr, done.stdout) == (130, "rover-ncp: interrupted\n", "")
 
 
 DROPPED = """

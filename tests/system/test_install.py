@@ -81,6 +81,7 @@ def test_wheel_and_sdist_hold_the_packages_with_their_data(built):
     assert tracked | {"pyproject.toml", "README.md", "LICENSE"} <= held
 
 
+@pytest.mark.timeout(600)  # downloads, and commands with cold kernels
 @pytest.mark.parametrize("extras", WORKS)
 def test_an_installed_wheel_does_what_its_extras_promise(extras, built, tmp_path):
     check_install(sys.executable, extras, built[".whl"], tmp_path)

@@ -18,9 +18,9 @@ from sim.paper.agents import build_agent
 from sim.paper.evaluator import Evaluator
 from sim.paper.runs import budget_for
 from sim.paper.search import loop
-from sim.paper.search.loop import BenchmarkEstimator, Checkpoint, run_search
+from sim.paper.search.loop import BenchmarkEstimator, Checkpoint, ParkingEvaluator, run_search
 from sim.paper.search.published import SEARCHES
-from sim.paper.tasks import TASKS
+from sim.paper.tasks import TASKS, Benchmark
 
 ALONE = Checkpoint(None, {})
 LAYERS = (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER)
@@ -77,6 +77,18 @@ def literal(strategy, agent, evaluate, iterations):
     )
 
 
+def assert_same(strategy, agent, returns, iterations=2000):
+    number = itertools.count()
+    slow = literal(strategy, agent, lambda vector: returns(next(number), vector[None])[0], iterations)
+    quick = fast(strategy, agent, returns, iterations)
+    assert max(quick) == iterations
+    vector, value = quick[0]
+    for iteration, (expected, wanted) in enumerate(slow, start=1):
+        vector, value = quick.get(iteration, (vector, value))
+        assert value == wanted
+        assert vector.tolist() == expected.tolist()
+
+
 CELLS = [
     ("algorithm1", "pendulum", "circuit"),
     ("published-parking", "parking", "circuit"),
@@ -92,17 +104,31 @@ def test_fast_search_makes_the_decisions_of_the_reference_on_recorded_returns(st
     # Successes become rare, as in a search, and a new estimate is often lower.
     recorded = np.random.default_rng(2).gumbel(size=10_000) + np.linspace(0.0, 9.0, 10_000)
     agent = build_agent(TASKS[task], name, 0)
-    iterations, number = 2000, itertools.count()
-    slow = literal(strategy, agent, lambda vector: recorded[next(number)], iterations)
-    quick = fast(
-        strategy, agent, lambda number, vectors: recorded[number : number + len(vectors)], iterations
-    )
-    assert max(quick) == iterations
-    vector, value = quick[0]
-    for iteration, (expected, wanted) in enumerate(slow, start=1):
-        vector, value = quick.get(iteration, (vector, value))
-        assert value == wanted
-        assert vector.tolist() == expected.tolist()
+    assert_same(strategy, agent, lambda number, vectors: recorded[number : number + len(vectors)])
+
+
+@pytest.mark.parametrize(
+    ("strategy", "name"),
+    [
+        ("published-parking", "parking"),
+        ("published-mountain-car", "mountain-car"),
+        ("algorithm1", "cart-pole"),
+    ],
+)
+@pytest.mark.long
+def test_fast_search_makes_the_decisions_of_the_reference_on_a_task(strategy, name):
+    task = TASKS[name]
+    agent = build_agent(task, "circuit", 0)
+    limits = replace(budget_for(task, BudgetName.PUBLISHED), rollouts=2, worst=1)
+    if isinstance(task, Benchmark):
+        place = BenchmarkEstimator(task, agent, 3, limits)
+    else:
+        place = ParkingEvaluator(task, agent)
+
+    def returns(number, vectors):
+        return place.estimate(vectors, number, np.full(len(vectors), -math.inf))
+
+    assert_same(strategy, agent, returns)
 
 
 def test_estimate_is_the_mean_of_the_worst_and_stops_below_what_it_must_beat():

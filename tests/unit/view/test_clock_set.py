@@ -21,7 +21,7 @@ from rover_ncp.recording.recording import Recorded, RecordingWriter, read_record
 from rover_ncp.wire import messages
 from sim.live.truth import TrueState, judge_truth, recorded_truth
 
-SHORT = "tests/data/short_course.yaml"
+POLICY, COURSE = load_policy("parking"), load_course("tests/data/short_course.yaml")
 HOUR_NS = 3600 * 10**9
 BOOT_NS = 5_000_000_000_000
 """Monotonic clock at the first tick."""
@@ -31,19 +31,18 @@ SET_AT = 21
 @functools.cache
 def driven():
     """A drive's messages with the records of its ticks, and the rollout."""
-    policy, course = load_policy("parking"), load_course(SHORT)
-    told, run = drive_messages(policy, course, truth=False)
+    told, run = drive_messages(POLICY, COURSE, truth=False)
     ticks = []
     for k in range(len(run.commands)):
         ns = BEGAN_NS + k * TICK_NS
         record = {"index": k, "predicted": False, "now_ns": BOOT_NS + k * TICK_NS, "wall_ns": ns}
         ticks.append(Recorded(TICKS_TOPIC, "std_msgs/msg/String", messages.text(json.dumps(record)), ns, ns))
-    return policy, course, run, sorted([*ticks, *told], key=lambda message: message.log_ns)
+    return sorted([*ticks, *told], key=lambda message: message.log_ns), run
 
 
-def clock_set(told, by_ns, since_ns, log=True):
-    """Return the messages with stamps that change by ``by_ns`` from a moment on."""
-    found = []
+def clock_set(told, by_ns, at, log=True):
+    """Return the messages with stamps that change by ``by_ns`` from a tick on."""
+    found, since_ns = [], BEGAN_NS + round(at * TICK_NS)
     for message in told:
         data = message.data
         if message.topic == TICKS_TOPIC and message.publish_ns >= since_ns:
@@ -58,25 +57,25 @@ def clock_set(told, by_ns, since_ns, log=True):
     return found
 
 
+def write(path, *setting):
+    """Record the drive with a clock that is set as `clock_set` does."""
+    with RecordingWriter(path) as writer:
+        writer.attach(POLICY_FILE, policy_to_yaml(POLICY).encode())
+        writer.attach(COURSE_FILE, dump_yaml(COURSE.model_dump(mode="json")).encode())
+        for message in clock_set(driven()[0], *setting or (0, 0)):
+            writer.write(message)
+    return path
+
+
 @pytest.fixture(scope="module")
 def usual(tmp_path_factory):
     """The recording of the drive while no clock was set."""
-    policy, course, _, told = driven()
-    return write(tmp_path_factory.mktemp("usual") / "run.mcap", policy, course, told)
+    return write(tmp_path_factory.mktemp("usual") / "run.mcap")
 
 
 @pytest.fixture(scope="module")
 def usual_drive(usual):
     return read_drive(usual)
-
-
-def write(path, policy, course, told):
-    with RecordingWriter(path) as writer:
-        writer.attach(POLICY_FILE, policy_to_yaml(policy).encode())
-        writer.attach(COURSE_FILE, dump_yaml(course.model_dump(mode="json")).encode())
-        for message in told:
-            writer.write(message)
-    return path
 
 
 SETTINGS = [
@@ -90,11 +89,8 @@ SETTINGS = [
 
 @pytest.mark.parametrize(("by_ns", "at", "log"), SETTINGS)
 def test_clock_that_is_set_in_a_drive_changes_no_time_of_its_report(tmp_path, usual_drive, by_ns, at, log):
-    policy, course, run, told = driven()
-    since_ns = BEGAN_NS + round(at * TICK_NS)
-    drive = read_drive(write(tmp_path / "set.mcap", policy, course, clock_set(told, by_ns, since_ns, log)))
-    usual, trace = usual_drive, drive.timeline.trace()
-    assert trace.times == pytest.approx(run.times[:-1])
+    drive, usual = read_drive(write(tmp_path / "set.mcap", by_ns, at, log)), usual_drive
+    assert drive.timeline.trace().times == pytest.approx(driven()[1].times[:-1])
     assert drive.timeline.judge() == usual.timeline.judge()
     assert dict(facts(drive.timeline, None)) == dict(facts(usual.timeline, None))
     rows = dict.fromkeys(drive.timeline.streams, 0)
@@ -109,10 +105,7 @@ def test_clock_that_is_set_in_a_drive_changes_no_time_of_its_report(tmp_path, us
 
 @pytest.mark.parametrize("by_ns", [-HOUR_NS, HOUR_NS])
 def test_clock_that_is_set_changes_neither_arrays_nor_the_duration_of_recovery(tmp_path, usual, by_ns):
-    policy, course, _, told = driven()
-    path = write(
-        tmp_path / "set.mcap", policy, course, clock_set(told, by_ns, BEGAN_NS + round(SET_AT * TICK_NS))
-    )
+    path = write(tmp_path / "set.mcap", by_ns, SET_AT)
     for topic, rows in read_arrays(usual).items():
         assert read_arrays(path)[topic]["t"] == pytest.approx(rows["t"], abs=0.02), topic
     before = read_recording(path).messages
@@ -125,7 +118,7 @@ def test_clock_that_is_set_changes_neither_arrays_nor_the_duration_of_recovery(t
 
 @pytest.mark.parametrize("by_ns", [-HOUR_NS, HOUR_NS])
 def test_truth_is_judged_and_merged_by_the_steady_clock(tmp_path, by_ns):
-    policy, course, run, told = driven()
+    run = driven()[1]
     since_ns = BEGAN_NS + round((SET_AT + 0.5) * TICK_NS)
     states = []
     for k in range(10 * len(run.poses)):
@@ -133,38 +126,36 @@ def test_truth_is_judged_and_merged_by_the_steady_clock(tmp_path, by_ns):
         pose = Pose(*run.poses[min(max(0, k // 10 - 1), len(run.poses) - 1)])
         wall_ns = ns + by_ns * (ns >= since_ns)
         states.append(TrueState(ns - BEGAN_NS + BOOT_NS, wall_ns, pose, None, False))
-    path = write(tmp_path / "set.mcap", policy, course, clock_set(told, by_ns, since_ns))
+    path = write(tmp_path / "set.mcap", by_ns, SET_AT + 0.5)
     rewrite(read_recording(path), path, recorded_truth(states))
     drive = read_drive(path)
     began_ns = drive.timeline.ticks[0].wall_ns
     assert [(m.wall_ns - began_ns) * 1e-9 for m in drive.timeline.truth] == pytest.approx(
         0.01 * np.arange(len(states)) - 0.1
     )
-    judged, shown = judge_truth(course, states, began_ns), drive.timeline.judge()["true"]
+    judged, shown = judge_truth(COURSE, states, began_ns), drive.timeline.judge()["true"]
     assert judged.error_m == pytest.approx(shown.error_m)
     assert judged.error_m == pytest.approx(run.verdict.error_m, abs=0.02)
     assert judged.reason == shown.reason
 
 
 def test_clock_set_back_without_ticks_leaves_the_order_of_the_file():
-    _, _, _, told = driven()
-    plain = [message for message in told if message.topic == "odom"]
-    times = [message.log_ns for message in recording.steady(clock_set(plain, -HOUR_NS, BEGAN_NS + 10**9))]
+    plain = [message for message in driven()[0] if message.topic == "odom"]
+    times = [message.log_ns for message in recording.steady(clock_set(plain, -HOUR_NS, 10))]
     usual = [message.log_ns for message in plain]
     assert np.array(times) - times[0] == pytest.approx(np.array(usual) - usual[0], abs=1.5 * TICK_NS)
     assert times == sorted(times)
 
 
 def test_message_that_is_dated_at_the_start_moves_no_other():
-    _, _, _, told = driven()
+    told, _ = driven()
     path = Recorded("deploy/path", "nav_msgs/msg/Path", b"", told[0].log_ns, told[0].log_ns)
     assert [m.log_ns for m in recording.steady([*told[:-1], path, told[-1]])][-1] == told[-1].log_ns
 
 
 @pytest.mark.parametrize("value", [True, "1", None, -1, 1 << 70, 1.5, [1]])
 def test_tick_record_of_strangers_moves_no_message(value):
-    _, _, _, told = driven()
     record = messages.text(json.dumps({"now_ns": value, "wall_ns": BEGAN_NS}))
-    own = [message for message in told if message.topic != TICKS_TOPIC]
+    own = [message for message in driven()[0] if message.topic != TICKS_TOPIC]
     ticks = [Recorded(TICKS_TOPIC, "std_msgs/msg/String", record, m.log_ns, m.log_ns) for m in own]
     assert list(recording.steady(ticks)) == ticks

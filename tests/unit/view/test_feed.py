@@ -6,28 +6,18 @@ from html import unescape
 
 import numpy as np
 import pytest
-from kit.recorded_drives import drive_messages, state
+from kit.recorded_drives import state
 
 from deploy.view import server
-from deploy.view.feed import Cursor, Feed
+from deploy.view.feed import Cursor
 from deploy.zenoh_client import BridgeAddress
-from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import NoBridge
-from rover_ncp.course.course import load_course
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire import messages
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.key_table import TAG_VIEW, spec
 from rover_ncp.wire.protocol import DriverStatus
-
-SHORT = "tests/data/short_course.yaml"
-
-
-@pytest.fixture(scope="module")
-def short():
-    policy, course = load_policy("parking"), load_course(SHORT)
-    return policy, course, *drive_messages(policy, course, truth=False)
 
 
 def status(phase, ns):
@@ -47,41 +37,38 @@ def joined(parts):
     return whole
 
 
-def test_updates_in_pieces_are_the_whole(short):
-    policy, course, received, simulated = short
-    pieces, cursor, feed = [], Cursor(), Feed(policy, course)
-    for number, message in enumerate(received):
+def test_updates_in_pieces_are_the_whole(short, feed):
+    pieces, cursor = [], Cursor()
+    for number, message in enumerate(short.messages):
         feed.take(message)
         if number % 7 == 0:
             pieces.append(json.loads(json.dumps(feed.updates(cursor), allow_nan=False)))
     pieces.append(feed.updates(cursor))
     whole, once = joined(pieces), joined([feed.updates(Cursor())])
     assert whole == once
-    assert whole["x"] == pytest.approx(simulated.poses[:-1, 0], abs=1e-4)
-    assert whole["potentials"] == pytest.approx(simulated.potentials[:, 3], abs=0.01)
+    assert whole["x"] == pytest.approx(short.run.poses[:-1, 0], abs=1e-4)
+    assert whole["potentials"] == pytest.approx(short.run.potentials[:, 3], abs=0.01)
     assert [piece["reset"] for piece in pieces].count(True) == 1
     assert pieces[-1]["status"]["state"] == "ended"
     assert "By the estimated pose" in pieces[-1]["html"]["summary"]
     assert len(pieces[-1]["findings"]["contributions"]) == 132
 
 
-def test_view_of_tags_is_sent_once_to_each_viewer_and_survives_a_drive(short):
-    policy, course, received, _ = short
-    feed, first, second = Feed(policy, course), Cursor(), Cursor()
+def test_view_of_tags_is_sent_once_to_each_viewer_and_survives_a_drive(short, feed):
+    first, second = Cursor(), Cursor()
     for jpeg in (b"one", b"two"):
         row = spec(TAG_VIEW)
         data = encode(row.type, format="jpeg", data=np.frombuffer(jpeg, np.uint8))
         feed.take(Recorded(row.name, row.type, data, 1, 1))
         assert b64decode(feed.updates(first)["view"]) == jpeg
     assert "view" not in feed.updates(first)
-    for message in received:
+    for message in short.messages:
         feed.take(message)
     assert b64decode(feed.updates(second)["view"]) == b"two"
 
 
-def test_all_findings_are_sent_at_the_end_without_a_new_tick(short):
-    policy, course, received, _ = short
-    cursor, feed = Cursor(), Feed(policy, course)
+def test_all_findings_are_sent_at_the_end_without_a_new_tick(short, feed):
+    received, cursor = short.messages, Cursor()
     on_the_way = [message for message in received if message.topic != "rover/status"]
     for message in [status("running", received[0].log_ns), *on_the_way]:
         feed.take(message)
@@ -91,9 +78,8 @@ def test_all_findings_are_sent_at_the_end_without_a_new_tick(short):
     assert "findings" not in feed.updates(cursor)
 
 
-def test_a_new_drive_begins_anew(short):
-    policy, course, received, _ = short
-    feed, cursor = Feed(policy, course), Cursor()
+def test_a_new_drive_begins_anew(short, feed):
+    received, cursor = short.messages, Cursor()
     for message in received:
         feed.take(message)
     assert feed.updates(cursor)["ticks"]["t"]
@@ -105,7 +91,7 @@ def test_a_new_drive_begins_anew(short):
     assert [event["text"] for event in fresh["events"]] == []
     for message in received:
         feed.take(message)
-    assert len(feed.updates(cursor)["ticks"]["t"]) == course.ticks
+    assert len(feed.updates(cursor)["ticks"]["t"]) == short.course.ticks
 
 
 @pytest.mark.parametrize(("model", "corners"), [("p3at-sh", 5), ("turtlebot4", 37)])
@@ -117,22 +103,18 @@ def test_the_page_draws_the_robots_own_outline(monkeypatch, model, corners):
     monkeypatch.setattr(server, "watch_page", lambda *parts: drawn.append(parts[-1]))
     monkeypatch.setattr(server, "Viewer", unreachable)
     with pytest.raises(NoBridge):
-        server.run(BridgeAddress("tcp/127.0.0.1:9"), "parking", SHORT, 0, Output(False), model=model)
+        server.run(BridgeAddress("tcp/127.0.0.1:9"), "parking", "parking", 0, Output(False), model=model)
     assert len(drawn[0]) == corners
 
 
-def test_waiting_for_a_drive_costs_no_memory(short):
-    policy, course, received, _ = short
-    feed = Feed(policy, course)
-    sample = next(message for message in received if message.topic == "odom")
+def test_waiting_for_a_drive_costs_no_memory(short, feed):
+    sample = next(message for message in short.messages if message.topic == "odom")
     for _ in range(1000):
         feed.take(sample)
     assert len(feed._timeline.odometry) <= 50
 
 
-def test_neurons_of_another_policy_are_noticed(short):
-    policy, course, _, _ = short
-    feed = Feed(policy, course)
+def test_neurons_of_another_policy_are_noticed(feed):
     feed.take(
         Recorded("rover/neurons", "std_msgs/msg/Float64MultiArray", messages.neurons([0.0], ["X"]), 1, 1)
     )

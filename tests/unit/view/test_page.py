@@ -7,16 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kit.recorded_drives import BEGAN_NS, TICK_NS, drive_messages, state, write_drive
+from kit.recorded_drives import BEGAN_NS, TICK_NS, state, write_drive
 
-from deploy.view.feed import Cursor, Feed
+from deploy.view.feed import Cursor
 from deploy.view.page import drive_page, fragment, page
 from deploy.view.recorded_drive import read_drive, summarise
 from deploy.view.timeline import Timeline
-from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.course.course import load_course
 from rover_ncp.course.scoring import Parked
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire import messages
@@ -36,13 +34,11 @@ def data_of(text):
     return json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', text, re.S)[1])
 
 
-def test_messages_with_impossible_numbers_are_skipped(tmp_path, capsys):
-    policy, course = load_policy("parking"), load_course(SHORT)
-    good, _ = drive_messages(policy, course)
-    more = []
+def test_messages_with_impossible_numbers_are_skipped(tmp_path, capsys, short, feed):
+    good, more = short.messages, []
     for number, value in enumerate((math.nan, math.inf, 1e308, -1e308), 7):
         bad = {
-            "rover/neurons": messages.neurons([value] * 12, policy.circuit.neurons),
+            "rover/neurons": messages.neurons([value] * 12, short.policy.circuit.neurons),
             "rover/estimate": messages.pose_with_covariance(Pose(value, 0, 0), np.eye(3), 1, "course"),
             "truth/pose": messages.pose_stamped(Pose(value, 0, 0), 1, "course"),
             "odom": messages.odometry(Pose(value, 0, 0), Velocity(value, 0), 1),
@@ -53,7 +49,7 @@ def test_messages_with_impossible_numbers_are_skipped(tmp_path, capsys):
             more.append(replace(victim, data=data))
     write_drive(tmp_path / "run.mcap", course=SHORT, more=more)
     assert run(["report", str(tmp_path / "run.mcap")]) == 0, capsys.readouterr().err
-    feed, cursor = Feed(policy, course), Cursor()
+    cursor = Cursor()
     for number, message in enumerate(sorted([*good, *more], key=lambda message: message.log_ns)):
         feed.take(message)
         if number % 20 == 0:
@@ -111,8 +107,7 @@ def test_text_from_peers_is_escaped(drive):
     assert data_of(text)["words"] == evil
 
 
-def test_text_from_peers_is_escaped_in_updates():
-    feed = Feed(load_policy("parking"), load_course(SHORT))
+def test_text_from_peers_is_escaped_in_updates(feed):
     evil = "<img src=x onerror=alert(1)>"
     status = DriverStatus(state="fault", reason=evil, policy=evil, course=evil)
     feed.take(state(status, 1))
@@ -124,13 +119,13 @@ def test_text_from_peers_is_escaped_in_updates():
     assert "<img" not in "".join(html.values())
 
 
-def summary_of(tmp_path, **options):
-    write_drive(tmp_path / "run.mcap", course=SHORT, **options)
-    return summarise(read_drive(tmp_path / "run.mcap"))
+def recorded(path, course=SHORT, **options):
+    write_drive(path, course=course, **options)
+    return read_drive(path)
 
 
 def test_the_summary_names_verdict_rates_and_origin(tmp_path):
-    summary = summary_of(tmp_path)
+    summary = summarise(recorded(tmp_path / "run.mcap"))
     rows, origin = dict(summary.rows), dict(summary.origin)
     assert summary.parked is Parked.NO
     assert summary.headline.startswith("Not parked (true pose): ")
@@ -153,7 +148,7 @@ def test_the_summary_has_a_stop_and_its_reason(tmp_path):
         state(status, late),
         Recorded("odom", "nav_msgs/msg/Odometry", b"garbage", late, late),
     ]
-    summary = summary_of(tmp_path, more=more)
+    summary = summarise(recorded(tmp_path / "run.mcap", more=more))
     rows = dict(summary.rows)
     assert summary.headline == "Not parked (true pose): touched an obstacle"
     assert rows["Ended as"] == "fault: stopped by bumper"
@@ -172,32 +167,29 @@ def test_command_writes_the_page_beside_the_recording(tmp_path, capsys):
     assert (tmp_path / "other.html").read_bytes() == page.read_bytes()
 
 
-def test_messages_are_taken_while_a_drive_is_explained(monkeypatch):
-    policy, course = load_policy("parking"), load_course(SHORT)
-    received, _ = drive_messages(policy, course)
+def test_messages_are_taken_while_a_drive_is_explained(monkeypatch, short, feed):
     feed_module, taken = importlib.import_module("deploy.view.feed"), []
-    feed, once = Feed(policy, course), feed_module.analyse
+    once = feed_module.analyse
 
     def analyse(trace):
-        thread = threading.Thread(target=feed.take, args=(received[0],), daemon=True)
+        thread = threading.Thread(target=feed.take, args=(short.messages[0],), daemon=True)
         thread.start()
         thread.join(5.0)
         taken.append(not thread.is_alive())
         return once(trace)
 
     monkeypatch.setattr(feed_module, "analyse", analyse)
-    for message in received:
+    for message in short.messages:
         feed.take(message)
     assert "findings" in feed.updates(Cursor())
     feed.updates(Cursor())
     assert taken == [True]
 
 
-def test_ended_drive_is_judged_once(monkeypatch):
-    policy, course = load_policy("parking"), load_course(SHORT)
-    feed, cursor, judged, once = Feed(policy, course), Cursor(), [], Timeline.judge
+def test_ended_drive_is_judged_once(monkeypatch, short, feed):
+    cursor, judged, once = Cursor(), [], Timeline.judge
     monkeypatch.setattr(Timeline, "judge", lambda timeline: judged.append(1) or once(timeline))
-    for message in drive_messages(policy, course)[0]:
+    for message in short.messages:
         feed.take(message)
     for _ in range(5):
         feed.updates(cursor)
@@ -205,37 +197,30 @@ def test_ended_drive_is_judged_once(monkeypatch):
     assert len(judged) == 1
 
 
-def test_an_uncertain_verdict_is_shown_as_such(tmp_path):
-    known = {"policy": "course", "course": "parking", "variance": 1e-5}
-    path = tmp_path / "run.mcap"
-    write_drive(path, **known, truth=False)
-    drive = read_drive(path)
+def test_an_uncertain_verdict_is_shown_as_such_unless_the_true_pose_is_known(tmp_path):
+    known = {"course": "parking", "policy": "course", "variance": 1e-5}
+    drive = recorded(tmp_path / "estimate.mcap", **known, truth=False)
     summary = summarise(drive)
     assert (summary.parked, summary.headline) == (Parked.UNCERTAIN, "Parked, uncertain")
     assert dict(summary.rows)["By the estimated pose"].startswith("parked, uncertain, ")
     assert '"doubt">Parked, uncertain<' in drive_page(drive)
-
-    write_drive(tmp_path / "true.mcap", **known)  # where the true pose is known, it counts
-    drive = read_drive(tmp_path / "true.mcap")
+    drive = recorded(tmp_path / "truth.mcap", **known)
     summary = summarise(drive)
     assert summary.headline == "Parked (true pose)"
-    assert '"good">Parked (true pose)<' in drive_page(drive)
     assert dict(summary.rows)["By the estimated pose"].startswith("parked, uncertain, ")
+    assert '"good">Parked (true pose)<' in drive_page(drive)
 
 
 def test_the_drivers_uncertain_verdict_is_never_shown_as_parked(tmp_path):
     uncertain = state(DriverStatus(state=Parked.UNCERTAIN, reason="33 %", tick=320), BEGAN_NS + 400 * TICK_NS)
-    write_drive(tmp_path / "run.mcap", truth=False, more=[uncertain])
-    summary = summarise(read_drive(tmp_path / "run.mcap"))
+    summary = summarise(recorded(tmp_path / "estimate.mcap", "parking", truth=False, more=[uncertain]))
     assert dict(summary.rows)["By the estimated pose"].startswith("parked, ")
     assert (summary.parked, summary.headline) == (Parked.UNCERTAIN, "Parked, uncertain: 33 %")
-    write_drive(tmp_path / "true.mcap", more=[uncertain])
-    summary = summarise(read_drive(tmp_path / "true.mcap"))
+    summary = summarise(recorded(tmp_path / "truth.mcap", "parking", more=[uncertain]))
     assert summary.headline == "Parked (true pose): the driver's own verdict is uncertain"
 
 
-def test_the_live_page_shows_an_uncertain_verdict():
-    feed = Feed(load_policy("parking"), load_course(SHORT))
+def test_the_live_page_shows_an_uncertain_verdict(feed):
     status = DriverStatus(state=Parked.UNCERTAIN, reason="with a probability of 80 %")
     feed.take(state(status, 1))
     assert '"doubt">parked, uncertain<' in feed.updates(Cursor())["html"]["title"]

@@ -1,13 +1,11 @@
 import numpy as np
 import pytest
-from kit.recorded_drives import BEGAN_NS, TICK_NS, drive_messages, state, write_drive
+from kit.recorded_drives import BEGAN_NS, TICK_NS, state, write_drive
 
 from deploy.view.recorded_drive import read_drive
 from deploy.view.timeline import Timeline
-from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.geometry import Pose
-from rover_ncp.course.course import load_course
 from rover_ncp.recording.recording import Recorded, RecordingWriter, read_recording
 from rover_ncp.wire import messages
 from rover_ncp.wire.protocol import DriverStatus, GateStatus
@@ -16,43 +14,30 @@ SHORT = "tests/data/short_course.yaml"
 STRING = "std_msgs/msg/String"
 
 
-@pytest.fixture(scope="module")
-def short():
-    policy, course = load_policy("parking"), load_course(SHORT)
-    received, run = drive_messages(policy, course)
-    return policy, course, received, run
-
-
-def timeline_of(policy, course, received):
-    timeline = Timeline(policy, course)
-    for message in received:
+def timeline_of(short, messages):
+    timeline = Timeline(short.policy, short.course)
+    for message in messages:
         timeline.take(message)
     return timeline
 
 
 def test_a_drive_gives_back_the_run_it_was_recorded_from(short):
-    policy, course, received, run = short
-    timeline = timeline_of(policy, course, received)
+    timeline, run = timeline_of(short, short.messages), short.run
     assert np.allclose(timeline.ticks[3].estimate.covariance, np.diag([4e-6, 8e-6, 4e-6]))
     trace = timeline.trace()
     assert trace.times == pytest.approx(run.times[:-1])
     assert trace.poses == pytest.approx(run.poses)
     assert (trace.potentials == run.potentials).all()
     assert trace.commands == pytest.approx(run.commands, abs=1e-12)
-
-
-def test_odometry_is_transformed_to_the_course_frame(short):
-    policy, course, received, run = short
-    timeline = timeline_of(policy, course, received)
-    assert len(timeline.odometry) == len(run.poses)
-    for moved, pose in zip(timeline.odometry, run.poses, strict=True):
-        assert timeline.on_course(moved.pose) == pytest.approx(pose, abs=1e-9)
+    on_course = np.array([timeline.on_course(moved.pose) for moved in timeline.odometry])
+    assert on_course == pytest.approx(run.poses, abs=1e-9)
     assert timeline.truth[-1].pose == pytest.approx(run.poses[-1])
+    # The gate held the rover before its first command.
+    assert not any(event.kind == "stop" for event in timeline.events)
 
 
 def test_before_the_first_tick_there_is_no_run(short):
-    policy, course, received, _ = short
-    timeline = timeline_of(policy, course, received[:2])
+    timeline = timeline_of(short, short.messages[:2])
     assert timeline.began_ns is None
     assert timeline.on_course(Pose(0, 0, 0)) is None
 
@@ -76,7 +61,7 @@ def test_events_are_the_changes_of_driver_and_gate(short):
         DriverStatus(state="fault", reason="stopped by lease"),
     ]
     received = [state(each, number) for number, each in enumerate(states, 1)]
-    assert timeline_of(*short[:2], received).events == [
+    assert timeline_of(short, received).events == [
         (1, "state", "armed"),
         (2, "state", "driving"),
         (4, "stop", "the gate holds the rover, bumper"),
@@ -91,31 +76,23 @@ def test_events_are_the_changes_of_driver_and_gate(short):
 
 
 def test_start_signal_and_predicted_ticks_are_events(short):
-    policy, course, received, _ = short
     record = messages.text('{"index": 20, "predicted": true}')
     at = BEGAN_NS + 20 * TICK_NS
-    timeline = timeline_of(policy, course, [*received, Recorded("deploy/ticks", STRING, record, at, at)])
+    timeline = timeline_of(short, [*short.messages, Recorded("deploy/ticks", STRING, record, at, at)])
     events = timeline.events
-    assert (BEGAN_NS + round(course.start_signal_s * 1e9), "start", "start signal") in events
+    assert (BEGAN_NS + round(short.course.start_signal_s * 1e9), "start", "start signal") in events
     assert (at, "late", "no odometry in time: tick 20 ran on prediction; the drive went on") in events
     assert [event.wall_ns for event in events] == sorted(event.wall_ns for event in events)
     assert timeline.predicted == 1
-    assert not any(event.kind == "start" for event in timeline_of(policy, course, received[:20]).events)
-
-
-def test_a_rover_held_before_its_first_command_is_no_event(short):
-    policy, course, received, _ = short
-    timeline = timeline_of(policy, course, received)
-    assert [event.kind for event in timeline.events].count("stop") == 0
+    assert not any(event.kind == "start" for event in timeline_of(short, short.messages[:20]).events)
 
 
 @pytest.mark.parametrize("topic", ["odom", "rover/neurons", "rover/estimate", "cmd_vel", "rover/gate"])
 def test_unreadable_messages_are_counted_and_skipped(short, topic):
-    policy, course, received, _ = short
     garbage = Recorded(topic, STRING, b"\x00\x01garbage", BEGAN_NS, BEGAN_NS)
-    timeline = timeline_of(policy, course, [garbage, *received])
+    timeline = timeline_of(short, [garbage, *short.messages])
     assert timeline.unreadable == {topic: 1}
-    assert len(timeline.ticks) == course.ticks
+    assert len(timeline.ticks) == short.course.ticks
 
 
 @pytest.mark.parametrize("truth", [True, False])
@@ -132,14 +109,13 @@ def test_drive_is_judged_by_the_true_and_the_estimated_pose(tmp_path, truth):
 
 
 def test_bumper_counts_as_contact(short):
-    policy, course, received, _ = short
     bump = state(GateStatus(accepted=9, held="bumper", stops={"bumper": 1}), BEGAN_NS + 10**10)
-    verdicts = timeline_of(policy, course, [*received, bump]).judge()
+    verdicts = timeline_of(short, [*short.messages, bump]).judge()
     assert {verdict.reason for verdict in verdicts.values()} == {"touched an obstacle"}
 
 
 def test_gate_decisions_of_earlier_drives_do_not_count(short):
-    policy, course, received, _ = short
+    received = short.messages
     earlier = {"accepted": 4000, "dropped": {"stale": 3}, "stops": {"bumper": 2, "stale": 1}}
     first, last = received[0].log_ns, received[-1].log_ns
     gates = [
@@ -149,7 +125,7 @@ def test_gate_decisions_of_earlier_drives_do_not_count(short):
         state(GateStatus(**earlier | {"accepted": 4100, "dropped": {"stale": 5}}), last + 1),
     ]
     others = [message for message in gates if message.topic != "rover/gate" or message not in received]
-    timeline = timeline_of(policy, course, others)
+    timeline = timeline_of(short, others)
     assert timeline.gate.model_dump(include={"accepted", "dropped", "stops"}) == {
         "accepted": 100,
         "dropped": {"stale": 2},

@@ -16,7 +16,7 @@ NO_COMMANDS = {"lease"}
 
 
 def commands(group=GROUP, path="rover-ncp"):
-    """Yield the path of each command, and the command; those of several and their parts too."""
+    """Yield the path of each command and of its parts, and the command."""
     for name in group.list_commands(None):
         command = group.get_command(None, name)
         yield f"{path} {name}", command

@@ -1,28 +1,30 @@
 """The generated pages of the documentation, and its examples of YAML files."""
 
 import re
+from importlib.metadata import entry_points
 
 import numpy as np
+import paper_tables
 import pytest
 import reference_pages
 import yaml
 from kit.paths import ROOT
 from result_fields import RESULTS, result_fields
 
-from rover_ncp import api
+from rover_ncp import api, cli
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.core.config import parse_yaml
 from sim import api as sim_api
+from sim.explain.explain import explain
+from sim.explain.files import markdown
 from sim.learn.record import TrainSettings, resolve_task
+from sim.paper.claims import load_claims
 
 EXAMPLES = ROOT / "docs" / "examples"
 # Examples that leave keys out: bodies of MuJoCo, what a robot is seldom measured for, a Pioneer's own.
 OPTIONAL = {"randomization", "robot", "rover", "limits"}
-
-
-@pytest.fixture(scope="module")
-def pages():
-    return reference_pages.reference_pages()
+INTERPRETATION = ROOT / "docs" / "interpretation"
+PAPER = paper_tables.PAGE.read_text()
 
 
 @pytest.mark.parametrize("name", reference_pages.MODELS)
@@ -45,6 +47,10 @@ def test_a_line_that_links_to_a_measured_table_becomes_the_table():
     assert after == "A [link](measured/ros2.csv)."
 
 
+def test_results_of_every_command_are_on_the_page_of_json():
+    assert {name.split()[0] for name in RESULTS} == {point.name for point in entry_points(group=cli.GROUP)}
+
+
 @pytest.mark.parametrize("command", RESULTS)
 def test_every_field_of_a_result_has_a_meaning(command):
     assert [path for path, meaning in result_fields(command).items() if not meaning] == []
@@ -64,7 +70,8 @@ def test_the_example_of_a_circuit_can_be_trained_on_the_example_of_a_course():
     assert sim_api.rollout(task.policy, api.load_course(course)).total < 0
 
 
-def test_pages_have_the_options_bounds_and_notes_of_the_code(pages):
+def test_pages_have_the_options_bounds_and_notes_of_the_code():
+    pages = reference_pages.reference_pages()
     page = pages["commands.md"]
     assert page.count("\n## ") == len(set(re.findall(r"^## (.+)$", page, re.MULTILINE)))
     assert "| 130 | interrupted" in page
@@ -75,3 +82,21 @@ def test_pages_have_the_options_bounds_and_notes_of_the_code(pages):
         r"\| `command_timeout_s` \| number, > 0, ≤ 0\.4 \| `0\.3` \| A command is in force", page
     )
     assert re.search(r"\| `kind` \| `excitatory`, `inhibitory`, `gap` \| required", page)
+
+
+@pytest.mark.long
+def test_page_of_the_shipped_circuit_is_the_present_explanation():
+    again = "rover-ncp explain parking --out docs/interpretation, keep *.md and *.svg"
+    assert (INTERPRETATION / "explanation.md").read_text() == markdown(explain("parking")), again
+
+
+def test_every_picture_of_the_shipped_circuit_is_there():
+    shown = set(re.findall(r"\]\((\w+\.svg)\)", (INTERPRETATION / "explanation.md").read_text()))
+    assert shown == {path.name for path in INTERPRETATION.glob("*.svg")}
+
+
+def test_page_on_the_paper_has_the_present_tables_and_cites_claims_that_exist():
+    assert [block["command"] for block in paper_tables.BLOCK.finditer(PAPER)] == list(paper_tables.TABLES)
+    assert paper_tables.generated(PAPER) == PAPER, "make paper-docs writes the present tables"
+    cited = re.findall(r"\(`([a-z0-9]+-[\w-]+)`\)", paper_tables.BLOCK.sub("", PAPER))
+    assert set(cited) <= {claim.name for claim in load_claims().claims}

@@ -25,12 +25,8 @@ COURSE = load_course("parking")
 DT = 0.1
 
 
-def exact(pose, velocity):
-    return pose, velocity
-
-
 @functools.cache
-def drive(policy=AHEAD, odom=ORIGIN, pose=ORIGIN, report=exact, latency=0.003):
+def drive(policy=AHEAD, odom=ORIGIN, pose=ORIGIN, report=lambda *exact: exact, latency=0.003):
     """A whole course in simulation; returns the true poses (course frame), the ticks, the controller."""
     rover = PymunkRover(default_rover(), Ground(), pose)
     controller = Controller(policy, COURSE, EstimatorSettings())
@@ -77,13 +73,9 @@ def test_a_circuit_that_follows_the_course_sees_its_reference_as_in_the_simulato
         assert tick.command == runner.tick(seen(tick.estimate.pose, tick.index))
     # And it drives there, as the engine's rover does.
     assert distance(poses[-1], COURSE.goal) < 0.1
-    simulated = rollout(tracker, COURSE, trials=started_at(there)).poses
+    trials = nominal_trials(default_rover(), COURSE.ticks)._replace(start=np.array([there]))
+    simulated = rollout(tracker, COURSE, trials=trials).poses
     assert max(map(distance, poses, [Pose(*pose) for pose in simulated])) < 0.02
-
-
-def started_at(pose):
-    trials = nominal_trials(default_rover(), COURSE.ticks)
-    return trials._replace(start=np.array([pose]))
 
 
 def test_the_origin_of_odometry_is_of_no_consequence():
@@ -101,35 +93,25 @@ def test_the_verdict_is_the_courses_on_the_estimates():
     assert controller.verdict().error_m == pytest.approx(distance(poses[-1], COURSE.goal), abs=0.03)
 
 
-class Turning:
-    """Stands in for a circuit that always turns."""
+class Scripted:
+    """A runner that has the given command in all ticks, or before tick ``stops``; keeps what it observes."""
 
     potentials = np.zeros(0)
 
-    def reset(self):
-        pass
-
-    def tick(self, observation):
-        return 0.0, 0.3
-
-
-class Resting(Turning):
-    """Stands in for a circuit that stops at a tick; keeps what it observes."""
-
-    def __init__(self, stops):
-        self.observed, self.stops = [], stops
+    def __init__(self, command, stops=COURSE.ticks):
+        self.command, self.stops, self.observed = command, stops, []
 
     def reset(self):
         self.observed = []
 
     def tick(self, observation):
         self.observed.append(tuple(observation))
-        return (0.0, 0.0) if len(self.observed) > self.stops + 1 else (0.1, 0.0)
+        return (0.0, 0.0) if len(self.observed) > self.stops + 1 else self.command
 
 
 @pytest.mark.parametrize("stops", [0, COURSE.ticks - 40, COURSE.ticks])
 def test_a_rover_at_rest_at_the_end_sees_its_heading_error_alone(stops):
-    runner, off = Resting(stops), Pose(-0.02, 0.04, 0.06)
+    runner, off = Scripted((0.1, 0.0), stops), Pose(-0.02, 0.04, 0.06)
     seen = ("longitudinal", "lateral", "heading")
     controller = Controller(seen, COURSE, EstimatorSettings(), runner=runner)
     controller.start(ORIGIN, -DT, compose(COURSE.goal, off))
@@ -150,6 +132,6 @@ def test_a_rover_at_rest_at_the_end_sees_its_heading_error_alone(stops):
 def test_turn_commands_are_divided_by_a_possible_gain(gain, sent):
     policy = course_policy(load_circuit("tracking"))
     settings = EstimatorSettings.model_construct(**{**EstimatorSettings().model_dump(), "turn_gain": gain})
-    controller = Controller(policy, COURSE, settings, runner=Turning())
+    controller = Controller(policy, COURSE, settings, runner=Scripted((0.0, 0.3)))
     controller.start(ORIGIN, 0.0)
     assert controller.tick(0, 0.0).command.omega == pytest.approx(sent)

@@ -11,7 +11,7 @@ import pytest
 from kit.virtual_drive import AHEAD, VirtualDrive
 
 from deploy.drive.records import CONFIG_FILE, POLICY_FILE
-from deploy.replay import replay
+from deploy.replay import Comparison, replay
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy_file import policy_to_yaml
 from rover_ncp.cli import run as shell
@@ -23,43 +23,37 @@ from rover_ncp.wire.messages import neurons, read_neurons, read_text, read_twist
 
 MS = 1_000_000
 TICKS = 40
+SAME = Comparison(same=True, ticks=TICKS, complete=True, difference=None)
 COURSE = load_course("parking").model_copy(update={"start_signal_s": 0.5})
 
 
-def record_drive(path, policy):
+def record_drive(path):
     """Record a drive that loses one of 13 samples of odometry; return its result."""
-    virtual, count = VirtualDrive(policy, COURSE, path, ticks=TICKS), itertools.count(1)
+    virtual, count = VirtualDrive(AHEAD, COURSE, path, ticks=TICKS), itertools.count(1)
     virtual.link.change["odom"] = lambda data: data if next(count) % 13 else None
     return virtual.run()
 
 
-@pytest.fixture(scope="module")
-def policy():
-    return AHEAD
-
-
-def test_samples_of_the_same_checksum_are_told_apart_by_their_stamps(policy, tmp_path, monkeypatch):
+def test_samples_of_the_same_checksum_are_told_apart_by_their_stamps(tmp_path, monkeypatch):
     collides = SimpleNamespace(crc32=lambda data: 1 if data.startswith(b"\0\1\0\0") else zlib.crc32(data))
     for module in ("deploy.drive.measurements", "deploy.replay"):
         monkeypatch.setattr(f"{module}.zlib", collides)
-    record_drive(tmp_path / "run.mcap", policy)
-    comparison = replay(tmp_path / "run.mcap")
-    assert comparison.difference is None
-    assert comparison.ticks == TICKS
+    record_drive(tmp_path / "run.mcap")
+    assert replay(tmp_path / "run.mcap") == SAME
 
 
 @pytest.fixture(scope="module")
-def recorded(policy, tmp_path_factory):
+def recorded(tmp_path_factory):
     path = tmp_path_factory.mktemp("run") / "run.mcap"
-    result = record_drive(path, policy)
+    result = record_drive(path)
     assert result.predicted >= 2  # a lost sample is bridged by prediction, and counted
     assert result.overruns == result.predicted + result.missed
     return path
 
 
-def test_pulses_for_a_dead_band_recompute_to_the_same_bits(policy, tmp_path):
+def test_pulses_for_a_dead_band_recompute_to_the_same_bits(tmp_path):
     band = RoverProfile(name="band", dead_band_v=0.15, dead_band_omega=0.2)
-    virtual = VirtualDrive(policy, COURSE, tmp_path / "run.mcap", ticks=TICKS, rover=band)
+    virtual = VirtualDrive(AHEAD, COURSE, tmp_path / "run.mcap", ticks=TICKS, rover=band)
     virtual.run()
     sent = {read_twist(data).velocity.v for data in virtual.messages("cmd_vel")}
     assert 0.0 in sent
@@ -68,10 +62,7 @@ def test_pulses_for_a_dead_band_recompute_to_the_same_bits(policy, tmp_path):
 
 
 def test_a_recording_recomputes_to_the_same_bits(recorded):
-    comparison = replay(recorded)
-    assert comparison.difference is None
-    assert comparison.ticks == TICKS
-    assert comparison.complete
+    assert replay(recorded) == SAME
 
 
 def with_file(recorded, name, change, path):
@@ -82,36 +73,23 @@ def with_file(recorded, name, change, path):
     return path
 
 
-def with_policy(recorded, policy, path):
-    """A copy of the recording that holds another policy."""
-    return with_file(recorded, POLICY_FILE, lambda _: policy_to_yaml(policy).encode(), path)
+def with_parameters(recorded, path, change):
+    """A copy of the recording whose policy has parameters that ``change`` altered in place."""
+    vector = AHEAD.parameters()
+    change(vector)
+    policy = policy_to_yaml(AHEAD.with_parameters(vector)).encode()
+    return with_file(recorded, POLICY_FILE, lambda _: policy, path)
 
 
-def nudged_leak(policy, neuron):
-    """The policy with one neuron's leak potential another by a billionth."""
-    vector = policy.parameters()
-    vector[positions(policy, ParameterKind.LEAK_POTENTIAL)[neuron]] *= 1 + 1e-9
-    return policy.with_parameters(vector)
-
-
-def flipped(policy, position):
-    """The policy with the lowest bit of one parameter the other way round."""
-    vector = policy.parameters()
-    bits = vector.view(np.int64)
-    bits[position] ^= 1
-    return policy.with_parameters(vector)
-
-
-def positions(policy, kind):
-    block = policy.layout().block(kind).slice
-    return range(block.start, block.stop)
-
-
-def test_one_bit_of_any_synapse_is_found(recorded, policy, tmp_path):
-    path, ticks = tmp_path / "flipped.mcap", []
+def test_one_bit_of_any_synapse_is_found(recorded, tmp_path):
+    ticks = []
     for kind in (ParameterKind.WEIGHT, ParameterKind.SIGMA):
-        for position in list(positions(policy, kind))[::8]:
-            difference = replay(with_policy(recorded, flipped(policy, position), path)).difference
+        for position in range(len(AHEAD.parameters()))[AHEAD.layout().block(kind).slice][::8]:
+
+            def flip(vector, position=position):
+                vector.view(np.int64)[position] ^= 1
+
+            difference = replay(with_parameters(recorded, tmp_path / "flipped.mcap", flip)).difference
             assert difference is not None, (kind, position)
             assert difference.recorded != difference.recomputed
             ticks.append(difference.tick)
@@ -127,15 +105,6 @@ def test_a_remark_in_the_recordings_policy_is_found(recorded, tmp_path):
     difference = replay(remarked).difference
     assert difference.tick is None
     assert difference.quantity == "the checksum of policy.yaml"
-
-
-def test_the_first_difference_is_named(recorded, policy, tmp_path):
-    path = with_policy(recorded, nudged_leak(policy, 9), tmp_path / "changed.mcap")
-    difference = replay(path).difference
-    assert difference.tick == 0
-    assert difference.quantity == f"potential {policy.circuit.neurons[9]}"
-    before, now = float(difference.recorded), float(difference.recomputed)
-    assert 0 < abs(before - now) < 1e-6
 
 
 def rewritten(recorded, tmp_path, topic, number, change):
@@ -215,16 +184,20 @@ def test_cut_off_anywhere_the_rest_recomputes(recorded, tmp_path):
     assert 0 < ticks[0] < ticks[-1] <= TICKS
 
 
-def test_the_command_says_same_or_different_by_its_exit_code(recorded, policy, tmp_path, capsys):
+def test_the_command_says_same_or_names_the_first_difference(recorded, tmp_path, capsys):
     assert shell(["replay", str(recorded), "--json"]) == 0
-    fields = json.loads(capsys.readouterr().out)
-    assert fields == {"same": True, "ticks": TICKS, "complete": True, "difference": None}
+    assert json.loads(capsys.readouterr().out) == SAME.model_dump()
 
-    path = with_policy(recorded, nudged_leak(policy, 9), tmp_path / "changed.mcap")
+    def nudge(vector):
+        vector[AHEAD.layout().block(ParameterKind.LEAK_POTENTIAL).slice][9] *= 1 + 1e-9
+
+    path = with_parameters(recorded, tmp_path / "changed.mcap", nudge)
     assert shell(["replay", str(path), "--json"]) == 1
     fields = json.loads(capsys.readouterr().out)
-    assert fields["difference"]["tick"] == 0
-    assert not fields["same"]
+    first = fields["difference"]
+    assert (fields["same"], first["tick"]) == (False, 0)
+    assert first["quantity"] == f"potential {AHEAD.circuit.neurons[9]}"
+    assert 0 < abs(float(first["recorded"]) - float(first["recomputed"])) < 1e-6
 
 
 @pytest.mark.parametrize("number", [b"1", b"3"])

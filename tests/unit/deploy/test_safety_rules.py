@@ -67,18 +67,14 @@ class Drive:
         return self
 
 
-@pytest.mark.parametrize("name", ["bridge_wait_s", "permission_wait_s", "odometry_wait_s", "lease_wait_s"])
-def test_every_wait_is_longer_than_zero(name):
+WAITS = ["bridge_wait_s", "permission_wait_s", "odometry_wait_s", "lease_wait_s", "odometry_age_s"]
+
+
+@pytest.mark.parametrize(("name", "value"), [*((name, 0.0) for name in WAITS), ("odometry_age_s", 0.51)])
+def test_waits_are_longer_than_zero_and_odometry_no_older_than_the_first_requirement_allows(name, value):
     assert getattr(Timeouts(**{name: 0.5}), name) == 0.5
     with pytest.raises(ValidationError):
-        Timeouts(**{name: 0.0})
-
-
-def test_odometry_may_be_no_older_than_the_first_requirement_allows():
-    assert Timeouts(odometry_age_s=0.5).odometry_age_s == 0.5
-    for age_s in (0.0, 0.51):
-        with pytest.raises(ValidationError):
-            Timeouts(odometry_age_s=age_s)
+        Timeouts(**{name: value})
 
 
 # Before the start
@@ -102,16 +98,12 @@ def test_what_is_missing_before_the_start_is_named_after_its_wait(missing, error
     assert max(drive.sleeps) < 0.01
 
 
-def test_all_is_there_at_once():
+@pytest.mark.parametrize("drives", [True, False])
+def test_all_is_there_at_once_and_who_drives_nothing_needs_no_permission(drives):
     drive = Drive()
-    drive.monitor.wait()
+    drive.link.authorised = lambda: drives
+    drive.monitor.wait(drives=drives)
     assert drive.sleeps == []
-
-
-def test_who_drives_nothing_needs_no_permission():
-    drive = Drive()
-    drive.link.authorised = lambda: False
-    drive.monitor.wait(drives=False)
 
 
 def test_a_condition_that_holds_at_exactly_its_time_limit_holds():
@@ -326,11 +318,7 @@ def test_a_burst_of_commands_is_not_judged_when_it_is_long_over(lag, ticks):
 
 
 @pytest.mark.parametrize(
-    "model",
-    [
-        default_rover(),
-        default_rover(accel=0.21, delay_v_s=0.3, delay_omega_s=0.3),
-    ],
+    "model", [default_rover(), default_rover(accel=0.21, delay_v_s=0.3, delay_omega_s=0.3)]
 )
 def test_a_rover_that_follows_is_never_stopped(model):
     """A whole manoeuvre, on the base as it is and on a sluggish one (delays 300 ms, acceleration −30 %)."""

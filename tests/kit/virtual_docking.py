@@ -1,26 +1,17 @@
 """A drive to a place on the virtual clock, among obstacles, with a localiser that may lose the rover."""
 
-import zlib
-
 import numpy as np
 
-from deploy.drive.control_loop import Drive
-from deploy.drive.records import attachments
-from deploy.drive.result import result_of
-from deploy.drive.tick_messages import Publisher
 from deploy.place.docking import Docking, place_config
 from deploy.place.place import Place
 from deploy.place.plan import approach
-from kit.virtual_drive import ChangedLink, VirtualDrive
+from kit.virtual_drive import VirtualDrive
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.geometry import Pose
 from rover_ncp.wire.messages import battery_state, pose_with_covariance
-from sim.pioneer.firmware import Firmware
 from sim.stack.lines import WALL_NS
-from sim.stack.virtual import VirtualBridge
-from sim.world.described import default_rover
-from sim.world.pymunk_rover import Ground, PymunkRover
+from sim.world.pymunk_rover import Ground
 
 POSE_S = 0.125
 COVARIANCE = np.diag(np.square([0.002, 0.002, 0.004]))
@@ -39,13 +30,13 @@ class VirtualDocking(VirtualDrive):
         self.start = start
         self.policy, self.staging = load_policy("dock"), load_policy("course")
         self.config = place_config(where, None, None, robot="virtual", policy="dock", **settings)
-        self.rover = PymunkRover(default_rover(), Ground(obstacles), start)
-        base = Firmware("p3at-sh", self.rover)
-        self.bridge, self.recorded, self._see, self._next_s = VirtualBridge(base), [], see, 0.0
-        self.link = ChangedLink(self.bridge, self.recorded.append)
+        self._see, self._next_s = see, 0.0
+        self._place(Ground(obstacles), start)
         self.link._start = None
-        base.observe = self._localise
-        self.interrupted = lambda: False
+        self.base.observe = self._localise
+
+    def controller(self):
+        return Docking(self.config, self.staging, self.policy)
 
     def _localise(self, now):
         if now < self._next_s:
@@ -55,21 +46,6 @@ class VirtualDocking(VirtualDrive):
             frame = self.place.frame
             data = pose_with_covariance(Pose(*seen), COVARIANCE, WALL_NS + round(now * NS_PER_S), frame)
             self.link.localise(data, round(now * NS_PER_S))
-
-    def run(self):
-        """Drive; return the result as JSON has it."""
-        files = attachments(self.policy, self.course, self.config, self.staging)
-        publisher = Publisher(self.link, self.recorded.append, self.policy.circuit.neurons, self.bridge)
-        self.docking = Docking(self.config, self.staging, self.policy)
-        drive = Drive(self.link, self.docking, publisher, self.config, self.interrupted, clock=self.bridge)
-        try:
-            drive.wait()
-            drive.run({name: zlib.crc32(content) for name, content in files.items()})
-        finally:
-            if self.path:
-                self._write(files)
-        self.result = result_of(drive, {"recording": None, "recording_failure": None, "recording_dropped": 0})
-        return self.result
 
     @property
     def off(self):

@@ -13,7 +13,7 @@ from deploy.drive.result import result_of
 from deploy.drive.tick_messages import Publisher
 from kit.paths import DATA
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.geometry import Pose
+from rover_ncp.core.geometry import ORIGIN
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.recording.recording import Recorded, RecordingWriter
 from rover_ncp.wire.key_table import spec
@@ -56,7 +56,7 @@ class ChangedLink(VirtualLink):
     """
 
     def __init__(self, bridge, record):
-        super().__init__(bridge, Pose(0.0, 0.0, 0.0), record)
+        super().__init__(bridge, ORIGIN, record)
         self.bridge, self.change = bridge, {}
         self.tag = lambda data, sequence: None
         self.sent, self.sent_ns, self.statuses = [], [], []
@@ -132,24 +132,34 @@ LOST = object()
 class VirtualDrive:
     """One drive; ``path`` is its recording, and other arguments are those of its settings."""
 
+    staging = None
+    """The policy of another drive before the one of ``policy``."""
+
     def __init__(self, policy=AHEAD, course=COURSE, path=None, **settings):
         defaults = {"robot": "virtual", "policy": "p", "course": "c", "pose": "none", "ticks": course.ticks}
         self.config = DriveConfig(**defaults | settings)
         self.policy, self.course, self.path = policy, course, path
-        self.rover = PymunkRover(default_rover(), Ground(()))
-        self.bridge = VirtualBridge(Firmware("p3at-sh", self.rover))
+        self._place(Ground(()), ORIGIN)
+
+    def _place(self, ground, start):
+        self.rover = PymunkRover(default_rover(), ground, start)
+        self.base = Firmware("p3at-sh", self.rover)
+        self.bridge = VirtualBridge(self.base)
         self.recorded = []
         self.link = ChangedLink(self.bridge, self.recorded.append)
         self.interrupted = lambda: False
 
+    def controller(self):
+        config = self.config
+        return Controller(self.policy, self.course, config.estimator, config.rover, config.described)
+
     def run(self):
         """Drive; return the result as JSON has it."""
-        files = attachments(self.policy, self.course, self.config)
+        files = attachments(self.policy, self.course, self.config, self.staging)
         publisher = Publisher(self.link, self.recorded.append, self.policy.circuit.neurons, self.bridge)
-        controller = Controller(
-            self.policy, self.course, self.config.estimator, self.config.rover, self.config.described
+        drive = Drive(
+            self.link, self.controller(), publisher, self.config, self.interrupted, clock=self.bridge
         )
-        drive = Drive(self.link, controller, publisher, self.config, self.interrupted, clock=self.bridge)
         try:
             drive.wait()
             drive.run({name: zlib.crc32(content) for name, content in files.items()})

@@ -3,6 +3,7 @@
 import random
 
 import pytest
+from kit.described import described
 
 from deploy.drive.dead_zone import PULSE_TICKS, DeadZone, Pulse, pulsed
 from rover_ncp.core.geometry import Velocity
@@ -10,11 +11,7 @@ from rover_ncp.robot.description import DeadBand, load_description
 from rover_ncp.robot.profile import RoverProfile
 
 BAND = RoverProfile(name="band", dead_band_v=0.05, dead_band_omega=0.1)
-
-
-def robot(name="turtlebot3-burger", **motion):
-    description = load_description(name)
-    return description.model_copy(update={"motion": description.motion.model_copy(update=motion)})
+BURGER = described("turtlebot3-burger", motion={"dead_band": DeadBand(v=0.02, omega=0.3)})
 
 
 @pytest.mark.parametrize("wanted", [0.001, -0.012, 0.03, -0.049])
@@ -50,9 +47,9 @@ def test_commands_pass_unchanged_without_a_band(zone):
     ("zone", "v", "omega"),
     [
         (DeadZone(BAND), 0.05, 0.1),
-        (DeadZone(None, robot(dead_band=DeadBand(v=0.02, omega=0.3))), 0.02, 0.3),
-        (DeadZone(BAND, robot(dead_band=DeadBand(v=0.02, omega=0.3))), 0.05, 0.1),  # the measured one counts
-        (DeadZone(RoverProfile(name="v", dead_band_v=0.0), robot(dead_band=DeadBand(v=0.02))), 0.0, 0.0),
+        (DeadZone(None, BURGER), 0.02, 0.3),
+        (DeadZone(BAND, BURGER), 0.05, 0.1),  # the measured one counts
+        (DeadZone(RoverProfile(name="v", dead_band_v=0.0), BURGER), 0.0, 0.3),
     ],
 )
 def test_no_command_is_within_the_band(zone, v, omega):
@@ -64,8 +61,8 @@ def test_no_command_is_within_the_band(zone, v, omega):
 
 
 def test_no_wheel_is_slower_than_its_least_speed():
-    described = robot(wheel_min=0.03)
-    zone, half, draw = DeadZone(None, described), described.half_track_m, random.Random(1)
+    robot = described("turtlebot3-burger", motion={"wheel_min": 0.03})
+    zone, half, draw = DeadZone(None, robot), robot.half_track_m, random.Random(1)
     for _ in range(500):
         sent = zone.pass_on(Velocity(draw.gauss(0, 0.03), draw.gauss(0, 0.2)))
         for wheel in (sent.v - sent.omega * half, sent.v + sent.omega * half):

@@ -45,8 +45,11 @@ def localised(link, start=ORIGIN, frame="course", rng=None):
     link.change["odom"] = change
 
 
-def short_drive(pose="auto", ticks=5, **settings):
-    return VirtualDrive(pose=pose, ticks=ticks, **settings)
+def posed(there=ORIGIN, pose="required", **settings):
+    """A drive whose external poses begin at ``there``."""
+    virtual = VirtualDrive(pose=pose, **settings)
+    localised(virtual.link, there)
+    return virtual
 
 
 def estimates(virtual):
@@ -55,11 +58,9 @@ def estimates(virtual):
 
 def test_external_pose_places_the_rover_on_the_course(tmp_path):
     there = Pose(0.2, 0.1, 0.3)
-    virtual = short_drive("required", path=tmp_path / "run.mcap")
-    localised(virtual.link, there)
+    virtual = posed(there, ticks=5, path=tmp_path / "run.mcap")
     result = virtual.run()
-    assert result.exit_code == 1
-    assert result.pose.placed
+    assert (result.exit_code, result.pose.placed) == (1, True)
     assert result.pose.used >= 3
     assert result.pose.refused == result.pose.unreadable == 0
     assert estimates(virtual)[0] == pytest.approx(there)
@@ -76,8 +77,7 @@ def test_external_pose_places_the_rover_on_the_course(tmp_path):
     ],
 )
 def test_start_for_which_no_rate_is_known_is_refused_before_the_motors(there, pose):
-    virtual = short_drive(pose)
-    localised(virtual.link, there)
+    virtual = posed(there, pose)
     result = virtual.run()
     assert (result.exit_code, result.stopped_by, virtual.link.requests) == (4, "start-pose", 0)
     assert f"x {there.x:.2f} m, y {there.y:.2f} m" in result.reason
@@ -108,12 +108,11 @@ def test_readings_of_a_gyro_count_are_recorded_and_recomputed(tmp_path):
 
 
 def test_without_external_poses_the_start_is_an_error_or_the_origin():
-    virtual = short_drive("required", pose_wait_s=0.5)
+    virtual = VirtualDrive(pose="required", pose_wait_s=0.5)
     with pytest.raises(NoPose, match="no external pose of the rover arrived on 'pose'") as caught:
         virtual.run()
     assert (caught.value.exit_code, virtual.link.requests) == (3, 0)
-    virtual = short_drive("none")
-    localised(virtual.link, Pose(9.0, 9.0, 1.0))
+    virtual = posed(Pose(9.0, 9.0, 1.0), "none", ticks=5)
     virtual.run()
     assert distance(estimates(virtual)[0], ORIGIN) < 1e-6
 
@@ -124,7 +123,7 @@ def test_noisy_odometry_at_rest_starts_if_its_noise_is_declared(noise_m, noise_r
     profile = RoverProfile(name="noisy", noise_m=noise_m, noise_rad=noise_rad)
     for seed in range(5):
         rng = np.random.default_rng(seed)
-        virtual = short_drive("none", ticks=1, estimator=settings_for(profile))
+        virtual = VirtualDrive(ticks=1, estimator=settings_for(profile))
         virtual.link.change_odometry(
             lambda sample, rng=rng: (Pose(*rng.normal(size=3) * [noise_m, noise_m, noise_rad]), STANDSTILL)
         )
@@ -141,14 +140,14 @@ def moving(virtual, way, until_s=math.inf):
 
 @pytest.mark.parametrize("way", [(0.02, 0.0, 0.0), (0.0, -0.02, 0.0), (0.0, 0.0, 0.03)])
 def test_moving_rover_does_not_start(way):
-    virtual = short_drive("none")
+    virtual = VirtualDrive()
     moving(virtual, way)
     result = virtual.run()
     assert (result.exit_code, result.stopped_by, virtual.link.requests) == (4, "not-standing", 0)
 
 
 def test_poses_from_before_the_rover_stood_do_not_count():
-    virtual = short_drive("required", pose_wait_s=1.0)
+    virtual = VirtualDrive(pose="required", pose_wait_s=1.0)
     moving(virtual, (1.0, 0.0, 0.0), until_s=4.0)
     move = virtual.link.change["odom"]
     put = []
@@ -169,7 +168,7 @@ def test_each_pose_is_checked_once_and_invalid_ones_are_left_out(monkeypatch):
     checked, put = [], []
     once = start.completed
     monkeypatch.setattr(start, "completed", lambda *given: checked.append(1) or once(*given))
-    there, virtual = Pose(0.2, 0.1, 0.3), short_drive("required", ticks=1)
+    there, virtual = Pose(0.2, 0.1, 0.3), VirtualDrive(pose="required", ticks=1)
 
     def change(data):
         for pose, covariance in (
@@ -192,7 +191,7 @@ def test_each_pose_is_checked_once_and_invalid_ones_are_left_out(monkeypatch):
 
 
 def test_another_drivers_lease_is_named():
-    virtual = short_drive("none")
+    virtual = VirtualDrive()
     virtual.link.change_gate(lease=3, driver_name="a teleop")
     with pytest.raises(AnotherDriver, match="a teleop holds the lease"):
         virtual.run()
@@ -200,7 +199,7 @@ def test_another_drivers_lease_is_named():
 
 
 def test_poses_that_come_only_after_the_start_are_not_used_and_that_is_said():
-    virtual = short_drive(ticks=9)
+    virtual = VirtualDrive(pose="auto", ticks=9)
     virtual.link.harm = lambda: localised(virtual.link, Pose(9.0, 9.0, 1.0))
     result = virtual.run()
     assert result.exit_code == 1
@@ -208,7 +207,7 @@ def test_poses_that_come_only_after_the_start_are_not_used_and_that_is_said():
 
 
 def test_poses_in_another_frame_and_garbled_ones_count_for_nothing():
-    virtual = short_drive(ticks=9)
+    virtual = VirtualDrive(pose="auto", ticks=9)
     localised(virtual.link, Pose(9.0, 9.0, 1.0), frame="map")
     virtual.link.harm = lambda: virtual.link.put("pose", b"nonsense")
     result = virtual.run()
@@ -217,8 +216,7 @@ def test_poses_in_another_frame_and_garbled_ones_count_for_nothing():
 
 
 def test_rover_that_was_carried_away_is_stopped(tmp_path):
-    virtual = VirtualDrive(pose="auto", path=tmp_path / "run.mcap")
-    localised(virtual.link)
+    virtual = posed(pose="auto", path=tmp_path / "run.mcap")
     virtual.link.harm = lambda: localised(virtual.link, Pose(0.0, 0.4, 0.0))
     result = virtual.run()
     assert (result.exit_code, result.stopped_by) == (4, "external-pose")
@@ -237,15 +235,14 @@ def test_rover_that_was_carried_away_is_stopped(tmp_path):
 def test_required_poses_that_stop_end_the_drive_unless_they_resume_in_time(
     tmp_path, pose, silent_s, stopped_by
 ):
-    virtual = VirtualDrive(pose=pose, pose_age_s=0.6, path=tmp_path / "run.mcap")
+    virtual = posed(pose=pose, pose_age_s=0.6, path=tmp_path / "run.mcap")
     link, bridge, silent = virtual.link, virtual.bridge, []
-    localised(link)
-    posed = link.change["odom"]
+    poses = link.change["odom"]
 
     def lose_poses():
         silent.append(bridge.now_ns)
         until_ns = bridge.now_ns + silent_s * 1e9
-        link.change["odom"] = lambda data: data if bridge.now_ns < until_ns else posed(data)
+        link.change["odom"] = lambda data: data if bridge.now_ns < until_ns else poses(data)
 
     link.harm = lose_poses
     result = virtual.run()
@@ -283,8 +280,7 @@ def test_an_uncertain_verdict_says_what_would_help_and_fails_only_where_certaint
 
 def test_a_rover_that_stands_needs_no_further_poses():
     waits = NEAR.model_copy(update={"start_signal_s": 2.0})
-    virtual = VirtualDrive(load_policy("course"), waits, pose="required", pose_age_s=0.9)
-    localised(virtual.link)
+    virtual = posed(policy=load_policy("course"), course=waits, pose_age_s=0.9)
     virtual.link.after, virtual.link.harm = 1, virtual.link.change.clear
     result = virtual.run()
     assert (result.stopped_by, result.ticks) == (None, waits.ticks)

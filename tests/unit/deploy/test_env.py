@@ -171,17 +171,11 @@ def test_policy_of_ones_own_drives_the_rover_to_the_horizon(virtual):
     env.close()
 
 
-def test_observations_are_the_signals_by_name(virtual):
+@pytest.mark.parametrize("closed", [True, False])
+def test_close_and_missing_actions_stop_the_rover_and_release_the_lease(virtual, closed):
     env = environment(signals=("longitudinal", "speed"))
     observation, _ = env.reset()
     assert observation.shape == (2,)
-    env.close()
-
-
-@pytest.mark.parametrize("closed", [True, False])
-def test_close_and_missing_actions_stop_the_rover_and_release_the_lease(virtual, closed):
-    env = environment()
-    env.reset()
     for _ in range(8):
         env.step(AHEAD)
     assert virtual.rover.velocity.v > 0.05

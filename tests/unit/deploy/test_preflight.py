@@ -6,6 +6,7 @@ from datetime import date
 from types import SimpleNamespace
 
 import pytest
+from kit.described import described
 from kit.virtual_drive import ChangedLink
 
 from bridge.gate.limits import Limits
@@ -111,8 +112,7 @@ def test_the_check_keeps_its_lease_while_it_measures_and_says_what_it_found(monk
 
 @pytest.mark.parametrize(("decel", "ok"), [(1.0, False), (0.1, True)])
 def test_a_robot_may_brake_as_slowly_as_its_description_says(monkeypatch, decel, ok):
-    robot = load_description("turtlebot4")
-    robot = robot.model_copy(update={"motion": robot.motion.model_copy(update={"decel": decel})})
+    robot = described("turtlebot4", motion={"decel": decel})
     stood = SimpleNamespace(ref=SimpleNamespace(measured_ns=time.monotonic_ns() + round(1.4 * NS_PER_S)))
     monkeypatch.setattr(Preflight, "_move", lambda self, velocity: None)
     monkeypatch.setattr(Preflight, "_until", lambda self, condition, timeout_s: True)
@@ -122,12 +122,12 @@ def test_a_robot_may_brake_as_slowly_as_its_description_says(monkeypatch, decel,
 
 def check(*faults, limits=None, while_turning="", model=None, robot="p3at-sh"):
     """Check a robot on the virtual clock; return the findings, the link and the rover."""
-    described = load_description(robot) if isinstance(robot, str) else robot
-    rover = PymunkRover(described_rover(described, motors=True), Ground(()))
-    if described.arcos:
-        base = Firmware(described, rover, faults=Faults([parse_fault(fault) for fault in faults]))
+    robot = load_description(robot) if isinstance(robot, str) else robot
+    rover = PymunkRover(described_rover(robot, motors=True), Ground(()))
+    if robot.arcos:
+        base = Firmware(robot, rover, faults=Faults([parse_fault(fault) for fault in faults]))
     else:
-        base = Ros2Robot(described, rover)
+        base = Ros2Robot(robot, rover)
     bridge, battery = VirtualBridge(base, limits), Battery()
     bridge.sleep(3.0)
     link = ChangedLink(bridge, battery.record)
@@ -146,6 +146,12 @@ def check(*faults, limits=None, while_turning="", model=None, robot="p3at-sh"):
     return preflight.run(), link, rover
 
 
+def assert_stopped(link, rover):
+    link.bridge.sleep(0.5)
+    assert max(map(abs, rover.velocity)) < 1e-3
+    assert link.gate.lease == 0
+
+
 NAMES = ["odometry", "battery", "stop", "motors", "forward", "left", "slow", "silence", "bridge"]
 
 
@@ -156,9 +162,7 @@ def test_robot_that_is_well_passes_all_checks_and_stands(robot):
     assert [finding.name for finding in findings] == ["model", *NAMES]
     if robot == "p3at-sh":
         assert findings[-3].detail == "follows commands from 0.005 m/s and 0.02 rad/s on"
-    link.bridge.sleep(0.5)
-    assert max(map(abs, rover.velocity)) < 1e-3
-    assert link.gate.lease == 0
+    assert_stopped(link, rover)
     assert {"silence"} <= link.gate.stops.keys() <= {"silence", "odometry"}
 
 
@@ -182,15 +186,11 @@ def test_robot_that_is_not_well_fails_the_check_that_finds_it(options, name, wor
     assert (findings[-1].name, findings[-1].ok) == (name, False)
     assert all(finding.ok for finding in findings[:-1])
     assert words in findings[-1].detail
-    link.bridge.sleep(1.0)
-    assert max(map(abs, rover.velocity)) < 1e-3
-    assert link.gate.lease == 0
+    assert_stopped(link, rover)
 
 
 def with_band(v, omega):
-    described = load_description("p3at-sh")
-    band = {"dead_band": DeadBand(v=v, omega=omega)}
-    return described.model_copy(update={"motion": described.motion.model_copy(update=band)})
+    return described("p3at-sh", motion={"dead_band": DeadBand(v=v, omega=omega)})
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,14 @@ def note(words, now_ns=None):
     return Recorded("a", "std_msgs/msg/String", text(words), now, now)
 
 
+@pytest.fixture
+def recorder(tmp_path):
+    """One that writes run.mcap and is open."""
+    recorder = Recorder(tmp_path / "run.mcap")
+    recorder.open({"policy.yaml": b"x"})
+    return recorder
+
+
 def test_every_message_is_written_in_order_also_those_before_the_file_is_open(tmp_path):
     recorder = Recorder(tmp_path / "run.mcap")
     for number in range(500):
@@ -50,9 +58,7 @@ def test_a_disk_that_hangs_never_blocks_the_caller(tmp_path, monkeypatch):
     recorder.close()
 
 
-def test_any_failure_of_the_thread_is_reported(tmp_path):
-    recorder = Recorder(tmp_path / "run.mcap")
-    recorder.open({})
+def test_any_failure_of_the_thread_is_reported(recorder):
     recorder.put(note("one"))
     recorder.put(Recorded("a", "nav_msgs/msg/Odometry", b"", 1, 1))  # another type on the same topic
     recorder.close()
@@ -95,18 +101,15 @@ def test_a_path_that_cannot_be_written_is_reported_at_once(tmp_path):
         Recorder(tmp_path)
 
 
-def test_overwriting_does_not_damage_what_another_writer_still_writes(tmp_path):
-    path = tmp_path / "run.mcap"
-    first = Recorder(path)
-    first.open({})
-    first.put(note("first"))
-    second = Recorder(path, overwrite=True)
+def test_overwriting_does_not_damage_what_another_writer_still_writes(recorder):
+    recorder.put(note("first"))
+    second = Recorder(recorder.path, overwrite=True)
     second.open({})
     second.put(note("second"))
-    first.close()
+    recorder.close()
     second.close()
-    assert [read_text(message.data) for message in read_recording(path).messages] == ["second"]
-    assert read_recording(path).complete
+    found = read_recording(recorder.path)
+    assert (found.complete, [read_text(message.data) for message in found.messages]) == (True, ["second"])
 
 
 def test_disk_is_synced_at_each_flush_by_the_thread_alone(tmp_path, monkeypatch):
@@ -127,18 +130,16 @@ def test_disk_is_synced_at_each_flush_by_the_thread_alone(tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize("by_s", [-3600, 3600])
-def test_log_times_are_free_of_settings_of_the_wall_clock(tmp_path, monkeypatch, by_s):
+def test_log_times_are_free_of_settings_of_the_wall_clock(recorder, monkeypatch, by_s):
     wall_ns, offset_ns = time.time_ns, 0
     monkeypatch.setattr(time, "time_ns", lambda: wall_ns() + offset_ns)
-    recorder = Recorder(tmp_path / "run.mcap")
-    recorder.open({})
     dated = time.time_ns() - 10**10
     recorder.put(note("one"))
     offset_ns = by_s * 10**9
     recorder.put(note("two"))
     recorder.put(note("dated at the start", dated))
     recorder.close()
-    one, two, path = read_recording(tmp_path / "run.mcap").messages
+    one, two, path = read_recording(recorder.path).messages
     assert 0 <= two.log_ns - one.log_ns < 10**9
     assert two.publish_ns - one.publish_ns == pytest.approx(by_s * 1e9, abs=1e9)
     assert path.log_ns == dated

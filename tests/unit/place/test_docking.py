@@ -18,6 +18,11 @@ from rover_ncp.course.course import Obstacle
 START = Pose(1.05, 1.12, -0.5)
 DOCK = Obstacle(x=2.365, y=1.0, length=0.1, width=0.6)
 """A wall that the front of a Pioneer 3-AT reaches at the place."""
+BEFORE = DOCK.model_copy(update={"x": 2.15})
+
+
+def drove_m(drive):
+    return distance(drive.rover.pose, drive.start)
 
 
 @pytest.fixture(scope="module")
@@ -26,6 +31,11 @@ def docked(tmp_path_factory):
     drive = VirtualDocking(place(), START, path=path)
     drive.run()
     return drive
+
+
+@pytest.fixture(scope="module")
+def read(docked):
+    return read_drive(docked.path)
 
 
 def test_rover_docks_within_the_tolerances_by_its_true_pose(docked):
@@ -44,9 +54,8 @@ def test_docking_is_replayed_to_the_last_bit(docked):
     assert found.ticks > 300
 
 
-def test_report_names_the_place_and_how_it_ended(docked):
-    drive = read_drive(docked.path)
-    summary = summarise(drive)
+def test_report_names_the_place_and_how_it_ended(read):
+    summary = summarise(read)
     rows = dict(summary.rows)
     assert "docked" in summary.headline.lower()
     assert summary.subline.startswith("policies course (to the staging pose) and dock at place ")
@@ -54,12 +63,12 @@ def test_report_names_the_place_and_how_it_ended(docked):
     assert rows["Estimate"].endswith(
         " mm from the true position in 95 % of drives; this is no error of the docking"
     )
-    states = [event.text for event in drive.timeline.events if event.kind == "state"]
+    states = [event.text for event in read.timeline.events if event.kind == "state"]
     assert states[-1] == "docked"
 
 
-def test_report_explains_each_part_of_the_way_by_the_policy_that_drove_it(docked):
-    timeline = read_drive(docked.path).timeline
+def test_report_explains_each_part_of_the_way_by_the_policy_that_drove_it(read):
+    timeline = read.timeline
     own, staged = timeline.trace(), timeline.staged_trace()
     assert (own.policy.circuit.name, staged.policy.circuit.name) == ("dock", "course")
     assert len(own.times) + len(staged.times) == len(timeline.ticks)
@@ -83,10 +92,8 @@ def test_contact_at_the_place_proves_a_docking_and_is_replayed(tmp_path):
 
 
 def test_contact_elsewhere_is_a_miss_and_the_rover_backs_out(tmp_path):
-    blocked = DOCK.model_copy(update={"x": 2.15})
-    drive = VirtualDocking(
-        place(retries=1, proof="contact"), START, path=tmp_path / "c.mcap", obstacles=[blocked]
-    )
+    where = place(retries=1, proof="contact")
+    drive = VirtualDocking(where, START, path=tmp_path / "c.mcap", obstacles=[BEFORE])
     result = drive.run()
     assert not result.dock.success
     assert (result.exit_code, result.dock.error_code) == (1, DockError.FAILED_TO_CONTROL)
@@ -100,8 +107,7 @@ def test_docking_ends_with_the_charge_that_flows():
 
 
 def test_charge_that_flows_before_the_place_is_no_docking():
-    blocked = DOCK.model_copy(update={"x": 2.15})
-    drive = charging(VirtualDocking(place(proof="charging", retries=0), START, obstacles=[blocked]), True)
+    drive = charging(VirtualDocking(place(proof="charging", retries=0), START, obstacles=[BEFORE]), True)
     result = drive.run()
     assert (result.exit_code, result.dock.error_code) == (1, DockError.FAILED_TO_CONTROL)
     assert result.dock.error_msg.startswith("contact ")
@@ -133,10 +139,6 @@ def test_rover_that_stands_docked_stays_and_undocks_to_the_staging_pose(tmp_path
     assert away.run().dock.success
     assert away.off[0] == pytest.approx(0.7, abs=0.05)
     assert replay(away.path).same
-
-
-def drove_m(drive):
-    return distance(drive.rover.pose, drive.start)
 
 
 def test_rover_undocks_from_contact_without_any_pose():

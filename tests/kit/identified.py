@@ -1,8 +1,7 @@
 """Random robots, driven as `rover-ncp identify` does on a virtual clock, and the truth about them."""
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,8 +26,8 @@ from sim.world.rover import SUBSTEP_S
 
 TICKS = 600
 """How long a robot's trial lasts: longer than the drive that identifies it."""
-OUTSIDE_M, OUTSIDE_RAD = 0.005, 0.0087
-"""Noise of the external poses."""
+OUTSIDE = [0.005, 0.005, 0.0087]
+"""Noise of the external poses, which come from above the ground with each odometry."""
 
 
 class Error(NamedTuple):
@@ -62,14 +61,15 @@ def driven(trials: Trials, *, outside: bool = False, fence_m: float = FENCE_M, s
         farthest_m = max(farthest_m, distance(rover.pose, start))
 
     base.observe = observe
-    bridge = VirtualBridge(base)
+    bridge, noise = VirtualBridge(base), random_stream(seed, Domain.STUDY)
     received: list[Recorded] = []
-    look = _camera(rover, bridge, received, random_stream(seed, Domain.STUDY)) if outside else lambda: None
 
     def record(message: Recorded) -> None:
         received.append(message)
-        if message.topic == "odom":
-            look()
+        if outside and message.topic == "odom":
+            now, seen = bridge.time_ns(), np.array(rover.pose) + noise.normal(size=3) * OUTSIDE
+            data = pose_with_covariance(Pose(*seen.tolist()), np.diag(np.square(OUTSIDE)), now, COURSE_FRAME)
+            received.append(Recorded("pose", "geometry_msgs/msg/PoseWithCovarianceStamped", data, now, now))
 
     link = VirtualLink(bridge, start, record)
     measurements = Measurements(link)
@@ -83,21 +83,6 @@ def driven(trials: Trials, *, outside: bool = False, fence_m: float = FENCE_M, s
     messages = [*received]
     bridge.sleep(2.0)
     return Driven(messages, farthest_m, stopped_by, base)
-
-
-def _camera(
-    rover: Any, bridge: VirtualBridge, received: list[Recorded], noise: np.random.Generator
-) -> Callable[[], None]:
-    """Return a camera above the ground, which publishes where the rover is when it is called."""
-    spread = np.diag(np.square([OUTSIDE_M, OUTSIDE_M, OUTSIDE_RAD]))
-
-    def look() -> None:
-        seen = np.array(rover.pose) + noise.normal(size=3) * [OUTSIDE_M, OUTSIDE_M, OUTSIDE_RAD]
-        now = bridge.time_ns()
-        data = pose_with_covariance(Pose(*seen.tolist()), spread, now, COURSE_FRAME)
-        received.append(Recorded("pose", "geometry_msgs/msg/PoseWithCovarianceStamped", data, now, now))
-
-    return look
 
 
 def truth(ranges: Randomization, trials: Trials) -> dict[str, float]:

@@ -6,21 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.base_odometry import moved, reported
+from kit.base_odometry import moved, reported, started
+from kit.described import described
 
 from deploy.drive.config import settings_for
 from deploy.estimator.estimator import Estimator
 from deploy.estimator.measurements import Outcome
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, wrap_angle
-from rover_ncp.robot.description import load_description
 
 DT = 0.1
-
-
-def started():
-    estimator = Estimator()
-    estimator.start(Pose(0.0, 0.0, 0.0), 0.0)
-    return estimator
 
 
 @functools.cache
@@ -165,10 +159,8 @@ def test_the_estimate_is_always_finite(measurements):
 
 @pytest.mark.parametrize("speed_noise", [(0.0, 0.0), (0.02, 0.03)])
 def test_declared_noise_does_not_move_a_standing_rover(speed_noise):
-    husky = load_description("husky-a200")
     declared = dict(zip(("noise_m_s", "noise_rad_s"), speed_noise, strict=True))
-    declared |= {"noise_m": 0.005, "noise_rad": 0.009}
-    robot = husky.model_copy(update={"odometry": husky.odometry.model_copy(update=declared)})
+    robot = described("husky-a200", odometry=declared | {"noise_m": 0.005, "noise_rad": 0.009})
     rng, estimator = np.random.default_rng(4), Estimator(settings_for(None, robot))
     estimator.start(Pose(1.0, 2.0, 0.5), 0.0, Pose(0.0, 0.0, 0.0))
     for tick in range(1, 200):

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from kit.base_odometry import started
 from kit.skid_rover import Camera, SkidDrive
 from scipy.stats import chi2
 
@@ -130,11 +131,7 @@ def test_forecast_is_the_covariance_that_the_drive_then_has(gyro):
 
 def test_measured_errors_of_odometry_enter_the_estimate():
     usual = SETTINGS.distance_gain_std
-    std = {
-        "odometry_heading": 0.01,
-        "odometry_distance": usual,
-        "rotation_center_m": 0.004,
-    }
+    std = {"odometry_heading": 0.01, "odometry_distance": usual, "rotation_center_m": 0.004}
     profile = RoverProfile(
         name="measured", odometry_heading=0.8, odometry_distance=1.0, rotation_center_m=-0.05, std=std
     )
@@ -144,8 +141,7 @@ def test_measured_errors_of_odometry_enter_the_estimate():
     # As certain as that of an unmeasured robot: both together know it √2 better.
     assert settings.distance_gain_std == pytest.approx(usual / math.sqrt(2))
 
-    estimator = Estimator(settings)
-    estimator.start(Pose(0, 0, 0), 0.0)
+    estimator = started(settings)
     turned, rate = 0.0, 0.0
     for tick in range(1, 80):
         step = min(0.2, 0.1 * tick)
@@ -161,26 +157,18 @@ def test_measured_errors_of_odometry_enter_the_estimate():
 
 @pytest.mark.parametrize("asymmetry", [0.1, -0.1])
 def test_the_slope_that_was_measured_enters_the_estimate(asymmetry):
-    profile = RoverProfile(
-        name="slope",
-        turn_asymmetry=asymmetry,
-        downhill_x_m=0.02,
-        downhill_y_m=-0.03,
-        std={"downhill_x_m": 0.002},
-    )
-    settings = settings_for(profile)
+    slope = {"downhill_x_m": 0.02, "downhill_y_m": -0.03, "std": {"downhill_x_m": 0.002}}
+    settings = settings_for(RoverProfile(name="slope", turn_asymmetry=asymmetry, **slope))
     assert settings.downhill_std_m == 0.002
-    removed = profile.model_copy(update={"downhill_x_m": None, "downhill_y_m": None})
-    assert settings_for(removed).downhill_std_m == SETTINGS.downhill_std_m
+    unknown = RoverProfile(name="slope", turn_asymmetry=asymmetry, std=slope["std"])
+    assert settings_for(unknown).downhill_std_m == SETTINGS.downhill_std_m
     ends = []
     for side in (1.0, -1.0):
-        estimator = Estimator(settings)
-        estimator.start(Pose(0.0, 0.0, math.pi / 2), 0.0)
+        estimator = started(settings, heading=math.pi / 2)
         for tick in range(1, 80):
             rate = side * 0.2
-            estimator.odometry(
-                Pose(0.0, 0.0, math.pi / 2 + rate * DT * (tick - 0.5)), Velocity(0.0, rate), tick * DT
-            )
+            seen = Pose(0.0, 0.0, math.pi / 2 + rate * DT * (tick - 0.5))
+            estimator.odometry(seen, Velocity(0.0, rate), tick * DT)
         ends.append(estimator.at(79 * DT).pose)
     turns = [math.remainder(end.theta - math.pi / 2, math.tau) for end in ends]
     assert turns[0] + turns[1] == pytest.approx(asymmetry * (turns[0] - turns[1]), abs=0.01)
@@ -202,9 +190,8 @@ def test_a_rover_that_was_carried_or_turned_is_stopped_within_two_seconds(carrie
 def test_a_rover_that_a_cable_turns_is_found_again(side):
     for drive in drives(3):
         tick = round(0.5 * drive.ticks)
-        errors, _, estimator = drive.follow(
-            camera=Camera(), carried=(tick, np.array([0.02, 0.0, side * 0.11]))
-        )
+        carried = (tick, np.array([0.02, 0.0, side * 0.11]))
+        errors, _, estimator = drive.follow(camera=Camera(), carried=carried)
         assert not estimator.fault
         assert abs(wrap_angle(errors[-1][2] - side * 0.11)) < 0.05
 
@@ -224,8 +211,7 @@ def test_a_refused_pose_leaves_the_estimate_where_it_is(off_rad, may_be_a_push):
 
 
 def straight(until_s, settings=SETTINGS):
-    estimator = Estimator(settings)
-    estimator.start(Pose(0, 0, 0), 0.0, covariance=COVARIANCE)
+    estimator = started(settings, covariance=COVARIANCE)
     for tick in range(1, round(until_s / DT) + 1):
         t = tick * DT
         v = min(0.1, 0.3 * t)
@@ -319,8 +305,7 @@ def test_a_variance_of_zero_counts_as_unknown():
 
 
 def test_a_gap_of_the_gyro_adds_no_turn():
-    estimator = Estimator(SETTINGS)
-    estimator.start(Pose(0, 0, 0), 0.0)
+    estimator = started()
     for tick in range(1, 60):
         t = tick * DT
         if not 20 <= tick < 30:
@@ -332,8 +317,7 @@ def test_a_gap_of_the_gyro_adds_no_turn():
 
 @pytest.mark.parametrize("rate", [0.4, -0.4])
 def test_a_refused_sample_after_a_gap_of_the_gyro_adds_no_turn(rate):
-    estimator = Estimator(SETTINGS)
-    estimator.start(Pose(0, 0, 0), 0.0)
+    estimator = started()
     for tick in range(1, 16):
         t = tick * DT
         if tick not in (13, 14):
@@ -364,9 +348,7 @@ def test_the_turn_of_a_profile_is_that_which_its_encoders_would_report(asymmetry
 
 def test_poses_show_how_a_slope_moves_a_turning_rover():
     """Poses of a rover that slides 3 cm per radian along y as it turns; then without them."""
-    estimator, slide, rate = Estimator(SETTINGS.model_copy(update={"downhill_std_m": 0.02})), 0.03, 0.2
-    estimator.start(Pose(0.0, 0.0, 0.0), 0.0)
-    pose = Pose(0.0, 0.0, 0.0)
+    estimator, slide, rate = started(SETTINGS.model_copy(update={"downhill_std_m": 0.02})), 0.03, 0.2
     for tick in range(1, 200):
         angle = rate * tick * DT
         pose = Pose(0.0, slide * angle, angle)

@@ -5,10 +5,10 @@ import math
 
 import numpy as np
 import pytest
-from kit.base_odometry import reported
+from kit.base_odometry import reported, started
+from kit.described import described
 
 from deploy.drive.config import settings_for
-from deploy.estimator.estimator import Estimator
 from deploy.estimator.motion import BIAS
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
@@ -32,8 +32,7 @@ def drive(omega, reading=lambda t, rate: rate, period=0.1, until=8.0, pushed=sta
 
     ``reading`` makes a reading of the gyro from the true one, ``pushed`` is a turn rate that no wheel shows.
     """
-    random, estimator = np.random.default_rng(7), Estimator(settings)
-    estimator.start(Pose(0.0, 0.0, 0.0), 0.0)
+    random, estimator = np.random.default_rng(7), started(settings)
     own = true = 0.0
     for tick in range(1, round(until / period) + 1):
         t = tick * period
@@ -144,7 +143,7 @@ def test_described_noise_of_a_gyro_enters_the_estimate():
     robot = load_description("turtlebot4")
     usual = EstimatorSettings().gyro_rad
     assert settings_for(None, robot).gyro_rad == usual
-    noisy = robot.model_copy(update={"gyro": robot.gyro.model_copy(update={"noise_rad_s": 0.1})})
+    noisy = described("turtlebot4", gyro={"noise_rad_s": 0.1})
     assert settings_for(None, noisy).gyro_rad == pytest.approx(0.1 * math.sqrt(0.1 / robot.gyro.rate_hz))
     random = np.random.default_rng(5)
     estimator, _ = drive(
@@ -159,8 +158,7 @@ def test_described_noise_of_a_gyro_enters_the_estimate():
 def test_gyro_that_comes_late_and_unevenly_does_not_move_the_heading(seed):
     """A robot turns in pulses, as one does that has a least wheel speed. Both of its sensors are exact."""
     random = np.random.default_rng(seed)
-    estimator = Estimator(settings_for(None, load_description("turtlebot4")))
-    estimator.start(Pose(0.0, 0.0, 0.0), 0.0)
+    estimator = started(settings_for(None, load_description("turtlebot4")))
     own = shown = shown_t = worst = 0.0
     period, pulses = 0.05, 0.3 * random.integers(-1, 2, 160)
     for tick in range(1, 320):

@@ -7,7 +7,8 @@ from collections import deque
 
 import numpy as np
 import pytest
-from kit.base_odometry import moved
+from kit.base_odometry import moved, started
+from kit.described import described
 from kit.paths import DATA
 from scipy.stats import chi2
 
@@ -68,12 +69,9 @@ def all_at_once(rows):
 
 
 HUSKY = load_description("husky-a200")
-UNDECLARED = HUSKY.model_copy(
-    update={"odometry": HUSKY.odometry.model_copy(update={"rate_hz": 10.0, "speed_mean_s": 0.0})}
-)
 ROBOTS = {
     "husky": HUSKY,
-    "undeclared": UNDECLARED,
+    "undeclared": described("husky-a200", odometry={"rate_hz": 10.0, "speed_mean_s": 0.0}),
     "turtlebot": load_description("turtlebot3-burger"),
     "pioneer": load_description("p3at-sh"),
     "not described": None,
@@ -92,8 +90,7 @@ CASES = itertools.product(ROBOTS, [mean_speeds, alternating, coarse, all_at_once
     ],
 )
 def test_irregular_odometry_is_accepted_and_its_error_is_inside_the_ellipse(robot, form, scale):
-    estimator = Estimator(settings_for(None, ROBOTS[robot]))
-    estimator.start(ORIGIN, 0.0)
+    estimator = started(settings_for(None, ROBOTS[robot]))
     for t, _, own, velocity in form(drive(scale)):
         estimator.odometry(own, velocity, t)
     # Mean speeds that no description declares are found by a sample that does not fit.
@@ -110,8 +107,7 @@ def test_irregular_odometry_is_accepted_and_its_error_is_inside_the_ellipse(robo
 
 @pytest.mark.parametrize("form", [iter, mean_speeds])
 def test_repeated_and_backward_stamps_neither_stop_the_drive_nor_move_the_estimate(form):
-    estimator = Estimator(settings_for(None, HUSKY))
-    estimator.start(ORIGIN, 0.0)
+    estimator = started(settings_for(None, HUSKY))
     for number, (t, true, own, velocity) in enumerate(form(drive(1.0))):
         assert estimator.odometry(own, velocity, t) is Outcome.ACCEPTED
         if number % 7 == 3:
@@ -124,8 +120,8 @@ def test_repeated_and_backward_stamps_neither_stop_the_drive_nor_move_the_estima
 
 def test_a_description_tells_the_estimator_how_its_odometry_is():
     def settings(**odometry):
-        described = HUSKY.odometry.model_copy(update={"speed_mean_s": 0.0, "noise_rad": 0.0} | odometry)
-        return settings_for(None, HUSKY.model_copy(update={"odometry": described}))
+        exact = {"speed_mean_s": 0.0, "noise_rad": 0.0}
+        return settings_for(None, described("husky-a200", odometry=exact | odometry))
 
     usual = settings()
     assert usual.uses_speeds

@@ -88,22 +88,19 @@ def test_sensitivities_are_the_returns_of_moved_parameters(parking):
 
 @pytest.mark.long
 def test_command_writes_files_and_json_and_a_recording_is_explained_alike(tmp_path, capsys):
-    code = run(["explain", "parking", "--course", SHORT, "--out", str(tmp_path / "out"), "--json"])
+    out = tmp_path / "out"
+    assert run(["explain", "parking", "--course", SHORT, "--out", str(out), "--json"]) == 0
     said = capsys.readouterr()
-    assert code == 0
     fields = json.loads(said.out)
-    assert {"phases", "contributions", "time_constants", "knock_outs", "sensitivities"} <= set(fields)
     assert len(fields["contributions"]) == 9 * 3
-    to_rgt = {row["source"]: row for row in fields["contributions"] if row["destination"] == "RGT"}
-    assert all({"positive", "negative", "sign", "driving"} <= set(row) for row in to_rgt.values())
-    written = {path.name for path in (tmp_path / "out").iterdir()}
+    written = {path.name for path in out.iterdir()}
     assert {path.rpartition(".")[2] for path in written} == {"csv", "html", "md", "svg"}
-    assert sorted(fields["files"]) == sorted(str(tmp_path / "out" / name) for name in written)
+    assert sorted(fields["files"]) == sorted(str(out / name) for name in written)
     sentence = fields["phases"][0]["sentence"]
-    assert sentence in (tmp_path / "out" / "explanation.md").read_text()
+    assert sentence in (out / "explanation.md").read_text()
     assert sentence in said.err
-    tables = {p.stem: [*csv.reader(p.read_text().splitlines())] for p in (tmp_path / "out").glob("*.csv")}
-    assert {name: len(rows) - 1 for name, rows in tables.items()} == {
+    tables = {path.stem: [*csv.DictReader(path.read_text().splitlines())] for path in out.glob("*.csv")}
+    assert {name: len(rows) for name, rows in tables.items()} == {
         "contributions": 12 * 11,
         "knock_outs": 12 + 30,
         "phases": len(fields["phases"]),
@@ -111,11 +108,14 @@ def test_command_writes_files_and_json_and_a_recording_is_explained_alike(tmp_pa
         "sensitivities": 94,
         "time_constants": 8,
     }
-    header, *rows = tables["contributions"]
-    cells = (dict(zip(header, row, strict=True)) for row in rows)
-    row = next(row for row in cells if (row["source"], row["destination"]) == ("AVM", "RGT"))
-    assert (row["sign"], int(row["positive"])) == (to_rgt["AVM"]["sign"], to_rgt["AVM"]["positive"])
-    assert [int(row[f"bins_{k}"]) for k in range(10)] == to_rgt["AVM"]["bins"]
+
+    def of_pair(rows):
+        return next(row for row in rows if (row["source"], row["destination"]) == ("AVM", "RGT"))
+
+    row, same = of_pair(tables["contributions"]), of_pair(fields["contributions"])
+    assert (row["sign"], int(row["positive"])) == (same["sign"], same["positive"])
+    assert [int(row[f"bins_{k}"]) for k in range(10)] == same["bins"]
+    assert {"negative", "driving"} <= same.keys()
     # A recording of the same drive is explained in the same way.
     write_drive(tmp_path / "run.mcap", course=SHORT)
     recorded = json.loads(explain(str(tmp_path / "run.mcap")).result().model_dump_json())

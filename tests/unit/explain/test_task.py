@@ -10,6 +10,7 @@ from kit.tutorials import PAGES, write_files
 
 from rover_ncp.cli import run
 from rover_ncp.core.errors import ConfigError, UsageError
+from rover_ncp.core.files import resolve
 from rover_ncp.core.streams import Domain, episode_seeds
 from sim import api
 from sim.explain.files import markdown, page
@@ -85,10 +86,7 @@ def test_a_stored_circuit_of_the_paper_plays_as_it_is_scored():
     ],
 )
 def test_what_cannot_be_explained_is_named(source, task, error, words):
-    if source is not None:
-        from rover_ncp.core.files import resolve
-
-        source = str(resolve("policies", source))
+    source = source and str(resolve("policies", source))
     with pytest.raises(error, match=words):
         explain_task(source, task)
 

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from kit.described import described
 from kit.identified import driven, errors, robot, truth
 
 from deploy.identify.axis_fit import OdometryErrors, identify_axis
@@ -40,10 +41,8 @@ def drive(preset, number=0, *, outside=False):
 @pytest.mark.parametrize("number", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_random_robots_are_identified_from_their_bytes(number):
     _, found, off, _ = drive("full", number)
-    assert abs(off["delay_v_s"].error) < 0.002
-    assert abs(off["delay_omega_s"].error) < 0.003
-    assert abs(off["gain_v"].error) < 0.003
-    assert abs(off["gain_omega"].error) < 0.01
+    limits = {"delay_v_s": 0.002, "delay_omega_s": 0.003, "gain_v": 0.003, "gain_omega": 0.01}
+    assert [key for key, limit in limits.items() if abs(off[key].error) >= limit] == []
     # Without external poses an acceleration is known no better than odometry's scale, ±3 %.
     assert 0.015 < found.std["accel"] / found.accel < 0.03
     assert all(abs(error) < 3.0 * std for error, std in off.values())
@@ -78,6 +77,12 @@ def test_ramps_show_the_dead_band_and_the_gains_beyond_it():
     assert abs(off["gain_omega"].error) < 0.01
 
 
+def log_of(sent_s, sent, t, motion):
+    """Return the log of commands and of motion at times ``t``, without any pose."""
+    none = Track(t[:0], np.zeros((0, 3)))
+    return MotionLog(sent_s, sent, Track(t, np.zeros((len(t), 3))), motion, none)
+
+
 @pytest.mark.parametrize(
     ("follows", "band"),
     [
@@ -91,14 +96,11 @@ def test_ramps_show_the_dead_band_and_the_gains_beyond_it():
 )
 def test_dead_band_is_between_two_steps_of_a_ramp(follows, band):
     """Commands that a robot follows, and with a minus those that it does not."""
-    sent = [(abs(speed), 0.0) for each in follows for speed in (each, 0.0)] or [(0.0, 0.0)]
-    sent_s, t = np.arange(len(sent)) * 0.65, np.arange(0.0, len(sent) * 0.65, 0.1)
-    at = np.minimum((t / 0.65).astype(int), len(sent) - 1)
-    motion = np.array(
-        [(max(each, 0.0), 0.0) for each in (each for f in follows for each in (f, 0.0))] or sent
-    )
-    nothing = Track(t, np.zeros((len(t), 3)))
-    log = MotionLog(sent_s, np.array(sent), nothing, motion[at], nothing)
+    parts = [speed for each in follows for speed in (each, 0.0)] or [0.0]
+    t = np.arange(0.0, len(parts) * 0.65, 0.1)
+    at = np.minimum((t / 0.65).astype(int), len(parts) - 1)
+    sent, motion = (np.column_stack([v, 0.0 * v]) for v in (np.abs(parts), np.maximum(parts, 0.0)))
+    log = log_of(np.arange(len(parts)) * 0.65, sent, t, motion[at])
     assert dead_bands(log) == (band, None)
 
 
@@ -123,8 +125,7 @@ def made(delay, gain, acceleration, deceleration=None, *, rounded=False):
         motion[:, axis] = np.interp(t, knots, np.column_stack([before, after]).ravel())
         if rounded:
             motion[:, axis] = np.rint(motion[:, axis] / STEPS[axis]) * STEPS[axis]
-    none = Track(t[:0], np.zeros((0, 3)))
-    return MotionLog(begins, velocities, Track(t, np.zeros((len(t), 3))), motion, none)
+    return log_of(begins, velocities, t, motion)
 
 
 @pytest.mark.parametrize(
@@ -132,10 +133,8 @@ def made(delay, gain, acceleration, deceleration=None, *, rounded=False):
 )
 def test_fit_finds_delay_gain_and_acceleration(delay, gain, acceleration):
     found = identify(made(delay, gain, acceleration), "exact")
-    for seconds in (found.delay_v_s, found.delay_omega_s):
-        assert seconds == pytest.approx(delay, abs=0.004)
-    for factor in (found.gain_v, found.gain_omega):
-        assert factor == pytest.approx(gain, rel=0.003)
+    assert (found.delay_v_s, found.delay_omega_s) == pytest.approx((delay, delay), abs=0.004)
+    assert (found.gain_v, found.gain_omega) == pytest.approx((gain, gain), rel=0.003)
     assert found.accel == pytest.approx(acceleration, rel=0.05)
 
 
@@ -146,9 +145,7 @@ def followed(sent_s, sent, delay, accel, decel):
         due = np.searchsorted(sent_s + delay, now + 1e-9)
         speed.append(toward(speed[-1], sent[due - 1] if due else 0.0, 0.001 * accel, 0.001 * decel))
     t = np.arange(0.037, at[-1], 0.1)
-    motion = np.column_stack([np.interp(t, at, speed)] * 2)
-    still, none = Track(t, np.zeros((len(t), 3))), Track(t[:0], np.zeros((0, 3)))
-    return MotionLog(sent_s, np.column_stack([sent] * 2), still, motion, none)
+    return log_of(sent_s, np.column_stack([sent] * 2), t, np.column_stack([np.interp(t, at, speed)] * 2))
 
 
 def test_a_command_that_reverses_first_brakes():
@@ -218,8 +215,7 @@ def test_acceleration_that_no_command_asks_for_is_left_out():
     sent = np.column_stack([0.1 - 0.1 * np.cos(0.8 * sent_s), 0.3 * np.sin(0.8 * sent_s)])
     noise = np.random.default_rng(0).normal(size=(len(t), 2)) * [0.003, 0.01]
     motion = np.column_stack([np.interp(t - 0.2, sent_s, column) for column in sent.T]) + noise
-    still = Track(t, np.zeros((len(t), 3)))
-    found = identify(MotionLog(sent_s, sent, still, motion, Track(t[:0], np.zeros((0, 3)))), "slow")
+    found = identify(log_of(sent_s, sent, t, motion), "slow")
     assert (found.accel, found.alpha) == (None, None)
 
 
@@ -295,16 +291,14 @@ def test_the_steps_stay_within_their_fence_and_give_the_motors_back():
     done, *_ = drive("harsh", outside=True)
     assert done.stopped_by is None
     assert 0.3 < done.farthest_m < FENCE_M
-    assert not done.base.drive.enabled
-    assert not done.base.drive.rover.moving
+    assert (done.base.drive.enabled, done.base.drive.rover.moving) == (False, False)
 
 
 def test_a_rover_that_would_leave_the_fence_is_stopped_before_it_does():
     done = driven(robot(load_randomization("full"), SEED, 1), fence_m=0.25)
     assert done.stopped_by == "geofence"
     assert done.farthest_m < 0.27  # a decimetre a second of odometry, 3 % off, and its noise
-    assert not done.base.drive.enabled
-    assert not done.base.drive.rover.moving
+    assert (done.base.drive.enabled, done.base.drive.rover.moving) == (False, False)
 
 
 def test_steps_are_what_the_base_takes_as_it_is():
@@ -315,9 +309,7 @@ def test_steps_are_what_the_base_takes_as_it_is():
 
 
 def test_a_slow_robot_is_driven_within_its_limits():
-    burger = load_description("turtlebot3-burger")
-    motion = burger.motion.model_copy(update={"v_max": 0.1, "omega_max": 0.2})
-    slow = burger.model_copy(update={"motion": motion})
+    slow = described("turtlebot3-burger", motion={"v_max": 0.1, "omega_max": 0.2})
     velocities = np.abs([step.velocity for step in steps(slow)])
     assert velocities.max(axis=0) == pytest.approx([0.1, 0.2])
-    assert steps(burger) == steps()
+    assert steps(load_description("turtlebot3-burger")) == steps()

@@ -64,17 +64,10 @@ def test_a_slide_beyond_what_can_be_is_not_found(slide):
     variance = np.full(3, 1e-6)
     headings = [0.0, 0.5, 1.0, 0.4, -0.2, -0.8, 0.0]
     turned = np.cumsum([0.0, *np.abs(np.diff(headings))])
-    stands = [
-        Stand(
-            t,
-            t + 1.0,
-            np.array([0.0, 0.0, heading]),
-            np.array([slide * way, 0.0, heading]),
-            variance,
-            variance,
-        )
-        for t, (heading, way) in enumerate(zip(headings, turned, strict=True))
-    ]
+    stands = []
+    for t, (heading, way) in enumerate(zip(headings, turned, strict=True)):
+        own, true = np.array([0.0, 0.0, heading]), np.array([slide * way, 0.0, heading])
+        stands.append(Stand(t, t + 1.0, own, true, variance, variance))
     fit = fit_center(stands)
     if abs(slide) > 0.5:
         assert fit is None

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from deploy.tag.calibrate import find_intrinsics, find_mount
 from deploy.tag.detector import Detection, Detector
 from deploy.tag.locate import Locator
-from deploy.tag.sheet import BOARD, BOARD_TAG_M, board_page, pattern, tag_pages
+from deploy.tag.sheet import BOARD, BOARD_TAG_M, board_page, tag_pages
 from deploy.tag.tag_map import CameraFile, Intrinsics, Mount, Tag, TagMap, load_camera_info
 from rover_ncp import cli
 from rover_ncp.core.config import dump_yaml
@@ -31,29 +31,20 @@ def board_pictures(count):
     for index in range(count):
         angle, height = 0.5 * math.sin(2.1 * index), 0.12 * math.cos(1.3 * index)
         away = 0.28 + 0.05 * (index % 3)
-        camera = CameraFile(
-            intrinsics=TRUE,
-            mount=Mount(
-                x=away * math.cos(angle),
-                y=away * math.sin(angle),
-                z=height,
-                yaw=math.pi + angle,
-                pitch=math.atan2(height, away),
-                roll=0.3 * math.sin(index),
-            ),
-        )
+        place = {"x": away * math.cos(angle), "y": away * math.sin(angle), "z": height}
+        pitch, roll = math.atan2(height, away), 0.3 * math.sin(index)
+        mount = Mount(**place, yaw=math.pi + angle, pitch=pitch, roll=roll)
         # The camera's place is all that moves: the rover stays at the origin.
-        yield Detector().detect(Renderer(camera, TagMap(tags=tags), stream).picture(Pose(0.0, 0.0, 0.0)))
+        renderer = Renderer(CameraFile(intrinsics=TRUE, mount=mount), TagMap(tags=tags), stream)
+        yield Detector().detect(renderer.picture(Pose(0.0, 0.0, 0.0)))
 
 
 def test_intrinsics_come_back_from_pictures_of_the_board():
     found = find_intrinsics(list(board_pictures(12)), (640, 480))
     assert found.pictures == 12
     assert found.rms < 0.3
-    assert found.intrinsics.fx == pytest.approx(TRUE.fx, rel=0.01)
-    assert found.intrinsics.fy == pytest.approx(TRUE.fy, rel=0.01)
-    assert found.intrinsics.cx == pytest.approx(TRUE.cx, abs=5.0)
-    assert found.intrinsics.cy == pytest.approx(TRUE.cy, abs=5.0)
+    assert (found.intrinsics.fx, found.intrinsics.fy) == pytest.approx((TRUE.fx, TRUE.fy), rel=0.01)
+    assert (found.intrinsics.cx, found.intrinsics.cy) == pytest.approx((TRUE.cx, TRUE.cy), abs=5.0)
 
 
 def test_too_few_pictures_of_the_board_are_refused():
@@ -106,8 +97,7 @@ def test_mount_comes_back_from_a_drive_with_turns(gain, late_s, step_rad):
     for name in ("x", "y", "yaw", "pitch", "roll"):
         error = abs(getattr(found.mount, name) - getattr(MOUNT, name))
         assert error < max(3.0 * found.deviations[name], 0.002), name
-    assert found.deviations["x"] < 0.02
-    assert found.deviations["yaw"] < 0.02
+    assert max(found.deviations["x"], found.deviations["yaw"]) < 0.02
     assert abs(found.late_s - late_s) < max(3.0 * found.deviations["late_s"], 0.002) < 0.02
     after = found.applied(CameraFile(intrinsics=TRUE, mount=by_hand, delay_s=-0.1))
     assert (after.mount, after.delay_s) == (found.mount, pytest.approx(late_s - 0.1, abs=0.005))
@@ -151,10 +141,6 @@ def test_tag_too_large_for_the_page_is_refused():
         tag_pages([0], 0.3, "a4")
 
 
-def test_all_patterns_of_a_few_ids_differ():
-    assert len({pattern(tag).tobytes() for tag in range(20)}) == 20
-
-
 CAMERA_INFO = """\
 image_width: 640
 image_height: 480
@@ -171,12 +157,10 @@ def test_intrinsics_of_ros_are_read(tmp_path):
     found = load_camera_info(file)
     assert (found.fx, found.fy, found.cx, found.cy) == (500.5, 501.0, 320.0, 241.0)
     assert found.distortion == (0.1, -0.2, 0.001, 0.002, 0.0)
-    file.write_text("image_width: 640\n")
-    with pytest.raises(ConfigError, match="camera_info"):
-        load_camera_info(file)
-    file.write_text(file.read_text() + "camera_matrix: 3\n")
-    with pytest.raises(ConfigError, match="camera_info"):
-        load_camera_info(file)
+    for wrong in ("image_width: 640\n", "image_width: 640\ncamera_matrix: 3\n"):
+        file.write_text(wrong)
+        with pytest.raises(ConfigError, match="camera_info"):
+            load_camera_info(file)
 
 
 def test_camera_whose_mount_nobody_measured_gives_no_poses(tmp_path, capsys):

@@ -11,6 +11,7 @@ from deploy.tag.locate import MAX_PIXELS, Located, Locator, Rejection
 from deploy.tag.tag_map import CameraFile, Mount, Tag, TagMap
 from rover_ncp.core.geometry import Pose, wrap_angle
 
+POSE = Pose(0.9, 0.0, 0.0)
 CEILING = CameraFile(intrinsics=PICTURE, mount=Mount(x=1.0, y=0.5, z=2.5, yaw=0.3, pitch=math.pi / 2))
 ON_ROVER = TagMap(
     tags_on="rover", tags=(Tag(id=3, size=0.2, x=-0.05, y=0.02, z=0.4, yaw=0.2, pitch=-math.pi / 2),)
@@ -30,7 +31,6 @@ def with_tag(tag_map, index, **changes):
 @pytest.mark.parametrize("pose", [Pose(0.9, 0.05, 0.1), Pose(1.2, -0.1, -0.12), Pose(0.3, 0.1, 0.05)])
 def test_camera_on_the_rover_finds_the_pose(pose):
     found = located(CAMERA, WALL, WALL, pose)
-    assert isinstance(found, Located)
     assert found.ids == (7, 8, 9)
     assert math.dist(found.pose[:2], pose[:2]) < 0.01
     assert abs(wrap_angle(found.pose.theta - pose.theta)) < math.radians(0.6)
@@ -41,41 +41,37 @@ def test_camera_on_the_rover_finds_the_pose(pose):
 @pytest.mark.parametrize("pose", [Pose(0.8, 0.3, 0.0), Pose(1.3, 0.7, 2.0), Pose(1.0, 0.5, -3.0)])
 def test_camera_on_the_ceiling_finds_the_pose_in_every_direction(pose):
     found = located(CEILING, ON_ROVER, ON_ROVER, pose)
-    assert isinstance(found, Located)
     assert math.dist(found.pose[:2], pose[:2]) < 0.008
     assert abs(wrap_angle(found.pose.theta - pose.theta)) < math.radians(0.6)
 
 
 @pytest.mark.parametrize("wrong", [{"size": 0.10}, {"y": 0.08}, {"yaw": 2.6}])
 def test_one_wrong_tag_of_three_is_left_out(wrong):
-    pose = Pose(0.9, 0.0, 0.0)
-    found = located(CAMERA, WALL, with_tag(WALL, 2, **wrong), pose)
-    assert isinstance(found, Located)
+    found = located(CAMERA, WALL, with_tag(WALL, 2, **wrong), POSE)
     assert found.ids == (7, 8)
-    assert math.dist(found.pose[:2], pose[:2]) < 0.01
+    assert math.dist(found.pose[:2], POSE[:2]) < 0.01
 
 
-def test_two_tags_that_contradict_each_other_give_no_pose():
-    two = WALL.model_copy(update={"tags": WALL.tags[:2]})
-    assert located(CAMERA, two, with_tag(two, 0, y=0.3), Pose(0.9, 0.0, 0.0)) is Rejection.DISAGREE
+TWO = WALL.model_copy(update={"tags": WALL.tags[:2]})
+HIGH = TagMap(tags=(Tag(id=7, size=0.14, x=1.9, y=0.0, z=0.6, yaw=math.pi),))
+OTHERS = ON_ROVER.model_copy(update={"tags_on": "ground"})
 
 
-def test_one_tag_of_a_wrong_size_gives_no_pose():
-    high = TagMap(tags=(Tag(id=7, size=0.14, x=2.0, y=0.0, z=0.6, yaw=math.pi),))
-    assert located(CAMERA, high, with_tag(high, 0, size=0.10), Pose(1.0, 0.0, 0.0)) is Rejection.MISFIT
-
-
-def test_tags_that_are_not_in_the_map_give_no_pose():
-    assert located(CAMERA, WALL, ON_ROVER.model_copy(update={"tags_on": "ground"}), Pose(0.9, 0.0, 0.0)) is (
-        Rejection.NO_TAG
-    )
+@pytest.mark.parametrize(
+    ("drawn", "known", "reason"),
+    [
+        pytest.param(TWO, with_tag(TWO, 0, y=0.3), Rejection.DISAGREE, id="two that contradict each other"),
+        pytest.param(HIGH, with_tag(HIGH, 0, size=0.10), Rejection.MISFIT, id="one of a wrong size"),
+        pytest.param(WALL, OTHERS, Rejection.NO_TAG, id="none of the map"),
+    ],
+)
+def test_tags_that_give_no_pose(drawn, known, reason):
+    assert located(CAMERA, drawn, known, POSE) is reason
 
 
 def test_id_that_is_seen_twice_is_not_used():
     twin = Tag(id=7, size=0.14, x=2.0, y=-0.2, z=0.3, yaw=math.pi)
-    image = picture_of(Pose(0.9, 0.0, 0.0))
-    other = picture_of(Pose(0.9, 0.0, 0.0), tag_map=TagMap(tags=(twin,)))
-    both = np.concatenate([image, other], axis=0)
+    both = np.concatenate([picture_of(POSE), picture_of(POSE, tag_map=TagMap(tags=(twin,)))])
     assert {each.id for each in Detector().detect(both)} == {8, 9}
 
 

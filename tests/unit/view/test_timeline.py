@@ -134,22 +134,21 @@ def test_gate_decisions_of_earlier_drives_do_not_count(short):
     assert not any("touched" in verdict.reason for verdict in timeline.judge().values())
 
 
+def attached(path, **files):
+    """Write a recording that has these files and no message."""
+    with RecordingWriter(path) as writer:
+        for name, content in files.items():
+            writer.attach(f"{name}.yaml", content)
+    return path
+
+
 def test_incomplete_recordings_are_rejected(tmp_path):
-    empty = tmp_path / "empty.mcap"
-    with RecordingWriter(empty):
-        pass
     with pytest.raises(FileError, match=r"no attachment policy\.yaml"):
-        read_drive(empty)
+        read_drive(attached(tmp_path / "empty.mcap"))
     write_drive(tmp_path / "run.mcap", course=SHORT)
-    still = tmp_path / "still.mcap"
-    with RecordingWriter(still) as writer:
-        for name in ("policy.yaml", "course.yaml"):
-            writer.attach(name, read_recording(tmp_path / "run.mcap").attachment(name))
+    whole = read_recording(tmp_path / "run.mcap")
+    files = {name: whole.attachment(f"{name}.yaml") for name in ("policy", "course")}
     with pytest.raises(FileError, match="no tick"):
-        read_drive(still)
-    broken = tmp_path / "broken.mcap"
-    with RecordingWriter(broken) as writer:
-        writer.attach("policy.yaml", b"format: 9")
-        writer.attach("course.yaml", b"")
+        read_drive(attached(tmp_path / "still.mcap", **files))
     with pytest.raises(ConfigError, match=r"broken\.mcap, policy\.yaml"):
-        read_drive(broken)
+        read_drive(attached(tmp_path / "broken.mcap", policy=b"format: 9", course=b""))

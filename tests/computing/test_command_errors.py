@@ -127,6 +127,7 @@ TABLE = [
     ("train --out /proc/nowhere", "/proc/nowhere: cannot be used as a folder"),
     ("recover empty.mcap", "the file is empty"),
     ("replay file", "not an MCAP recording"),
+    ("explain noise.mcap", "not an MCAP recording"),
     (f"bridge {BASE} --zenoh-config zenoh.json5", "zenoh.json5: not a Zenoh configuration: "),
     (f"deploy {ROBOT} --zenoh-config zenoh.json5", "zenoh.json5: not a Zenoh configuration: "),
     (f"bridge {BASE} --limits fast.yaml", "$.v_max: input should be less than or equal to 1.2, got 3.0"),
@@ -186,6 +187,11 @@ TABLE = [
     ("recover drive.mcap --overwrite", "--overwrite: needs --out"),
     ("course new poses.csv --out new.yaml --model p3dx", "--model: is for check"),
     ("course check parking --name mine", "--name: is for new"),
+    ("course new poses.csv", "--out: expected the new course's file"),
+    ("course new poses.csv --out course.png", "--out: expected the new course's file"),
+    ("course new poses.csv --out x.yaml --name 'Big Bay'", "--name Big Bay"),
+    ("course check parking --out x.pdf", "expected a picture"),
+    ("course look parking", "look"),
     ("export parking --to yaml --out new --course bay", "--course: --to yaml needs no course"),
     (f"bridge {BASE} --no-base-watchdog", "--no-base-watchdog: is for a ROS 2 robot"),
     # values
@@ -219,7 +225,8 @@ TABLE = [
 def folder(tmp_path_factory):
     """A folder with files that no command can use, or may replace."""
     folder = tmp_path_factory.mktemp("errors")
-    (folder / "file").write_text("x")
+    for name in ("file", "noise.mcap"):
+        (folder / name).write_text("not a recording")
     write_drive(folder / "drive.mcap", course=SHORT)
     for made in ("done/run.mcap", "trained/train/settings.yaml"):
         (folder / made).parent.mkdir(parents=True)

@@ -92,23 +92,19 @@ class SkidDrive:
         )
 
     def pose(self, tick):
-        x, y, theta = self.states[tick][:3]
-        return Pose(x, y, wrap_angle(theta))
-
-    def between(self, t):
-        """The true pose at ``t`` s."""
-        at = min(max(t / TICK_S, 0.0), self.ticks)
+        """The true pose, also between two ticks."""
+        at = min(max(tick, 0.0), self.ticks)
         a = min(int(at), self.ticks - 1)
         x, y, theta = (a + 1 - at) * self.states[a][:3] + (at - a) * self.states[a + 1][:3]
         return Pose(x, y, wrap_angle(theta))
 
-    def follow(self, settings=None, camera=None, gyro=False, carried=None):
+    def follow(self, camera=None, gyro=False, carried=None):
         """Run an estimator along the drive; return errors (ticks, 3), covariances (ticks, 3, 3), estimator.
 
         From tick ``carried[0]`` on, the rover is displaced by ``carried[1]``.
         """
         rng = self.rng
-        estimator = Estimator(settings)
+        estimator = Estimator()
         start, spread = self.states[0], (0.002, 0.002, 0.002)
         at = Pose(*(start[:3] + rng.normal(size=3) * spread))
         estimator.start(at, 0.0, self.report(0)[0], np.diag(np.square(spread)))
@@ -125,13 +121,13 @@ class SkidDrive:
                 estimator.gyro(step * np.mean(readings), t)
             estimator.odometry(*self.report(tick), t)
             while camera is not None and next_pose <= t and tick <= camera.until:
-                seen = np.array(self.between(next_pose)) + rng.normal(size=3) * camera.sigma
+                seen = np.array(self.pose(next_pose / TICK_S)) + rng.normal(size=3) * camera.sigma
                 if carried is not None and tick > carried[0]:
                     seen += carried[1]
-                coming.append((next_pose + camera.delay_s, next_pose, Pose(*seen[:2], wrap_angle(seen[2]))))
+                coming.append((next_pose + camera.delay_s, Pose(*seen[:2], wrap_angle(seen[2]))))
                 next_pose += camera.every * TICK_S
             while coming and coming[0][0] <= t:
-                arrival, _, seen = coming.pop(0)
+                arrival, seen = coming.pop(0)
                 # The stamps' clock is unknown: a delay that all poses have does not show.
                 estimator.external(seen, camera.covariance, arrival)
             if estimator.fault and self.stopped is None:

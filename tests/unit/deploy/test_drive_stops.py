@@ -81,21 +81,21 @@ def test_loss_of_the_bridge_or_of_the_lease_ends_the_drive_with_a_name(virtual, 
     assert virtual.stands()
 
 
-def old(link, data, sequence):
-    tag = CommandTag(link.lease.number, sequence, link.bridge.now_ns - 10**9)
-    return tag.sign(link.lease._secret, Signed.COMMAND, "cmd_vel", data)
+def tagged(lease=0, age_s=0):
+    """Sign commands as of another lease, or as older."""
 
+    def tag(link, data, sequence):
+        tag = CommandTag(link.lease.number + lease, sequence, link.bridge.now_ns - age_s * 10**9)
+        return tag.sign(link.lease._secret, Signed.COMMAND, "cmd_vel", data)
 
-def foreign(link, data, sequence):
-    tag = CommandTag(link.lease.number + 1, sequence, link.bridge.now_ns)
-    return tag.sign(link.lease._secret, Signed.COMMAND, "cmd_vel", data)
+    return tag
 
 
 @pytest.mark.parametrize(
     ("tag", "reason"),
     [
-        (old, "dropped since then: stale "),
-        (foreign, "dropped since then: foreign "),
+        (tagged(age_s=1), "dropped since then: stale "),
+        (tagged(lease=1), "dropped since then: foreign "),
         (lambda *_: LOST, "no dropped command"),
         (None, "no dropped command"),  # the gate publishes no more
     ],

@@ -3,6 +3,7 @@
 import atexit
 import threading
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import gymnasium
 import numpy as np
@@ -20,14 +21,6 @@ from rover_ncp.course.scoring import reward
 from sim.world.env import RoverParkingEnv
 
 
-class Drive:
-    """A drive that is as far as its first tick."""
-
-    def __init__(self):
-        self.keeper, self.stop, self.verdict, self.reason = RateKeeper(round(TICK_S * 1e9), 0), None, None, ""
-        self.estimate = None
-
-
 class Env(RoverEnv):
     """An environment whose drive takes ``ticks`` actions and then raises ``error``, or waits to be closed."""
 
@@ -37,7 +30,9 @@ class Env(RoverEnv):
         self.ticks, self.failure, self.actions, self.ended = ticks, error, [], 0
 
     def _drive(self, handover, closing):
-        handover.drive, handover.controller = Drive(), self.controller
+        keeper = RateKeeper(round(TICK_S * 1e9), 0)
+        drive = SimpleNamespace(keeper=keeper, stop=None, verdict=None, reason="", estimate=None)
+        handover.drive, handover.controller = drive, self.controller
         handover.reset()
         handover.tick([])  # the warm-up
         try:
@@ -102,14 +97,9 @@ def test_open_drive_is_closed_at_the_end_of_the_program_and_a_closed_one_is_forg
 def test_close_that_is_interrupted_can_be_repeated(monkeypatch):
     env = Env(1)
     env.reset()
-
-    def interrupted(thread, timeout=None):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(threading.Thread, "join", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            env.close()
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(threading.Thread, "join", Mock(side_effect=KeyboardInterrupt))
+        env.close()
     env.close()
     assert env.ended == 1
 

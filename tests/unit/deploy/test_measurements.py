@@ -27,7 +27,6 @@ TOPICS = pytest.mark.parametrize("topic", MESSAGES)
 
 @pytest.fixture
 def log(caplog):
-    """The driver's log."""
     caplog.set_level("INFO", "rover_ncp")
     return caplog
 
@@ -35,30 +34,31 @@ def log(caplog):
 class Driver:
     """The measurements of a link whose messages the test brings."""
 
-    def __init__(self, topic):
-        self.topic = topic
-        self.source = SimpleNamespace(odometry=Inbox(1), gyro=Inbox(), poses=Inbox())
-        self.measurements = Measurements(self.source)
+    def __init__(self):
+        self.inboxes = {"odom": Inbox(1), "imu": Inbox(), "pose": Inbox()}
+        odometry, gyro, poses = self.inboxes.values()
+        self.measurements = Measurements(SimpleNamespace(odometry=odometry, gyro=gyro, poses=poses))
 
-    def age_ms(self, stamp_ns, arrival_ns):
-        """Return the ages in ms of what a message makes available."""
-        inbox = {"odom": "odometry", "imu": "gyro", "pose": "poses"}[self.topic]
-        getattr(self.source, inbox).put(Arrival(MESSAGES[self.topic](stamp_ns), arrival_ns))
-        if self.topic == "odom":
+    def take(self, topic, stamp_ns, arrival_ns):
+        """Return what a message makes available."""
+        self.inboxes[topic].put(Arrival(MESSAGES[topic](stamp_ns), arrival_ns))
+        if topic == "odom":
             newest = self.measurements.odometry(0)
-            found = [] if newest is None else [newest]
-        else:
-            found = self.measurements.gyro() if self.topic == "imu" else self.measurements.poses()
+            return [] if newest is None else [newest]
+        return self.measurements.gyro() if topic == "imu" else self.measurements.poses()
+
+    def ages_ms(self, topic, stamp_ns, arrival_ns):
+        found = self.take(topic, stamp_ns, arrival_ns)
         return [round((arrival_ns - taken.ref.measured_ns) / MS) for taken in found]
 
 
 @TOPICS
 @pytest.mark.parametrize("step_s", [-3600.0, -0.3, 0.6])
 def test_a_publishers_clock_that_is_set_costs_one_sample(topic, step_s, log):
-    driver = Driver(topic)
+    driver = Driver()
     for number in range(40):
         stamp = WALL_NS + number * PERIOD + (round(step_s * NS_PER_S) if number >= 20 else 0)
-        ages = driver.age_ms(stamp, number * PERIOD + TRANSIT)
+        ages = driver.ages_ms(topic, stamp, number * PERIOD + TRANSIT)
         assert ages == ([] if number == 20 else [0])
     back = [f"the clock that stamps '{topic}' was set back by {-step_s:.2f} s"] if step_s < 0 else []
     assert log.messages == back
@@ -66,37 +66,34 @@ def test_a_publishers_clock_that_is_set_costs_one_sample(topic, step_s, log):
 
 
 def test_poses_out_of_order_are_used_for_their_moment():
-    driver = Driver("pose")
+    driver = Driver()
     moments = [(stamp, arrival) for stamp, arrival in ((0, 0), (10, 10), (4, 11), (12, 12))]
-    ages = [driver.age_ms(WALL_NS + stamp * PERIOD, arrival * PERIOD) for stamp, arrival in moments]
+    ages = [driver.ages_ms("pose", WALL_NS + stamp * PERIOD, arrival * PERIOD) for stamp, arrival in moments]
     assert ages == [[0], [0], [], [800, 0]]  # the late one is known as such by the next
     assert driver.measurements.doubtful == {"pose": 0}
 
 
 @TOPICS
 def test_samples_without_a_stamp_are_as_young_as_their_arrival(topic):
-    driver = Driver(topic)
-    assert [driver.age_ms(0, number * PERIOD) for number in range(20)] == [[0]] * 20
+    driver = Driver()
+    assert [driver.ages_ms(topic, 0, number * PERIOD) for number in range(20)] == [[0]] * 20
 
 
 def test_the_first_unreadable_pose_is_named(log):
-    driver = Driver("pose")
+    driver = Driver()
     data = pose_with_covariance(Pose(0.0, 0.0, 1.0), np.eye(3), WALL_NS, "course")
     rotation = struct.pack("<2d", math.sin(0.5), math.cos(0.5))
     for _ in range(3):
-        driver.source.poses.put(Arrival(data.replace(rotation, bytes(16)), 0))
+        driver.inboxes["pose"].put(Arrival(data.replace(rotation, bytes(16)), 0))
     assert driver.measurements.poses() == []
     assert log.messages == ["a message on 'pose' is not used: the orientation 0, 0, 0, 0 is not a rotation"]
 
 
 @pytest.mark.parametrize("age_ms", [0, 50, 150])
 def test_the_age_of_a_gyro_reading_counts_beside_odometry_though_all_have_it(age_ms):
-    source = SimpleNamespace(odometry=Inbox(1), gyro=Inbox(), poses=Inbox())
-    measurements = Measurements(source)
+    driver = Driver()
     for number in range(20):
         stamp, arrival = WALL_NS + number * PERIOD, number * PERIOD + TRANSIT
-        source.odometry.put(Arrival(MESSAGES["odom"](stamp), arrival))
-        odometry_ns = measurements.odometry(0).ref.measured_ns
-        source.gyro.put(Arrival(MESSAGES["imu"](stamp - age_ms * MS), arrival))
-        [reading] = measurements.gyro()
-        assert (odometry_ns - reading.ref.measured_ns) / MS == pytest.approx(age_ms, abs=0.001)
+        [sample] = driver.take("odom", stamp, arrival)
+        [reading] = driver.take("imu", stamp - age_ms * MS, arrival)
+        assert (sample.ref.measured_ns - reading.ref.measured_ns) / MS == pytest.approx(age_ms, abs=0.001)

@@ -60,10 +60,11 @@ class Drive:
             return str(stop)
         return ""
 
-    def granted(self):
-        """Grant lease 7, which the gate has not confirmed yet."""
+    def granted(self, lease=0, **status):
+        """Grant lease 7, which the gate may confirm in its status."""
         self.link.lease.grant(MotorsReply(granted=True, lease=7, key="ab" * 32))
         self.monitor.granted()
+        self.link.gate = GateStatus(lease=lease, **status)
         return self
 
 
@@ -156,8 +157,7 @@ def test_odometry_that_is_old_because_the_driver_did_not_run_is_named_so(pauses_
 
 
 def test_a_pause_counts_until_the_next_odometry_and_from_the_grant():
-    drive = Drive().granted()
-    drive.link.gate = GateStatus(lease=7)
+    drive = Drive().granted(lease=7)
     assert "stalled for 0.41 s" in drive.check(0.41)
     assert drive.check(0.02) == ""
     assert [drive.check(0.1, fresh=False) for _ in range(3)] == [""] * 3
@@ -172,8 +172,7 @@ def test_the_gate_must_confirm_the_lease_in_time():
     drive = Drive().granted()
     assert [drive.check(0.25) for _ in range(4)] == [""] * 4
     assert drive.check(1e-9) == "stopped by lease: the gate does not confirm the lease"
-    confirmed = Drive().granted()
-    confirmed.link.gate = GateStatus(lease=7)
+    confirmed = Drive().granted(lease=7)
     assert [confirmed.check(0.25) for _ in range(8)] == [""] * 8
     confirmed.link.gate = GateStatus(lease=0, ended="bumper", ended_detail="a bumper is pressed")
     assert confirmed.check() == "stopped by bumper: a bumper is pressed"
@@ -186,8 +185,7 @@ def test_without_a_lease_no_gate_status_counts():
 
 
 def test_commands_that_the_gate_does_not_accept_stop_the_drive():
-    drive = Drive().granted()
-    drive.link.gate = GateStatus(lease=7)
+    drive = Drive().granted(lease=7)
     drive.link.lease.sign(Signed.COMMAND, "cmd_vel", b"", drive.now_ns)
     assert [drive.check(0.2) for _ in range(2)] == [""] * 2
     assert drive.check(0.2).startswith("stopped by not-accepted")
@@ -209,9 +207,7 @@ def test_a_revoked_lease_names_who_revoked_it(status, words):
 def test_the_first_contact_since_the_grant_is_kept():
     drive = Drive()
     drive.link.bumped, drive.link.gate = 3, GateStatus(stops={"stall": 1})
-    drive.granted()
-    drive.link.gate = GateStatus(lease=7, stops={"stall": 1})
-    drive.check()
+    drive.granted(lease=7, stops={"stall": 1}).check()
     assert drive.monitor.contact == ""
     drive.link.bumped = 4
     drive.check()
@@ -219,8 +215,7 @@ def test_the_first_contact_since_the_grant_is_kept():
     drive.link.gate = GateStatus(lease=7, held="stall")
     drive.check()
     assert drive.monitor.contact == "a bumper is pressed"
-    stalled = Drive().granted()
-    stalled.link.gate = GateStatus(lease=7, held="stall")
+    stalled = Drive().granted(lease=7, held="stall")
     stalled.check()
     assert stalled.monitor.contact == "a motor is stalled"
 

@@ -164,10 +164,3 @@ def test_page_of_a_simulated_drive_has_its_what_ifs(explained):
     assert data["updates"]["ticks"]["x"] == pytest.approx(found.findings.trace.poses[:-1, 0], abs=1e-4)
     assert data["updates"]["commands"]["v"] == pytest.approx(found.findings.trace.commands[:, 0], abs=1e-4)
     assert len(data["course"]["checkpoints"]) == 2
-
-
-def test_command_names_a_file_that_is_no_recording(tmp_path, capsys):
-    bad = tmp_path / "run.mcap"
-    bad.write_bytes(b"not a recording")
-    assert run(["explain", str(bad)]) == 2
-    assert "not an MCAP recording" in capsys.readouterr().err

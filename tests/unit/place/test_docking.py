@@ -40,8 +40,7 @@ def read(docked):
 
 def test_rover_docks_within_the_tolerances_by_its_true_pose(docked):
     ahead, left, turned = docked.off
-    assert docked.result.dock.success
-    assert docked.result.exit_code == 0
+    assert (docked.result.dock.success, docked.result.exit_code) == (True, 0)
     assert (ahead**2 + left**2) ** 0.5 < 0.02
     assert abs(turned) < 0.035
     assert docked.result.dock.by_estimate.longitudinal_m == pytest.approx(ahead, abs=0.003)

@@ -11,7 +11,6 @@ from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from sim.world.random_course import random_course
 
 TICK_S, PARTS = 0.1, 10
-BEFORE_S, AFTER_S = 1.0, 2.0
 ACCEL = np.array([0.31, 1.25])
 
 
@@ -49,8 +48,7 @@ class SkidDrive:
         self.downhill = s.downhill_std_m * rng.normal(size=2)
         motion = np.array(random_course(seed, number)[1].motion)
         motion = motion[: np.flatnonzero(motion.any(axis=1))[-1] + 1]
-        rest = [np.zeros((round(t / TICK_S), 2)) for t in (BEFORE_S, AFTER_S)]
-        commands = np.vstack([rest[0], motion, rest[1]])
+        commands = np.pad(motion, ((10, 20), (0, 0)))  # it rests for 1 s before and for 2 s after
         self.ticks = len(commands)
         start = Pose(*(rng.normal(size=3) * [0.05, 0.05, 0.05]))
         h = TICK_S / PARTS

@@ -11,10 +11,12 @@ from deploy.drive.link import Arrival
 from deploy.drive.records import TICKS_TOPIC, attachments
 from deploy.drive.result import result_of
 from deploy.drive.tick_messages import Publisher
+from deploy.estimator.measurements import Outcome
+from deploy.estimator.settings import EstimatorSettings
 from kit.paths import DATA
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.geometry import ORIGIN
-from rover_ncp.course.course import Course, load_course
+from rover_ncp.core.geometry import ORIGIN, STANDSTILL, compose, relative
+from rover_ncp.course.course import TICK_S, Course, load_course
 from rover_ncp.recording.recording import Recorded, RecordingWriter
 from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import odometry, read_odometry, read_text, text, twist_stamped
@@ -46,6 +48,33 @@ def short_course(x=0.0, y=0.0, **parked):
 COURSE = short_course(5.0, 5.0)
 """Its goal is far from where any rover comes."""
 LONG = load_course("parking").model_copy(update={"start_signal_s": 0.3})
+
+
+@functools.cache
+def controlled(
+    policy=AHEAD, odom=ORIGIN, pose=ORIGIN, report=lambda *exact: exact, latency=0.003, model=None
+):
+    """Drive the course parking with a controller and a rover alone.
+
+    Return the true poses (course frame), the ticks and the controller. ``odom`` is the origin of odometry,
+    ``report`` returns what it makes of pose and velocity.
+    """
+    course = load_course("parking")
+    rover = PymunkRover(model or default_rover(), Ground(), pose)
+    controller = Controller(policy, course, EstimatorSettings())
+    to_odom = compose(odom, relative(pose, ORIGIN))
+    start, _ = report(compose(to_odom, rover.pose), STANDSTILL)
+    controller.start(start, -TICK_S, pose)
+    poses, ticks = [], []
+    for index in range(course.ticks):
+        poses.append(rover.pose)
+        measured = report(compose(to_odom, rover.pose), rover.velocity)
+        assert controller.estimator.odometry(*measured, index * TICK_S) is Outcome.ACCEPTED
+        ticks.append(controller.tick(index, index * TICK_S + latency))
+        rover.command(*ticks[-1].command)
+        for _ in range(10):
+            rover.substep()
+    return poses, ticks, controller
 
 
 class ChangedLink(VirtualLink):

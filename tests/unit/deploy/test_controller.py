@@ -1,52 +1,29 @@
-import functools
 import math
 
 import numpy as np
 import pytest
 from kit.base_odometry import reported
-from kit.virtual_drive import AHEAD
+from kit.virtual_drive import AHEAD, controlled
 
 from deploy.drive.controller import Controller
-from deploy.estimator.measurements import Outcome
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy import course_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.runner import Runner
-from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, compose, distance, relative
+from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, compose, distance
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.signals import SIGNALS, signals
 from sim.learn.engine.rollout import rollout
 from sim.world.described import default_rover
-from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import nominal_trials
 
 COURSE = load_course("parking")
 DT = 0.1
 
 
-@functools.cache
-def drive(policy=AHEAD, odom=ORIGIN, pose=ORIGIN, report=lambda *exact: exact, latency=0.003):
-    """A whole course in simulation; returns the true poses (course frame), the ticks, the controller."""
-    rover = PymunkRover(default_rover(), Ground(), pose)
-    controller = Controller(policy, COURSE, EstimatorSettings())
-    to_odom = compose(odom, relative(pose, ORIGIN))  # the course's origin as odometry calls it
-    start, _ = report(compose(to_odom, rover.pose), Velocity(0, 0))
-    controller.start(start, -DT, pose)
-    poses, ticks = [], []
-    for index in range(COURSE.ticks):
-        poses.append(rover.pose)
-        measured = report(compose(to_odom, rover.pose), rover.velocity)
-        assert controller.estimator.odometry(*measured, index * DT) is Outcome.ACCEPTED
-        ticks.append(controller.tick(index, index * DT + latency))
-        rover.command(*ticks[-1].command)
-        for _ in range(10):
-            rover.substep()
-    return poses, ticks, controller
-
-
 def test_the_circuit_is_run_as_in_the_simulator():
-    _, ticks, _ = drive()
+    _, ticks, _ = controlled()
     runner = Runner(AHEAD)
     runner.tick((0.0, 0.0, 0.0, 0.0))
     for tick in ticks:
@@ -60,7 +37,7 @@ def test_the_circuit_is_run_as_in_the_simulator():
 def test_a_circuit_that_follows_the_course_sees_its_reference_as_in_the_simulator():
     tracker, reference = course_policy(load_circuit("tracking")), plan_reference(COURSE)
     there = Pose(0.06, -0.04, 0.1)
-    poses, ticks, _ = drive(tracker, pose=there, report=reported, latency=0.0)
+    poses, ticks, _ = controlled(tracker, pose=there, report=reported, latency=0.0)
     runner = Runner(tracker)
     chosen = [SIGNALS.index(name) for name in tracker.sensing.inputs]
 
@@ -79,15 +56,15 @@ def test_a_circuit_that_follows_the_course_sees_its_reference_as_in_the_simulato
 
 
 def test_the_origin_of_odometry_is_of_no_consequence():
-    _, ticks, _ = drive()
-    _, moved, _ = drive(odom=Pose(-0.4, 0.1, math.pi))
+    _, ticks, _ = controlled()
+    _, moved, _ = controlled(odom=Pose(-0.4, 0.1, math.pi))
     for tick, other in zip(ticks, moved, strict=True):
         assert distance(tick.estimate.pose, other.estimate.pose) < 1e-6
         assert tick.command == pytest.approx(other.command, abs=1e-6)
 
 
 def test_the_verdict_is_the_courses_on_the_estimates():
-    poses, _, controller = drive()
+    poses, _, controller = controlled()
     assert controller.verdict().reason.endswith("(at most 0.1 m)")
     controller.record_estimate(COURSE.ticks, COURSE.ticks * DT)
     assert controller.verdict().error_m == pytest.approx(distance(poses[-1], COURSE.goal), abs=0.03)

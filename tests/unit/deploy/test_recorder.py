@@ -5,7 +5,6 @@ import threading
 import time
 
 import pytest
-from kit.bridge_bench import wait_for
 from kit.virtual_drive import VirtualDrive
 
 from deploy import app
@@ -15,6 +14,7 @@ from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FileError
 from rover_ncp.recording.recording import Recorded, RecordingWriter, read_recording
 from rover_ncp.wire.messages import read_text, text
+from sim.live.processes import wait_for
 
 
 def note(words, now_ns=None):
@@ -79,7 +79,7 @@ def test_full_disk_ends_the_recording_and_not_the_drive(tmp_path, monkeypatch, c
 
     def command(*message):
         receive(*message)
-        wait_for(lambda: len(virtual.link.sent) <= 6 or recorder.failure)
+        wait_for(lambda: len(virtual.link.sent) <= 6 or recorder.failure, 20.0)
 
     monkeypatch.setattr(RecordingWriter, "write", fill)
     virtual.bridge.command = command
@@ -118,7 +118,7 @@ def test_disk_is_synced_at_each_flush_by_the_thread_alone(tmp_path, monkeypatch)
     recorder = Recorder(tmp_path / "run.mcap")
     recorder.open({"policy.yaml": b"x"})
     recorder.put(note("one"))
-    wait_for(lambda: len(synced) >= 3)
+    wait_for(lambda: len(synced) >= 3, 20.0)
     before = len(synced)
     recorder.close()
     assert set(synced) == {"recorder"}

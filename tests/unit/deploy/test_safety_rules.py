@@ -4,21 +4,17 @@ import math
 from types import SimpleNamespace
 
 import pytest
-from kit.virtual_drive import AHEAD
+from kit.virtual_drive import AHEAD, controlled
 from pydantic import ValidationError
 
-from deploy.drive.controller import Controller
 from deploy.drive.safety_monitor import ResponseCheck, SafetyMonitor, Timeouts, revoked
 from deploy.drive.signed_lease import DriverLease
-from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import NoBridge, NoRobot, NotAuthorised, SafetyStop
-from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.course.course import load_course
+from rover_ncp.core.geometry import Velocity
 from rover_ncp.wire.protocol import GateStatus, MotorsReply, Signed
 from sim.world.described import default_rover
-from sim.world.pymunk_rover import Ground, PymunkRover
 
 BEGIN_NS = 10 * NS_PER_S
 STILL, FORWARD = Velocity(0.0, 0.0), Velocity(0.1, 0.0)
@@ -317,15 +313,7 @@ def test_a_burst_of_commands_is_not_judged_when_it_is_long_over(lag, ticks):
 )
 def test_a_rover_that_follows_is_never_stopped(model):
     """A whole manoeuvre, on the base as it is and on a sluggish one (delays 300 ms, acceleration −30 %)."""
-    course, rover = load_course("parking"), PymunkRover(model, Ground())
     for policy in (load_policy("parking"), AHEAD):
-        controller, watch = Controller(policy, course, EstimatorSettings()), ResponseCheck()
-        controller.start(Pose(0, 0, 0), -0.1)
-        rover.set_pose(Pose(0, 0, 0))
-        for index in range(course.ticks):
-            controller.estimator.odometry(rover.pose, rover.velocity, 0.1 * index)
-            tick = controller.tick(index, 0.1 * index)
+        watch = ResponseCheck()
+        for tick in controlled(policy, model=model)[1]:
             assert watch.tick(tick.command, tick.estimate.velocity) == ""
-            rover.command(*tick.command)
-            for _ in range(10):
-                rover.substep()

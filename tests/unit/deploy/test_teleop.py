@@ -8,7 +8,7 @@ import termios
 
 import numpy as np
 import pytest
-from kit.virtual_drive import ChangedLink, VirtualDrive
+from kit.virtual_drive import VirtualDrive
 
 from deploy.keyboard import HOLD_S, V_M_S
 from deploy.teleop import BRACKETED_PASTE, NO_BRACKETED_PASTE, Teleop, Terminal
@@ -49,10 +49,7 @@ def held(key, until_s):
 
 @pytest.fixture
 def virtual():
-    virtual = VirtualDrive()
-    virtual.bridge.sleep(3.0)
-    virtual.link = ChangedLink(virtual.bridge, lambda message: None)
-    return virtual
+    return VirtualDrive()
 
 
 def teleop(virtual, keys):

@@ -21,6 +21,11 @@ DOCK = Obstacle(x=2.365, y=1.0, length=0.1, width=0.6)
 BEFORE = DOCK.model_copy(update={"x": 2.15})
 
 
+def lost_near(pose, now):
+    """What a localiser sends that loses the rover before the place."""
+    return pose if pose.x < 1.65 else None
+
+
 def drove_m(drive):
     return distance(drive.rover.pose, drive.start)
 
@@ -82,14 +87,6 @@ def test_report_explains_each_part_of_the_way_by_the_policy_that_drove_it(read):
     assert found[0].start_s < 1.0
 
 
-def test_contact_at_the_place_proves_a_docking_and_is_replayed(tmp_path):
-    drive = VirtualDocking(place(proof="contact"), START, path=tmp_path / "c.mcap", obstacles=[DOCK])
-    result = drive.run()
-    assert result.dock.success, result.dock
-    assert abs(drive.off[1]) < 0.02
-    assert replay(drive.path).same
-
-
 def test_contact_elsewhere_is_a_miss_and_the_rover_backs_out(tmp_path):
     where = place(retries=1, proof="contact")
     drive = VirtualDocking(where, START, path=tmp_path / "c.mcap", obstacles=[BEFORE])
@@ -98,11 +95,6 @@ def test_contact_elsewhere_is_a_miss_and_the_rover_backs_out(tmp_path):
     assert (result.exit_code, result.dock.error_code) == (1, DockError.FAILED_TO_CONTROL)
     assert (result.dock.num_retries, result.dock.at) == (1, "staging pose")
     assert replay(drive.path).same
-
-
-def test_docking_ends_with_the_charge_that_flows():
-    drive = charging(VirtualDocking(place(proof="charging"), START), True)
-    assert drive.run().dock.success
 
 
 def test_charge_that_flows_before_the_place_is_no_docking():
@@ -122,19 +114,32 @@ def test_dry_run_plans_the_way_and_moves_nothing(tmp_path):
     assert replay(drive.path).same
 
 
-def test_odometry_carries_the_rover_where_poses_are_lost_before_the_place():
-    drive = VirtualDocking(place(), START, see=lambda pose, now: pose if pose.x < 1.65 else None)
+BACKWARD = place(direction="backward")
+
+
+@pytest.mark.parametrize(
+    ("where", "start", "world", "charge"),
+    [
+        pytest.param(place(proof="contact"), START, {"obstacles": (DOCK,)}, False, id="contact proves it"),
+        pytest.param(place(proof="charging"), START, {}, True, id="charge proves it"),
+        pytest.param(place(), START, {"see": lost_near}, False, id="odometry replaces poses lost near"),
+        pytest.param(BACKWARD, Pose(2.9, 0.9, 0.4), {}, False, id="backward"),
+    ],
+)
+def test_docking_ends_within_the_tolerances_and_is_replayed(tmp_path, where, start, world, charge):
+    drive = charging(VirtualDocking(where, start, path=tmp_path / "run.mcap", **world), charge)
     dock = drive.run().dock
-    assert (dock.success, dock.by_proof) == (True, None)
+    assert dock.success, dock
+    assert (dock.by_proof is None) == (world.get("see") is lost_near)
     assert max(map(abs, drive.off[:2])) < 0.02
+    assert replay(drive.path).same
 
 
 def test_rover_that_stands_docked_stays_and_undocks_to_the_staging_pose(tmp_path):
-    where = place(direction="backward")
-    docked = VirtualDocking(where, Pose(2.005, 1.0, 0.01))
+    docked = VirtualDocking(BACKWARD, Pose(2.005, 1.0, 0.01))
     assert docked.run().dock.success
     assert drove_m(docked) < 0.002
-    away = VirtualDocking(where, Pose(2.0, 1.0, 0.0), path=tmp_path / "away.mcap", undock=True)
+    away = VirtualDocking(BACKWARD, Pose(2.0, 1.0, 0.0), path=tmp_path / "away.mcap", undock=True)
     assert away.run().dock.success
     assert away.off[0] == pytest.approx(0.7, abs=0.05)
     assert replay(away.path).same
@@ -161,10 +166,3 @@ def test_somebody_on_the_way_to_the_staging_pose_stops_the_rover():
     result = drive.run()
     assert (result.exit_code, result.stopped_by) == (4, "stall")
     assert drive.stands()
-
-
-def test_backward_docking_ends_within_the_tolerances():
-    where = place(direction="backward")
-    drive = VirtualDocking(where, Pose(2.9, 0.9, 0.4))
-    assert drive.run().dock.success
-    assert max(map(abs, drive.off[:2])) < 0.02

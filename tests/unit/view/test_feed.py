@@ -1,6 +1,7 @@
 """Updates of a drive for its live page, and the page that ``watch`` serves."""
 
 import json
+import threading
 from base64 import b64decode
 from html import unescape
 
@@ -8,11 +9,14 @@ import numpy as np
 import pytest
 from kit.recorded_drives import state
 
+from deploy.view import feed as feed_module
 from deploy.view import server
 from deploy.view.feed import Cursor
+from deploy.view.timeline import Timeline
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import NoBridge
+from rover_ncp.course.scoring import Parked
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire import messages
 from rover_ncp.wire.cdr import encode
@@ -121,3 +125,38 @@ def test_neurons_of_another_policy_are_noticed(feed):
     assert "neurons are not those of this page's policy" in unescape(
         feed.updates(Cursor())["html"]["subline"]
     )
+
+
+def test_messages_are_taken_while_a_drive_is_explained(monkeypatch, short, feed):
+    taken, once = [], feed_module.analyse
+
+    def analyse(trace):
+        thread = threading.Thread(target=feed.take, args=(short.messages[0],), daemon=True)
+        thread.start()
+        thread.join(5.0)
+        taken.append(not thread.is_alive())
+        return once(trace)
+
+    monkeypatch.setattr(feed_module, "analyse", analyse)
+    for message in short.messages:
+        feed.take(message)
+    assert "findings" in feed.updates(Cursor())
+    feed.updates(Cursor())
+    assert taken == [True]
+
+
+def test_ended_drive_is_judged_once(monkeypatch, short, feed):
+    cursor, judged, once = Cursor(), [], Timeline.judge
+    monkeypatch.setattr(Timeline, "judge", lambda timeline: judged.append(1) or once(timeline))
+    for message in short.messages:
+        feed.take(message)
+    for _ in range(5):
+        feed.updates(cursor)
+    assert "By the estimated pose" in cursor.html["summary"]
+    assert len(judged) == 1
+
+
+def test_the_live_page_shows_an_uncertain_verdict(feed):
+    status = DriverStatus(state=Parked.UNCERTAIN, reason="with a probability of 80 %")
+    feed.take(state(status, 1))
+    assert '"doubt">parked, uncertain<' in feed.updates(Cursor())["html"]["title"]

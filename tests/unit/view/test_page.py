@@ -1,8 +1,6 @@
-import importlib
 import json
 import math
 import re
-import threading
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +10,6 @@ from kit.recorded_drives import BEGAN_NS, TICK_NS, state, write_drive
 from deploy.view.feed import Cursor
 from deploy.view.page import drive_page, fragment, page
 from deploy.view.recorded_drive import read_drive, summarise
-from deploy.view.timeline import Timeline
 from rover_ncp.cli import run
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.scoring import Parked
@@ -167,36 +164,6 @@ def test_command_writes_the_page_beside_the_recording(tmp_path, capsys):
     assert (tmp_path / "other.html").read_bytes() == page.read_bytes()
 
 
-def test_messages_are_taken_while_a_drive_is_explained(monkeypatch, short, feed):
-    feed_module, taken = importlib.import_module("deploy.view.feed"), []
-    once = feed_module.analyse
-
-    def analyse(trace):
-        thread = threading.Thread(target=feed.take, args=(short.messages[0],), daemon=True)
-        thread.start()
-        thread.join(5.0)
-        taken.append(not thread.is_alive())
-        return once(trace)
-
-    monkeypatch.setattr(feed_module, "analyse", analyse)
-    for message in short.messages:
-        feed.take(message)
-    assert "findings" in feed.updates(Cursor())
-    feed.updates(Cursor())
-    assert taken == [True]
-
-
-def test_ended_drive_is_judged_once(monkeypatch, short, feed):
-    cursor, judged, once = Cursor(), [], Timeline.judge
-    monkeypatch.setattr(Timeline, "judge", lambda timeline: judged.append(1) or once(timeline))
-    for message in short.messages:
-        feed.take(message)
-    for _ in range(5):
-        feed.updates(cursor)
-    assert "By the estimated pose" in cursor.html["summary"]
-    assert len(judged) == 1
-
-
 def test_an_uncertain_verdict_is_shown_as_such_unless_the_true_pose_is_known(tmp_path):
     known = {"course": "parking", "policy": "course", "variance": 1e-5}
     drive = recorded(tmp_path / "estimate.mcap", **known, truth=False)
@@ -218,9 +185,3 @@ def test_the_drivers_uncertain_verdict_is_never_shown_as_parked(tmp_path):
     assert (summary.parked, summary.headline) == (Parked.UNCERTAIN, "Parked, uncertain: 33 %")
     summary = summarise(recorded(tmp_path / "truth.mcap", "parking", more=[uncertain]))
     assert summary.headline == "Parked (true pose): the driver's own verdict is uncertain"
-
-
-def test_the_live_page_shows_an_uncertain_verdict(feed):
-    status = DriverStatus(state=Parked.UNCERTAIN, reason="with a probability of 80 %")
-    feed.take(state(status, 1))
-    assert '"doubt">parked, uncertain<' in feed.updates(Cursor())["html"]["title"]

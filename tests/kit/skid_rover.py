@@ -76,18 +76,11 @@ class SkidDrive:
         heading, own = x[2] + 0.5 * h * turn, x[5] + 0.5 * h * omega
         spread = math.sqrt(s.wander_m**2 * length + s.skid_m**2 * angle)
         slide = angle * self.downhill + spread * rng.normal(size=2)
-        return x + np.array(
-            [
-                h * (ahead * math.cos(heading) - left * math.sin(heading)) + slide[0],
-                h * (ahead * math.sin(heading) + left * math.cos(heading)) + slide[1],
-                h * turn + math.sqrt(s.wander_rad**2 * length + s.skid_rad**2 * angle) * rng.normal(),
-                h * v * math.cos(own),
-                h * v * math.sin(own),
-                h * (omega + self.drift),
-                0.0,
-                0.0,
-            ]
-        )
+        cos, sin = math.cos(heading), math.sin(heading)
+        way = h * np.array([ahead * cos - left * sin, ahead * sin + left * cos]) + slide
+        angle = h * turn + math.sqrt(s.wander_rad**2 * length + s.skid_rad**2 * angle) * rng.normal()
+        reported_way = h * v * math.cos(own), h * v * math.sin(own), h * (omega + self.drift)
+        return x + np.array([*way, angle, *reported_way, 0.0, 0.0])
 
     def pose(self, tick):
         """The true pose, also between two ticks."""

@@ -54,6 +54,11 @@ def clean(omega, period):
     return drive(omega, period=period)
 
 
+def meanwhile(t):
+    """Whether a reading counts for the tenth of a second in which it is false."""
+    return 6.0 < t - 1e-6 < 6.1
+
+
 def bias(estimator, t):
     return float(estimator._history.at(t)[0][BIAS])
 
@@ -62,11 +67,8 @@ def bias(estimator, t):
 @pytest.mark.parametrize("false_rate", [2.0, -1.3, 30.0, 1e300, math.nan, -math.inf])
 @pytest.mark.parametrize("omega", [standing, turning])
 def test_false_reading_is_dropped_and_counted(omega, false_rate, period):
-    def reading(t, rate):
-        return false_rate if 6.0 < t - 1e-6 < 6.1 else rate
-
     usual, error_without = clean(omega, period)
-    estimator, error = drive(omega, reading, period)
+    estimator, error = drive(omega, lambda t, rate: false_rate if meanwhile(t) else rate, period)
     assert abs(error - error_without) < 0.005
     assert estimator.at(8.0).turn_gain == pytest.approx(usual.at(8.0).turn_gain, abs=0.02)
     assert bias(estimator, 8.0) == pytest.approx(TRUE_BIAS, abs=0.003)
@@ -78,10 +80,7 @@ def test_false_reading_is_dropped_and_counted(omega, false_rate, period):
 @pytest.mark.parametrize("period", PERIODS)
 @pytest.mark.parametrize("false_rate", [0.2, 0.45, 0.8])
 def test_small_false_reading_stays_within_the_estimates_uncertainty(false_rate, period):
-    def reading(t, rate):
-        return rate + (false_rate if 6.0 < t - 1e-6 < 6.1 else 0.0)
-
-    estimator, error = drive(standing, reading, period)
+    estimator, error = drive(standing, lambda t, rate: rate + false_rate * meanwhile(t), period)
     assert abs(error) < 4.5 * math.sqrt(estimator.at(8.0).covariance[2, 2])
     assert abs(error) < 0.05
     assert not estimator.fault
@@ -90,10 +89,9 @@ def test_small_false_reading_stays_within_the_estimates_uncertainty(false_rate, 
 @pytest.mark.parametrize("period", PERIODS)
 @pytest.mark.parametrize("omega", [standing, turning])
 def test_false_readings_again_and_again_do_not_turn_the_estimate(omega, period):
-    def reading(t, rate):
-        return 2.0 if t > 2.0 and t % 1.0 < 0.9 * period else rate
-
-    estimator, error = drive(omega, reading, period, until=12.0)
+    estimator, error = drive(
+        omega, lambda t, rate: 2.0 if t > 2.0 and t % 1.0 < 0.9 * period else rate, period, until=12.0
+    )
     assert abs(error) < 0.03
     assert not estimator.fault
 
@@ -102,10 +100,8 @@ def test_false_readings_again_and_again_do_not_turn_the_estimate(omega, period):
 @pytest.mark.parametrize(("degrees", "seconds"), [(1.0, 0.2), (-1.0, 0.5), (4.0, 0.5)])
 @pytest.mark.parametrize("omega", [standing, turning])
 def test_push_turns_the_estimate_and_is_no_bias(omega, degrees, seconds, period):
-    def pushed(t):
-        return math.radians(degrees) / seconds if 5.0 < t < 5.0 + seconds else 0.0
-
-    estimator, error = drive(omega, period=period, pushed=pushed)
+    rate = math.radians(degrees) / seconds
+    estimator, error = drive(omega, period=period, pushed=lambda t: rate * (5.0 < t < 5.0 + seconds))
     assert abs(error - clean(omega, period)[1]) < max(0.006, 0.25 * abs(math.radians(degrees)))
     assert bias(estimator, 8.0) == pytest.approx(TRUE_BIAS, abs=0.003)
     assert estimator.gyro_rejected == 0

@@ -42,14 +42,12 @@ def trace_of(commands, potentials=None, policy=None):
     count = len(commands)
     if potentials is None:
         potentials = np.full((count, policy.circuit.size), -70.0)
-    times = 0.1 * np.arange(count)
-    poses = np.zeros((count + 1, 3))
     commands = np.array(commands, float)
-    for k in range(1, count + 1):
-        v, omega = commands[k - 1]
-        x, y, theta = poses[k - 1]
-        poses[k] = x + 0.1 * v * np.cos(theta), y + 0.1 * v * np.sin(theta), theta + 0.1 * omega
-    return Trace(policy, times, poses, commands, np.array(potentials, float))
+    v, omega = 0.1 * commands.T
+    theta = np.cumsum([0.0, *omega])
+    x, y = (np.cumsum([0.0, *v * way(theta[:-1])]) for way in (np.cos, np.sin))
+    poses = np.column_stack([x, y, theta])
+    return Trace(policy, 0.1 * np.arange(count), poses, commands, np.array(potentials, float))
 
 
 STAND, AHEAD, LEFT, RIGHT, SPIN = (0, 0), (0.1, 0), (0.1, 0.15), (0.1, -0.15), (0, 0.15)

@@ -8,15 +8,14 @@ from unittest.mock import Mock
 import gymnasium
 import numpy as np
 import pytest
-from kit.virtual_drive import VirtualDrive
+from kit.virtual_drive import VirtualDrive, short_course
 
 import deploy.env
 from deploy.drive.rate_keeper import RateKeeper
 from deploy.env import RoverEnv
-from rover_ncp.core.config import parse_yaml
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.geometry import Pose
-from rover_ncp.course.course import TICK_S, Course
+from rover_ncp.course.course import TICK_S
 from rover_ncp.course.scoring import reward
 from sim.world.env import RoverParkingEnv
 
@@ -114,14 +113,7 @@ def test_reward_is_that_of_the_estimate_and_not_of_the_pose_that_is_steered():
     assert gain == sum(reward(pose, checkpoint.pose) for checkpoint in env.course.checkpoints)
 
 
-COURSE = """
-name: short
-start_signal_s: 0.5
-horizon_s: 4.0
-checkpoints:
-- {t: 1.0, x: 0.0, y: 0.0, theta: 0.0}
-- {t: 4.0, x: 0.2, y: 0.0, theta: 0.0}
-"""
+COURSE = short_course(0.2)
 AHEAD = np.array([0.1, 0.0])
 
 
@@ -134,8 +126,7 @@ def virtual(monkeypatch):
 
 
 def environment(**options):
-    course = parse_yaml(COURSE, Course, "short")
-    return gymnasium.make("deploy.env:rover_ncp/Rover-v0", robot="virtual", course=course, **options)
+    return gymnasium.make("deploy.env:rover_ncp/Rover-v0", robot="virtual", course=COURSE, **options)
 
 
 def test_policy_of_ones_own_drives_the_rover_to_the_horizon(virtual):
@@ -150,9 +141,9 @@ def test_policy_of_ones_own_drives_the_rover_to_the_horizon(virtual):
         rewards.append(gain)
         ended = terminated or truncated
     assert (terminated, info["stopped_by"]) == (True, None)
-    assert len(rewards) == 40
-    assert info["time_s"] == pytest.approx(4.0)
-    assert sum(gain != 0.0 for gain in rewards) == 2
+    assert len(rewards) == COURSE.ticks
+    assert info["time_s"] == pytest.approx(COURSE.horizon_s)
+    assert sum(gain != 0.0 for gain in rewards) == 1
     assert -0.1 < sum(rewards) < 0.0
     assert 0.1 < virtual.rover.pose.x < 0.25
     assert virtual.stands()

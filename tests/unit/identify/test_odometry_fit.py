@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit.base_odometry import moved
 
 from deploy.identify.fit import identify
 from deploy.identify.motion_log import MotionLog, Track, motion_log
 from deploy.identify.odometry_fit import Stand, fit_center, fit_turns
-from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.geometry import ORIGIN, Pose, Velocity
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.messages import COURSE_FRAME, odometry, pose_with_covariance, read_odometry, twist_stamped
@@ -44,8 +45,7 @@ def record(scale, slip, mismatch, asymmetry):
             stands.append(stand())
             times.append(t)
             motions += [(0.0, 0.0)] * 2
-    poses = np.zeros((len(times), 3))
-    track = Track(np.array(times), poses)
+    track = Track(np.array(times), np.zeros((len(times), 3)))
     return MotionLog(np.zeros(0), np.zeros((0, 2)), track, np.array(motions), track), stands
 
 
@@ -54,7 +54,6 @@ def record(scale, slip, mismatch, asymmetry):
 @pytest.mark.parametrize("slip", [0.0, 0.3])
 def test_errors_of_a_turn_are_found_to_both_sides(scale, asymmetry, slip):
     fit = fit_turns(*record(scale, slip, -0.02, asymmetry))
-    assert fit is not None
     true = [scale, slip, -0.02, 0.0, asymmetry]
     assert (np.abs(fit.values - true) <= 4.0 * np.sqrt(np.diag(fit.covariance)) + 0.002).all()
 
@@ -87,7 +86,7 @@ def messages_of(ways, *, scale=1.0, turn_scale=1.0, skew_s=lambda t: 0.0, second
     ``skew_s`` is by how much the clock of the driver, which receives the messages, is ahead of the bridge's.
     """
     random, found = np.random.default_rng(11), []
-    own, true, t, period = np.zeros(3), np.zeros(3), 0.0, 0.05
+    own, true, t, period = ORIGIN, ORIGIN, 0.0, 0.05
 
     def add(topic, data):
         log_ns = round((t + skew_s(t) + random.uniform(0.001, 0.01)) * 1e9)
@@ -97,14 +96,12 @@ def messages_of(ways, *, scale=1.0, turn_scale=1.0, skew_s=lambda t: 0.0, second
         for v, omega in (*way, (0.0, 0.0)):
             for _ in range(round((seconds / len(way) if v or omega else 1.5) / period)):
                 t += period
-                for pose, by, turn in ((own, scale, turn_scale), (true, 1.0, 1.0)):
-                    heading = pose[2] + 0.5 * turn * omega * period
-                    step = [by * v * math.cos(heading), by * v * math.sin(heading), turn * omega]
-                    pose[:] = pose + np.array(step) * period
+                own = moved(own, turn_scale * omega * period, scale * v * period)
+                true = moved(true, omega * period, v * period)
                 stamp_ns = round(t * 1e9)
                 add("rover/cmd_out", twist_stamped(Velocity(v, omega), stamp_ns))
-                add("odom", odometry(Pose(*own), Velocity(scale * v, turn_scale * omega), stamp_ns))
-                seen = true + random.normal(size=3) * [0.001, 0.001, 0.002]
+                add("odom", odometry(own, Velocity(scale * v, turn_scale * omega), stamp_ns))
+                seen = np.array(true) + random.normal(size=3) * [0.001, 0.001, 0.002]
                 add("pose", pose_with_covariance(Pose(*seen), np.eye(3), stamp_ns, COURSE_FRAME))
     return found
 

@@ -98,6 +98,16 @@ class ChangedLink(VirtualLink):
         self._record(Recorded(name, spec(name).type, data, wall_ns, wall_ns))
         self.receive(name, Arrival(data, self.bridge.now_ns))
 
+    def put_with_odometry(self, name, messages, change=lambda data: data):
+        """Deliver before each sample of odometry what ``messages`` returns for it; ``change`` is its own."""
+
+        def put(data):
+            for message in messages(read_odometry(data)):
+                self.put(name, message)
+            return change(data)
+
+        self.change["odom"] = put
+
     def change_odometry(self, change):
         """Have ``change`` return pose and velocity of each sample of odometry, or None."""
 

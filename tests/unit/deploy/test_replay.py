@@ -99,12 +99,9 @@ def test_one_bit_of_any_synapse_is_found(recorded, tmp_path):
 
 
 def test_a_remark_in_the_recordings_policy_is_found(recorded, tmp_path):
-    remarked = with_file(
-        recorded, POLICY_FILE, lambda data: data + b"# a remark\n", tmp_path / "changed.mcap"
-    )
-    difference = replay(remarked).difference
-    assert difference.tick is None
-    assert difference.quantity == "the checksum of policy.yaml"
+    path = with_file(recorded, POLICY_FILE, lambda data: data + b"# a remark\n", tmp_path / "changed.mcap")
+    difference = replay(path).difference
+    assert (difference.tick, difference.quantity) == (None, "the checksum of policy.yaml")
 
 
 def rewritten(recorded, tmp_path, topic, number, change):

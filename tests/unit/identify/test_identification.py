@@ -170,10 +170,8 @@ def test_an_acceleration_that_no_command_shows_leaves_the_rest_known():
 
 def test_lost_command_does_not_disturb_the_fit():
     log = made(0.2, 1.0, 0.4, rounded=True)
-    motion = log.motion.copy()
     late = (log.odometry.t > 12.0) & (log.odometry.t < 12.4)
-    motion[late] = 0.0
-    found = identify(log._replace(motion=motion), "lost")
+    found = identify(log._replace(motion=log.motion * ~late[:, None]), "lost")
     assert found.delay_v_s == pytest.approx(0.2, abs=0.005)
     assert found.gain_v == pytest.approx(1.0, rel=0.005)
     assert found.std["delay_v_s"] < 0.005
@@ -181,9 +179,7 @@ def test_lost_command_does_not_disturb_the_fit():
 
 def test_axis_without_commands_is_not_known():
     log = made(0.2, 1.0, 0.4)
-    sent = log.sent.copy()
-    sent[:, 1] = 0.0
-    profile = identify(log._replace(sent=sent), "half")
+    profile = identify(log._replace(sent=log.sent * [1.0, 0.0]), "half")
     assert profile.delay_v_s == pytest.approx(0.2, abs=0.01)
     assert (profile.delay_omega_s, profile.gain_omega, profile.alpha) == (None, None, None)
 
@@ -223,9 +219,7 @@ def test_acceleration_that_no_command_asks_for_is_left_out():
 def test_heading_errors_are_left_out_when_the_rover_hardly_turned(heading_scale):
     # Many stands, with straight ways between: headings differ by their noise alone.
     log = made(0.2, 1.0, 0.4, rounded=True)
-    motion = log.motion.copy()
-    motion[:, 1] = 0.0
-    t = log.odometry.t
+    motion, t = log.motion * [1.0, 0.0], log.odometry.t
     way = np.concatenate([[0.0], np.cumsum(motion[:-1, 0] * np.diff(t))])
     truth = np.column_stack([way, 0.0 * way, 0.0 * way])
     for seed in range(4):

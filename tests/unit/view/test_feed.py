@@ -24,10 +24,6 @@ from rover_ncp.wire.key_table import TAG_VIEW, spec
 from rover_ncp.wire.protocol import DriverStatus
 
 
-def status(phase, ns):
-    return state(DriverStatus(state=phase), ns)
-
-
 def joined(parts):
     """Put the columns of several pieces of updates together, as the page does."""
     whole = {"t": [], "x": [], "potentials": [], "setpoints": [], "odometry": []}
@@ -74,10 +70,10 @@ def test_view_of_tags_is_sent_once_to_each_viewer_and_survives_a_drive(short, fe
 def test_all_findings_are_sent_at_the_end_without_a_new_tick(short, feed):
     received, cursor = short.messages, Cursor()
     on_the_way = [message for message in received if message.topic != "rover/status"]
-    for message in [status("running", received[0].log_ns), *on_the_way]:
+    for message in [state(DriverStatus(state="running"), received[0].log_ns), *on_the_way]:
         feed.take(message)
     assert "findings" not in feed.updates(cursor)
-    feed.take(status("fault", received[-1].log_ns))
+    feed.take(state(DriverStatus(state="fault"), received[-1].log_ns))
     assert len(feed.updates(cursor)["findings"]["contributions"]) == 132
     assert "findings" not in feed.updates(cursor)
 
@@ -88,7 +84,7 @@ def test_a_new_drive_begins_anew(short, feed):
         feed.take(message)
     assert feed.updates(cursor)["ticks"]["t"]
     after = received[-1].log_ns + 10**9
-    feed.take(status("armed", after))
+    feed.take(state(DriverStatus(state="armed"), after))
     fresh = feed.updates(cursor)
     assert fresh["reset"] is True
     assert "ticks" not in fresh

@@ -125,10 +125,6 @@ def test_motor_outputs_are_the_commands_of_the_run(make, seed):
     assert {part.motor.neuron for part in explain(traced(policy, run))} <= motors
 
 
-def mean(neuron, mean_mV):
-    return Mean(neuron=neuron, mean_mV=mean_mV)
-
-
 def test_a_left_turn_is_explained_from_its_numbers():
     #        X    A    B    L    R    F
     rest = [-70, -70, -70, -70, -70, -30]
@@ -137,7 +133,7 @@ def test_a_left_turn_is_explained_from_its_numbers():
     ahead, left = found.phases
     assert (ahead.motor.neuron, ahead.behind) == ("F", None)
     assert ahead.sentence == "Straight ahead 0.0 to 1.0 s (0.10 m): F at −30 mV by its own leak."
-    assert (left.motor, left.behind) == (mean("L", -25), mean("A", -30))
+    assert (left.motor, left.behind) == (Mean(neuron="L", mean_mV=-25), Mean(neuron="A", mean_mV=-30))
     # By hand: A rests at -70 mV with 1 S; X at -20 mV opens 2 S by 1 / (1 + exp(-0.1 * 20)) = 0.8808.
     pull = -70 / (1 + 2 * 0.880797) + 70
     assert [(each.neuron, each.mean_mV) for each in left.pulls] == [("X", pytest.approx(pull))]
@@ -155,7 +151,7 @@ def test_a_sensory_neuron_before_a_motor_neuron_is_set_by_its_input():
     small = small_policy()
     policy = dataclasses.replace(small, circuit=circuit)
     left, text = explained([[-25, -20, -30, -70, -30]] * 10, policy)
-    assert (left.behind, left.pulls, left.change) == (mean("X", -25), (), None)
+    assert (left.behind, left.pulls, left.change) == (Mean(neuron="X", mean_mV=-25), (), None)
     assert "X [x] (−25 mV; its synapse 82 % open), set by its input; it puts L at −30 mV." in text
 
 

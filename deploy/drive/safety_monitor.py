@@ -62,7 +62,8 @@ class SafetyMonitor:
         self._granted_gate, self._granted_bumped = GateStatus(), 0
         self.contact = ""
         """The contact that the base reported since the lease was granted, in words."""
-        self._lease_confirmed = False
+        self._confirmed: int | None = None
+        """Number of the newest lease that the gate confirmed."""
         self._response = ResponseCheck()
         self._checked_ns: int | None = None
         self._pause_s, self._pause_odometry = 0.0, measurements.newest
@@ -104,7 +105,6 @@ class SafetyMonitor:
         """Note that the lease is ours from now on; the gate has a limited time to confirm it."""
         self._granted_ns = self._checked_ns = self._clock.monotonic_ns()
         self._granted_gate, self._granted_bumped = self._link.gate, self._link.bumped
-        self._lease_confirmed = False
 
     def check(self) -> None:
         """Check bridge, age of odometry and lease. Raises SafetyStop or KeyboardInterrupt."""
@@ -135,10 +135,10 @@ class SafetyMonitor:
     def _check_lease(self, granted_ns: int) -> None:
         gate, lease, now_ns = self._link.gate, self._link.lease, self._clock.monotonic_ns()
         if gate.lease == lease.number:
-            self._lease_confirmed = True
+            self._confirmed = lease.number
             bumped = REASONS["bumper"] if self._link.bumped > self._granted_bumped else ""
             self.contact = self.contact or gate.contact_since(self._granted_gate) or bumped
-        elif self._lease_confirmed:
+        elif self._confirmed == lease.number:
             raise revoked(gate)
         elif now_ns - granted_ns > self._timeouts.lease_wait_s * NS_PER_S:
             raise SafetyStop("lease", "the gate does not confirm the lease")

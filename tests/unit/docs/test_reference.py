@@ -98,5 +98,7 @@ def test_every_picture_of_the_shipped_circuit_is_there():
 def test_page_on_the_paper_has_the_present_tables_and_cites_claims_that_exist():
     assert [block["command"] for block in paper_tables.BLOCK.finditer(PAPER)] == list(paper_tables.TABLES)
     assert paper_tables.generated(PAPER) == PAPER, "make paper-docs writes the present tables"
+    assert len(PAPER.splitlines()) <= 300
+    assert len(PAPER.split()) <= 4000
     cited = re.findall(r"\(`([a-z0-9]+-[\w-]+)`\)", paper_tables.BLOCK.sub("", PAPER))
     assert set(cited) <= {claim.name for claim in load_claims().claims}

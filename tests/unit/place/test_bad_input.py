@@ -38,13 +38,19 @@ class Camera:
         self._renderer = Renderer(camera, hung, np.random.default_rng(2))
         self.localiser = Localiser(camera, known, 2.0)
         self._gain, self._frozen = gain, frozen
+        self._kept = deque(maxlen=1 if frozen else 2)
+        """The pictures that a camera repeats which sees nothing new."""
 
     def __call__(self, pose, now):
-        changed = now > APPROACH_S
-        if not (changed and self._frozen):
-            self._renderer.gain = self._gain if changed else 1.0
-            self._picture = self._renderer.picture(Pose(*pose))
-        found = self.localiser.take(Picture(self._picture, WALL_NS + round(now * NS_PER_S)))
+        changed = now > APPROACH_S and (self._frozen or self._gain != 1.0)
+        if changed and not self._frozen and self._renderer.gain == 1.0:
+            self._renderer.gain = self._gain
+            self._kept.extend(self._renderer.picture(Pose(*pose)) for _ in range(2))
+        if changed:
+            self._kept.rotate()
+        else:
+            self._kept.append(self._renderer.picture(Pose(*pose)))
+        found = self.localiser.take(Picture(self._kept[-1], WALL_NS + round(now * NS_PER_S)))
         return found and found.pose
 
 

@@ -112,6 +112,8 @@ def test_dry_run_plans_the_way_and_moves_nothing(tmp_path):
     assert "the dry run ends after the first way (staging, " in result.dock.error_msg
     assert (drive.link.requests, drive.link.sent, drove_m(drive)) == (0, [], 0.0)
     assert replay(drive.path).same
+    without_way = VirtualDocking(place(), Pose(-3.0, 1.0, 0.0), dry_run=True).run()
+    assert (without_way.exit_code, without_way.stopped_by) == (4, "start-pose")
 
 
 BACKWARD = place(direction="backward")

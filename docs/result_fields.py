@@ -13,6 +13,7 @@ from pydantic import BaseModel
 
 RESULTS = {
     "park": "sim.park.park:ParkResult",
+    "park without a trained agent": "sim.park.park:NotTrained",
     "park --dock": "sim.park.dock:DockedResult",
     "train": "sim.learn.results:TrainResult",
     "train --randomize": "sim.learn.results:RobustResult",

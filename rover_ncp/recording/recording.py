@@ -265,7 +265,7 @@ def rewrite(source: Recording, target: Path, more: Iterable[Recorded] = ()) -> N
     own = zip((message.log_ns for message in steady(source.messages)), source.messages, strict=True)
     others = ((message.log_ns, message) for message in more)
     messages = (message for _, message in heapq.merge(own, others, key=lambda pair: pair[0]))
-    write_atomic(target, lambda file: _fill(file, chain(attachments, metadata, messages)))
+    _write_whole(source.path, target, chain(attachments, metadata, messages))
 
 
 class Recovery(BaseModel):
@@ -298,10 +298,7 @@ def recover(path: Path, target: Path) -> Recovery:
     for count, message in enumerate(steady(messages()), 1):
         began_ns, ended_ns = began_ns if count > 1 else message.log_ns, message.log_ns
     if damage or target != path:
-        try:
-            write_atomic(target, lambda file: _fill(file, _before_damage(path, [])))
-        except ValueError as error:
-            raise FileError(f"{path}: {error}; 'mcap recover' repairs files of other software") from error
+        _write_whole(path, target, _before_damage(path, []))
     return Recovery(
         recording=str(target),
         was_complete=not damage,
@@ -320,12 +317,20 @@ def _before_damage(path: Path, damage: list[str]) -> Iterator[Content]:
         damage.append(str(error))
 
 
-def _fill(file: IO[bytes], contents: Iterable[Content]) -> None:
-    with RecordingWriter(file) as writer:
-        for item in contents:
-            if isinstance(item, Recorded):
-                writer.write(item)
-            elif isinstance(item, Attachment):
-                writer.attach(item.name, item.data)
-            elif item.name != _ROSBAG2[0]:  # the writer adds it
-                writer.describe(item.name, item.metadata)
+def _write_whole(path: Path, target: Path, contents: Iterable[Content]) -> None:
+    """Write what the recording at ``path`` holds. Raises FileError, also for types that are not known."""
+
+    def fill(file: IO[bytes]) -> None:
+        with RecordingWriter(file) as writer:
+            for item in contents:
+                if isinstance(item, Recorded):
+                    writer.write(item)
+                elif isinstance(item, Attachment):
+                    writer.attach(item.name, item.data)
+                elif item.name != _ROSBAG2[0]:  # the writer adds it
+                    writer.describe(item.name, item.metadata)
+
+    try:
+        write_atomic(target, fill)
+    except ValueError as error:
+        raise FileError(f"{path}: {error}; 'mcap recover' repairs files of other software") from error

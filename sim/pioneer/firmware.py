@@ -94,6 +94,11 @@ class Firmware(SimulatedBase):
     # Calls of the line.
 
     @property
+    def ignored(self) -> int:
+        """Number of commands that are not known, or whose arguments could not be used."""
+        return self.unknown.total() + self.bad_arguments.total()
+
+    @property
     def due_s(self) -> float:
         """When it sends the next SIP, infinite without a session."""
         return self._due_s
@@ -203,7 +208,6 @@ class Firmware(SimulatedBase):
                 self._handlers[command](argument)
             else:
                 self.bad_arguments[command] += 1
-                self.ignored += 1
         elif command == MockCommand.POLLING and isinstance(argument, bytes):
             self._sonars.poll(argument)
         elif command == MockCommand.SIM_SET_POSE and isinstance(argument, tuple):
@@ -211,10 +215,8 @@ class Firmware(SimulatedBase):
             self.drive.place(Pose(x / 1000, y / 1000, math.radians(theta)))
         elif command in {MockCommand.POLLING, MockCommand.SIM_SET_POSE}:
             self.bad_arguments[command] += 1
-            self.ignored += 1
         elif command not in IGNORED:
             self.unknown[command] += 1
-            self.ignored += 1
 
     def _synchronise(self, packet: Packet) -> None:
         if packet.kind > Kind.SYNC2 or packet.kind > self._expected:

@@ -57,6 +57,7 @@ class Ros2Robot(SimulatedBase):
         assert description.topics is not None
         self.topics = description.topics
         self.drive.enable(True)
+        self._ignored = 0
         self._random, self._epoch_s = random.Random(seed), epoch_s
         self._fed_s = self._silent_until_s = -math.inf
         rates = {
@@ -82,6 +83,11 @@ class Ros2Robot(SimulatedBase):
         self._frozen: Pose | None = None
 
     @property
+    def ignored(self) -> int:
+        """Number of commands that could not be read, or were late, not finite or of the other type."""
+        return self._ignored
+
+    @property
     def due_s(self) -> float:
         """The end of the substep in which it next publishes odometry; all else may wait for that."""
         next_s = min(self._due[self.topics.odom], self._held[0][0] if self._held else math.inf)
@@ -97,7 +103,7 @@ class Ros2Robot(SimulatedBase):
         try:
             velocity, stamp_ns = messages.read_twist(self._faults.damage(payload, self._driven_s))
         except FormatError:
-            self.ignored += 1
+            self._ignored += 1
             return
         timeout_s = self.topics.cmd_vel_timeout_s
         late = (
@@ -105,7 +111,7 @@ class Ros2Robot(SimulatedBase):
         )
         finite = all(map(math.isfinite, velocity))
         if stamped != (len(payload) > TWIST_BYTES) or late or not finite:
-            self.ignored += 1
+            self._ignored += 1
             return
         if self._first_s is None and any(velocity):
             self._first_s = self.now

@@ -27,8 +27,6 @@ class SimulatedBase(ABC):
         self.drive = DriveTrain(robot, rover, self._trial)
         self.observe: Callable[[float], None] | None = None
         """Called after each substep with its time in s."""
-        self.ignored = 0
-        """Number of commands that it could not use."""
         self._faults = Faults() if faults is None else faults
         self._start_s, self._substeps = start_s, 0
         self._first_s: float | None = None
@@ -39,6 +37,11 @@ class SimulatedBase(ABC):
     def now(self) -> float:
         """The time up to which the rover has moved, s."""
         return self._start_s + self._substeps * SUBSTEP_S
+
+    @property
+    @abstractmethod
+    def ignored(self) -> int:
+        """Number of commands that it could not use."""
 
     @property
     @abstractmethod

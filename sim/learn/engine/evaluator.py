@@ -151,7 +151,7 @@ class Evaluator:
 
     def stream(self, agents: int) -> "Stream":
         """Return a stream for so many agents. Raises ValueError for several courses or trials."""
-        if len(self.courses) > 1 or not (self._nominal or self._trials.size == 1):
+        if len(self.courses) > 1 or self._trials.size > 1:
             raise ValueError("a stream drives one trial on one course")
         size, lane_set = self._lane_runner.size, self._build_lanes(STREAM_LANES, 0)
 

@@ -23,9 +23,10 @@ TUNED = (0.4592, 16.54, 18.83, 0.007335, 0.1451)
 
 
 @kernel
-def law_command(gains: FloatArray, seen: FloatArray) -> tuple[float, float]:
+def law_command(gains: FloatArray, observation: FloatArray) -> tuple[float, float]:
     """Return v in m/s and omega in rad/s for the reference: ahead, left, heading, speed, turn (eq. 8)."""
-    ahead, left, heading, speed, turn = seen[0], seen[1], seen[2], seen[3], seen[4]
+    ahead, left, heading = observation[0], observation[1], observation[2]
+    speed, turn = observation[3], observation[4]
     v = speed * math.cos(heading) + gains[0] * ahead
     return v, turn + speed * (gains[1] * left + gains[2] * math.sin(heading))
 
@@ -50,10 +51,10 @@ def tick_laws(lanes: LawLanes, observations: FloatArray, commands: FloatArray) -
     """Command all rovers; below its thresholds, the last two gains, the law commands zero."""
     for lane in range(len(lanes.gains)):
         gains = lanes.gains[lane]
-        asked = law_command(gains, observations[:, lane])
+        wanted = law_command(gains, observations[:, lane])
         for axis in range(2):
-            still = abs(asked[axis]) < gains[len(gains) - 2 + axis]
-            part = min(max(asked[axis], -lanes.limits[axis]), lanes.limits[axis])
+            still = abs(wanted[axis]) < gains[3 + axis]
+            part = min(max(wanted[axis], -lanes.limits[axis]), lanes.limits[axis])
             commands[axis, lane] = 0.0 if still else part
 
 

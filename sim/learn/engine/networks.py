@@ -122,7 +122,7 @@ class Net:
 
 
 def net_for(policy: Policy, kind: NetKind, cells: int = CELLS) -> Net:
-    """Return a network that sees and does what a policy's circuit does."""
+    """Return a network with the observation and the commands of a policy's circuit."""
     sensing, motors = policy.sensing, policy.motors
     if policy.input_layer is None:
         centers = [channel.origin or 0.0 for channel in sensing.channels]

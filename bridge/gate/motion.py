@@ -92,10 +92,10 @@ def jumps(before: BaseReport, base: BaseReport, elapsed_s: float, limits: Limits
     )
 
 
-def clear(base: BaseReport, v: float, least_m: float) -> bool:
-    """Whether the clearance in the direction of ``v`` is known and at least ``least_m``."""
-    ahead = v <= 0.0 or base.clear_ahead_m >= least_m
-    behind = v >= 0.0 or base.clear_behind_m >= least_m
+def clear(base: BaseReport, v: float, min_m: float) -> bool:
+    """Whether the clearance in the direction of ``v`` is known and at least ``min_m``."""
+    ahead = v <= 0.0 or base.clear_ahead_m >= min_m
+    behind = v >= 0.0 or base.clear_behind_m >= min_m
     return ahead and behind
 
 

@@ -16,7 +16,7 @@ SIGNALLING_NAN = bytes.fromhex("0100807f")
 """As a float32. numpy warns when it casts one."""
 
 
-def scan(*hits, first_deg=0.0, count=360, step_deg=1.0, else_m=math.inf, least_m=0.1, stamp_s=0.0):
+def scan(*hits, first_deg=0.0, count=360, step_deg=1.0, else_m=math.inf, min_m=0.1, stamp_s=0.0):
     """Return a LaserScan's bytes; ``hits`` are (degrees from the laser's x-axis, range in m)."""
     ranges = [else_m] * count
     for degrees, range_m in hits:
@@ -26,7 +26,7 @@ def scan(*hits, first_deg=0.0, count=360, step_deg=1.0, else_m=math.inf, least_m
         header=header(stamp_s, "base_scan"),
         angle_min=math.radians(first_deg),
         angle_increment=math.radians(step_deg),
-        range_min=least_m,
+        range_min=min_m,
         range_max=8.0,
         ranges=np.array(ranges, np.float32),
     )
@@ -60,7 +60,7 @@ def room(world, payload, **odometry):
             for nothing_m in (math.nan, 0.0, 0.05, -1.0, 9.0)
         ),
         # A cover within the outline hides the way.
-        (scan(*((degrees, 0.068) for degrees in range(-60, 61)), least_m=0.05), math.nan, math.inf),
+        (scan(*((degrees, 0.068) for degrees in range(-60, 61)), min_m=0.05), math.nan, math.inf),
         # A post of the robot's own, 0.038 m before its centre, and a thing outside, 0.134 m behind it.
         (scan((0, 0.07), (180, 0.102)), math.inf, 0.029),
     ],
@@ -69,9 +69,9 @@ def test_room_by_a_scan_counts_from_the_outline(ready, payload, ahead, behind):
     assert room(ready, payload) == pytest.approx((ahead, behind), abs=1e-3, nan_ok=True)
 
 
-@pytest.mark.parametrize("least_m", [0.1, 0.05])  # beyond the outline, and within it
-def test_a_covered_laser_that_reports_too_close_everywhere_is_no_free_way(ready, least_m):
-    ahead, behind = room(ready, scan(else_m=-math.inf, least_m=least_m))
+@pytest.mark.parametrize("min_m", [0.1, 0.05])  # beyond the outline, and within it
+def test_a_covered_laser_that_reports_too_close_everywhere_is_no_free_way(ready, min_m):
+    ahead, behind = room(ready, scan(else_m=-math.inf, min_m=min_m))
     assert not (ahead >= 0.03 or behind >= 0.03)
 
 

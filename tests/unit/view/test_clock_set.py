@@ -68,14 +68,14 @@ def write(path, *setting):
 
 
 @pytest.fixture(scope="module")
-def usual(tmp_path_factory):
+def unset(tmp_path_factory):
     """The recording of the drive while no clock was set."""
-    return write(tmp_path_factory.mktemp("usual") / "run.mcap")
+    return write(tmp_path_factory.mktemp("unset") / "run.mcap")
 
 
 @pytest.fixture(scope="module")
-def usual_drive(usual):
-    return read_drive(usual)
+def unset_drive(unset):
+    return read_drive(unset)
 
 
 SETTINGS = [
@@ -88,31 +88,31 @@ SETTINGS = [
 
 
 @pytest.mark.parametrize(("by_ns", "at", "log"), SETTINGS)
-def test_clock_that_is_set_in_a_drive_changes_no_time_of_its_report(tmp_path, usual_drive, by_ns, at, log):
-    drive, usual = read_drive(write(tmp_path / "set.mcap", by_ns, at, log)), usual_drive
+def test_clock_that_is_set_in_a_drive_changes_no_time_of_its_report(tmp_path, unset_drive, by_ns, at, log):
+    drive, unset = read_drive(write(tmp_path / "set.mcap", by_ns, at, log)), unset_drive
     assert drive.timeline.trace().times == pytest.approx(driven()[1].times[:-1])
-    assert drive.timeline.judge() == usual.timeline.judge()
-    assert dict(facts(drive.timeline, None)) == dict(facts(usual.timeline, None))
+    assert drive.timeline.judge() == unset.timeline.judge()
+    assert dict(facts(drive.timeline, None)) == dict(facts(unset.timeline, None))
     rows = dict.fromkeys(drive.timeline.streams, 0)
     for name, stream in columns(drive.timeline, rows).items():
-        expected = columns(usual.timeline, rows)[name].get("t", [])
+        expected = columns(unset.timeline, rows)[name].get("t", [])
         assert stream.get("t", []) == pytest.approx(expected, abs=0.1), name
-    events, expected = drive.timeline.events, usual.timeline.events
+    events, expected = drive.timeline.events, unset.timeline.events
     assert [event[1:] for event in events] == [event[1:] for event in expected]
     times = [[(e.wall_ns - BEGAN_NS) * 1e-9 for e in found] for found in (events, expected)]
     assert times[0] == pytest.approx(times[1], abs=0.2)
 
 
 @pytest.mark.parametrize("by_ns", [-HOUR_NS, HOUR_NS])
-def test_clock_that_is_set_changes_neither_arrays_nor_the_duration_of_recovery(tmp_path, usual, by_ns):
+def test_clock_that_is_set_changes_neither_arrays_nor_the_duration_of_recovery(tmp_path, unset, by_ns):
     path = write(tmp_path / "set.mcap", by_ns, SET_AT)
-    for topic, rows in read_arrays(usual).items():
+    for topic, rows in read_arrays(unset).items():
         assert read_arrays(path)[topic]["t"] == pytest.approx(rows["t"], abs=0.02), topic
     before = read_recording(path).messages
     content = path.read_bytes()
     path.write_bytes(content[: content.rindex(b"nav_msgs/msg/Odometry") - 200])
     found = recording.recover(path, path)
-    assert found.seconds == pytest.approx(recording.recover(usual, tmp_path / "whole.mcap").seconds, abs=0.2)
+    assert found.seconds == pytest.approx(recording.recover(unset, tmp_path / "whole.mcap").seconds, abs=0.2)
     assert read_recording(path).messages == before[: found.messages]
 
 
@@ -142,8 +142,8 @@ def test_truth_is_judged_and_merged_by_the_steady_clock(tmp_path, by_ns):
 def test_clock_set_back_without_ticks_leaves_the_order_of_the_file():
     plain = [message for message in driven()[0] if message.topic == "odom"]
     times = [message.log_ns for message in recording.steady(clock_set(plain, -HOUR_NS, 10))]
-    usual = [message.log_ns for message in plain]
-    assert np.array(times) - times[0] == pytest.approx(np.array(usual) - usual[0], abs=1.5 * TICK_NS)
+    unset = [message.log_ns for message in plain]
+    assert np.array(times) - times[0] == pytest.approx(np.array(unset) - unset[0], abs=1.5 * TICK_NS)
     assert times == sorted(times)
 
 

@@ -83,9 +83,9 @@ class Rig(LiveRun):
             return OutletProcess(self._outlet, "bridge", arguments, self.folder, self.module)
         return super().bridge_process(arguments)
 
-    def drive_course(self, robot: str = "") -> Process:
+    def drive_course(self, *options: str, robot: str = "") -> Process:
         """Start a driver with a circuit on the rig's course."""
-        return self.deploy("--course", str(self.course), robot=robot)
+        return self.deploy("--course", str(self.course), *options, robot=robot)
 
     def scripted_driver(self, robot: str = "", lease_s: float = 1.0) -> ScriptedDriver:
         """Start a scripted driver, in this process."""

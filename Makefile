@@ -181,21 +181,22 @@ test-installs: ## The quick unit tests on each Python from 3.11 to 3.13 that is 
 
 .PHONY: nightly nightly-waits nightly-cpu
 nightly: $(GRADIENTS_STAMP) $(FUZZ_STAMP) ## All that takes an hour or more: matrices, soak, all examples of Hypothesis, mutants, fuzzing, torch, installs.
+	$(MAKE) test-timed
 	$(MAKE) --jobs 2 --output-sync=line nightly-waits nightly-cpu
 
-# What waits for processes and measures times has precedence over what only computes. All is installed before.
+# What measures times runs beside nothing, and then what waits for processes has precedence over what only computes. All is
+# installed before.
 nightly-waits:
-	$(MAKE) test-timed
 	$(BIN)/pytest tests/process tests/system -m "not browser and not timed" --hypothesis-profile=full \
 		--numprocesses 3 --dist worksteal
 	$(MAKE) soak
+	nice -n 19 $(MAKE) test-torch
+	nice -n 19 $(MAKE) test-installs
 
 nightly-cpu:
 	nice -n 19 $(BIN)/pytest tests/unit tests/computing -m "not browser" --hypothesis-profile=full
 	nice -n 19 $(MAKE) mutate
 	nice -n 19 $(MAKE) fuzz
-	nice -n 19 $(MAKE) test-torch
-	nice -n 19 $(MAKE) test-installs
 
 $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "rover-ncp needs Python 3.11 to 3.13, found %d.%d; run make PYTHON=..." % v)'

@@ -174,7 +174,7 @@ class MujocoRover(Rover):
         self.commands.clear()
         self._asked = STANDSTILL
         """The motion that the motor controllers follow now."""
-        self._left, self._right = _Motor(self.robot), _Motor(self.robot)
+        self._left, self._right = Motor(self.robot), Motor(self.robot)
         self._recent = deque([STANDSTILL], maxlen=round(MOVING_S / SUBSTEP_S))
         """The encoders' motion in the last substeps."""
         self._turned = 0.0
@@ -255,8 +255,8 @@ class MujocoRover(Rover):
         return not self._walls.isdisjoint(self.data.contact.geom.ravel().tolist())
 
 
-class _Motor:
-    """The controller and the encoder of one side."""
+class Motor:
+    """The controller and the encoder of one side, or of one wheel."""
 
     def __init__(self, robot: SkidRobot) -> None:
         self._robot = robot

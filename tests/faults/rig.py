@@ -16,7 +16,7 @@ from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.robot.description import load_description
 from sim.live.live_run import PIONEER, RMW_ZENOH, LiveRun
-from sim.live.processes import Process, wait_for
+from sim.live.processes import READY_TIMEOUT_S, Process, wait_for
 
 SPEED_M_S = 0.12
 """Speed of a scripted driver."""
@@ -101,7 +101,9 @@ class Rig(LiveRun):
     def driven(self, deploy: Process) -> None:
         """Wait until a circuit moves the rover. Raises TimedOut or ProcessError."""
         wait_for(
-            lambda: not deploy.running or abs(self.truth.speed()) > CREEP_M_S, 30.0, "the circuit to drive"
+            lambda: not deploy.running or abs(self.truth.speed()) > CREEP_M_S,
+            READY_TIMEOUT_S,
+            "the circuit to drive",
         )
         if not deploy.running:
             raise deploy.failure()

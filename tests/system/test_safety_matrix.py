@@ -27,7 +27,7 @@ from rover_ncp.wire.key_table import key
 from rover_ncp.wire.messages import COURSE_FRAME, pose_with_covariance, read_pose
 from rover_ncp.wire.zenoh import client_config
 from sim.live.peers import Peer
-from sim.live.processes import wait_for
+from sim.live.processes import READY_TIMEOUT_S, wait_for
 
 pytestmark = [pytest.mark.timed, pytest.mark.xdist_group("matrix")]
 
@@ -122,7 +122,7 @@ def test_blocked_output_delays_no_stop(rig_with, key):
 
 def test_two_deploys_at_once_of_which_the_second_is_refused(rig):
     deploys = [rig.drive_course() for _ in range(2)]
-    wait_for(lambda: not all(deploy.running for deploy in deploys), 20.0)
+    wait_for(lambda: not all(deploy.running for deploy in deploys), READY_TIMEOUT_S, "a refusal")
     second, first = sorted(deploys, key=lambda deploy: deploy.running)
     done = second.wait(15.0)
     assert (done.code, done.result["kind"]) == (3, "AnotherDriver")
@@ -183,7 +183,7 @@ def test_one_false_reading_of_a_gyro_turns_no_estimate(gyro_rig, key):
     subscriber = rig.watcher.session.declare_subscriber("rover/estimate", receive)
     deploy = rig.drive_course()
     if key == "gyro-standing":
-        wait_for(lambda: rig.watcher.gate.lease, 30.0, "the lease")
+        wait_for(lambda: rig.watcher.gate.lease, READY_TIMEOUT_S, "the lease")
     else:
         rig.driven(deploy)
     rig.mock.tell("gyro=2@0-0.1")

@@ -11,7 +11,7 @@ from faults.table import CHECKS, ROS2_KEYS, ROWS
 from kit.paths import DATA
 
 from sim.live.live_run import RMW_ZENOH, ROS2DDS
-from sim.live.processes import Process, wait_for
+from sim.live.processes import READY_TIMEOUT_S, Process, wait_for
 
 pytestmark = pytest.mark.timed
 
@@ -47,7 +47,7 @@ def test_end_of_a_check_stops_a_robot_whose_timeout_is_measured(tmp_path, key, n
     """The robot has no timeout of its own: only the bridge's zeros halt it."""
     with Rig(tmp_path, COURSE, base_form=ROS2DDS, model="turtlebot3-burger") as rig:
         check = rig.start_process(lambda: Process("check", ["--robot", rig.robot, "--on-blocks"], tmp_path))
-        wait_for(lambda: running(rig.watcher.session), 60.0, "the measurement")
+        wait_for(lambda: running(rig.watcher.session), READY_TIMEOUT_S, "the measurement")
         speed = rig.truth.speed()
         measured = time_stop(rig, ROWS[key], lambda: check.send_signal(number))
     assert abs(speed) > 0.05

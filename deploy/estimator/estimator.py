@@ -90,15 +90,18 @@ class _Gyro:
         """Record a reading that cannot be used: a gap."""
         self._gap = True
 
-    def angle(self, t: float, since: Callable[[float], float]) -> float:
-        """Return the angle at ``t``; NaN where it is unknown, and once after each gap.
+    def angle(self, t: float, since: Callable[[float], tuple[float, float]]) -> tuple[float, float]:
+        """Return the angle at ``t``, and the variance of its predicted part.
 
-        ``since`` gives the turn from the newest reading until ``t``, where that is later.
+        The angle is NaN where it is unknown, and once after each gap. ``since`` predicts the turn from the
+        newest reading until ``t``, with its variance. A prediction is no reading: taken for one, it would say
+        that the gyro has the bias that is assumed so far.
         """
         if self._gap or abs(t - self._t) > GYRO_GAP_S:
             self._gap = abs(t - self._t) > GYRO_GAP_S
-            return math.nan
-        return self._rad + (since(self._t) if t > self._t else self._rate * (t - self._t))
+            return math.nan, 0.0
+        turn, variance = since(self._t) if t > self._t else (self._rate * (t - self._t), 0.0)
+        return self._rad + turn, variance
 
 
 class _BurstStamps:
@@ -171,8 +174,8 @@ class Estimator:
             if due < t and self._history.misfit(z, due) < self._history.misfit(z, t):
                 t = due
             # A gyro may lag: its rate of then, in a turn that begins or ends, would look like a bias.
-            angle = self._gyro.angle(t, lambda read: self._history.gyro_turn(read, pose.theta, t))
-            outcome, turn, waited = self._history.odometry(z, angle, t)
+            turned = self._gyro.angle(t, lambda read: self._history.gyro_turn(read, pose.theta, t))
+            outcome, turn, waited = self._history.odometry(z, *turned, t)
             self._count_gyro(turn)
         if outcome is Outcome.ACCEPTED:
             self._in_a_row[ODOMETRY] = 0

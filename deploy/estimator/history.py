@@ -28,7 +28,16 @@ from typing import Any
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-from deploy.estimator.measurements import Applied, Disturbance, Odometry, Outcome, PoseMeasurement, Turn
+from deploy.estimator.measurements import (
+    Applied,
+    Disturbance,
+    Odometry,
+    Outcome,
+    PoseMeasurement,
+    Turn,
+    normalised_square,
+    residual,
+)
 from deploy.estimator.motion import (
     BIAS,
     DELAY,
@@ -131,8 +140,8 @@ class History:
         """Until when the speeds of odometry do not count, s."""
         self._disturbed = False
         """Whether the covariance grew by a disturbance since the last accepted pose."""
-        self._turn_began = t, math.nan
-        """Begin of the turn in s, and the gyro's angle there."""
+        self._turn_began = t, math.nan, 0.0
+        """Begin of the turn in s, the gyro's angle there, and the variance of its predicted part."""
         self._disturbance_rad = 0.0
         """Size of the disturbance that the gyro's last turns show, rad."""
         self.nis: dict[bool, tuple[int, float]] = {True: (0, 0.0), False: (0, 0.0)}
@@ -143,11 +152,14 @@ class History:
         """The moment of the newest odometry."""
         return self._last[0]
 
-    def odometry(self, z: Array, angle: float, t: float) -> Applied:
-        """Apply odometry, and the angle that a gyro has turned from any zero (NaN: not known, a new zero)."""
-        began, before = self._turn_began
+    def odometry(self, z: Array, angle: float, predicted: float, t: float) -> Applied:
+        """Apply odometry, and the angle that a gyro has turned from any zero (NaN: not known, a new zero).
+
+        ``predicted`` is the variance of the part of that angle that `gyro_turn` predicted.
+        """
+        began, before, predicted_before = self._turn_began
         if math.isnan(angle):  # also if this sample is rejected: turns are not compared across a gap
-            self._turn_began = began, math.nan
+            self._turn_began = began, math.nan, 0.0
         if t < self.t:
             return Applied(Outcome.OUT_OF_ORDER)
         if t > self.t + GAP_S:
@@ -163,9 +175,9 @@ class History:
         turned, seconds = angle - before, t - began
         ends_turn = math.isnan(turned) or seconds >= TURN_S
         if ends_turn:
-            self._turn_began = t, angle
+            self._turn_began = t, angle, predicted
         if ends_turn and math.isfinite(turned):
-            turn = self._apply_turn(turned, seconds)
+            turn = self._apply_turn(turned, seconds, predicted_before + predicted)
             turn_outcome = Outcome.ACCEPTED if turn else Outcome.OUTLIER
         self._entries.append(self._entry(t, stood, Odometry(z, ends_turn, turn, irregular)))
         self._last = t, z
@@ -193,7 +205,7 @@ class History:
         self._apply_again(len(self._entries))
         self._predict(self._entries[-1], t, self._stands(z))
         covariance = self._ekf.P[REPORTED, REPORTED] + self._odometry_covariance
-        return _nis(_residual(z, self._ekf.x[REPORTED]), covariance), covariance
+        return normalised_square(residual(z, self._ekf.x[REPORTED]), covariance), covariance
 
     def pose(self, z: Array, covariance: Array, t: float) -> Outcome:
         """Apply an external pose of stamp ``t`` at its moment, unless it is rejected."""
@@ -214,8 +226,8 @@ class History:
         x = self._entries[self._valid - 1].x
         return true_motion(x, self._settings)[2] / float(x[GYRO]) + float(x[BIAS])
 
-    def gyro_turn(self, begin: float, heading: float, t: float) -> float:
-        """Return the angle that a gyro should show from ``begin`` until odometry at ``t`` has ``heading``."""
+    def gyro_turn(self, begin: float, heading: float, t: float) -> tuple[float, float]:
+        """Predict a gyro's turn and its variance from ``begin`` until odometry at ``t`` has ``heading``."""
         turned, after, seconds = 0.0, t, t - begin
         for entry in reversed(self._entries):
             if after <= begin:
@@ -224,8 +236,11 @@ class History:
                 before = float(entry.measured.z[THETA])
                 turned += wrap_angle(heading - before) * min(1.0, (after - begin) / (after - entry.t))
                 after, heading = entry.t, before
-        x = self._entries[self._valid - 1].x
-        return float(x[GAIN] * turned_without_gain(turned / seconds, self._settings)[0] + x[BIAS]) * seconds
+        entry = self._entries[self._valid - 1]
+        by = np.array([turned_without_gain(turned / seconds, self._settings)[0], 1.0])
+        known = entry.P[np.ix_((GAIN, BIAS), (GAIN, BIAS))]
+        rate = float(entry.x[GAIN] * by[0] + entry.x[BIAS])
+        return rate * seconds, float(by @ known @ by) * seconds**2
 
     def at(self, t: float) -> tuple[Array, Array]:
         """Return state (19,) and covariance (19, 19) at ``t``, before the history those of its begin."""
@@ -241,7 +256,7 @@ class History:
         """Return whether a sample and the one before report no motion, and the same place."""
         before = self._last[1]
         limits = STILL_SIGMAS * math.sqrt(2.0) * np.sqrt(np.diag(self._odometry_covariance)[:3])
-        moved = np.abs(_residual(z[:3], before[:3]))
+        moved = np.abs(residual(z[:3], before[:3]))
         still = np.abs([z[3:], before[3:]]).max(axis=0) < self._rest
         return bool(still.all() and (moved < limits).all())
 
@@ -252,13 +267,14 @@ class History:
         self._predict(self._entries[place - 1], t, stood)
         innovation, H = self._innovation(measured)
         covariance = H @ self._ekf.P @ H.T + measured.covariance
-        nis = _nis(innovation, covariance)
+        nis = normalised_square(innovation, covariance)
         accepted = nis <= self._settings.pose_gate
         if accepted:
             count, total = self.nis[stood]
             self.nis[stood] = count + 1, total + nis
         disturbed = not (accepted or stood or self._disturbed) and (
-            _nis(innovation, covariance + self._disturbance.covariance) <= self._settings.pose_gate
+            normalised_square(innovation, covariance + self._disturbance.covariance)
+            <= self._settings.pose_gate
         )
         if accepted or disturbed:
             self._entries.insert(place, self._updated(t, stood, measured if accepted else self._disturbance))
@@ -313,17 +329,17 @@ class History:
     def _pose_fits(self, z: Array) -> bool:
         """Return whether the pose of irregular odometry fits; the filter is predicted to its time."""
         covariance = self._ekf.P[OWN, OWN] + self._irregular_covariance()
-        return _nis(_residual(z[:3], self._ekf.x[OWN]), covariance) <= self._settings.pose_gate
+        return normalised_square(residual(z[:3], self._ekf.x[OWN]), covariance) <= self._settings.pose_gate
 
     def _correct_by_odometry(self, z: Array, stood: bool, irregular: bool) -> None:
         if irregular:
-            self._correct(_residual(z[:3], self._ekf.x[OWN]), _ALL[OWN], self._irregular_covariance())
+            self._correct(residual(z[:3], self._ekf.x[OWN]), _ALL[OWN], self._irregular_covariance())
             return
         for rows in _BLOCKS:
             part = slice(rows.start - OWN.start, rows.stop - OWN.start)
             if not (stood and rows is MOTION):
                 self._correct(
-                    _residual(z[part], self._ekf.x[rows]), _ALL[rows], self._odometry_covariance[part, part]
+                    residual(z[part], self._ekf.x[rows]), _ALL[rows], self._odometry_covariance[part, part]
                 )
 
     def _correct_by_turn(self, turn: Turn) -> None:
@@ -331,10 +347,13 @@ class History:
         H = _turn_row(turn.seconds)
         self._correct(turn.angle - H @ self._ekf.x, H, np.array([[turn.variance]]))
 
-    def _apply_turn(self, angle: float, seconds: float) -> Turn | None:
-        """Apply a gyro's turn, as a disturbance if it does not fit; return it, None if it is rejected."""
+    def _apply_turn(self, angle: float, seconds: float, predicted: float) -> Turn | None:
+        """Apply a gyro's turn, as a disturbance if it does not fit; return it, None if it is rejected.
+
+        ``predicted`` is the variance of the parts at its ends that were predicted for want of readings.
+        """
         s, x, P = self._settings, self._ekf.x, self._ekf.P
-        turn = Turn(angle, seconds, s.gyro_rad**2 * seconds / GYRO_S)
+        turn = Turn(angle, seconds, s.gyro_rad**2 * seconds / GYRO_S + predicted)
         row = _turn_row(seconds)[0]
         variance = float(row @ P @ row) + turn.variance
         missing = angle - float(row @ x)
@@ -372,25 +391,9 @@ class History:
         velocity = np.array([cos * ahead - sin * left, sin * ahead + cos * left, turn])
         H = _ALL[POSE].copy()
         H[:, DELAY] = -velocity
-        return _residual(measured.z - (measured.assumed_delay_s - x[DELAY]) * velocity, x[POSE]), H
+        return residual(measured.z - (measured.assumed_delay_s - x[DELAY]) * velocity, x[POSE]), H
 
 
 def _turn_row(seconds: float) -> Array:
     """Return the Jacobian (1, 19) of a gyro's turn in some seconds."""
     return _ALL[TURN : TURN + 1] + seconds * _ALL[BIAS : BIAS + 1]
-
-
-def _residual(z: Array, expected: Array) -> Array:
-    """Return measured minus expected values; the third, if there is one, is an angle within (−π, π]."""
-    difference = z - expected
-    if len(difference) > THETA:
-        difference[THETA] = wrap_angle(difference[THETA])
-    return difference
-
-
-def _nis(innovation: Array, covariance: Array) -> float:
-    """Return the normalised innovation squared."""
-    # A sum of squares is never negative: absurd values give infinity or NaN, which no gate accepts.
-    with np.errstate(over="ignore", invalid="ignore"):
-        white = np.linalg.solve(np.linalg.cholesky(covariance), innovation)
-        return float(white @ white)

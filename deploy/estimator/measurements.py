@@ -1,9 +1,12 @@
-"""What the filter is given, and what becomes of it."""
+"""What the filter is given, how far it is from what was expected, and what becomes of it."""
 
 from enum import Enum
 from typing import NamedTuple
 
-from deploy.estimator.motion import Array
+import numpy as np
+
+from deploy.estimator.motion import THETA, Array
+from rover_ncp.core.geometry import wrap_angle
 
 
 class Outcome(Enum):
@@ -56,3 +59,19 @@ class Disturbance(NamedTuple):
     """A motion that no sensor of the base reports, by its covariance (3, 3) in x, y, θ."""
 
     covariance: Array
+
+
+def residual(z: Array, expected: Array) -> Array:
+    """Return measured minus expected values; the third, if there is one, is an angle within (−π, π]."""
+    difference = z - expected
+    if len(difference) > THETA:
+        difference[THETA] = wrap_angle(difference[THETA])
+    return difference
+
+
+def normalised_square(innovation: Array, covariance: Array) -> float:
+    """Return the normalised innovation squared."""
+    # A sum of squares is never negative: absurd values give infinity or NaN, which no gate accepts.
+    with np.errstate(over="ignore", invalid="ignore"):
+        white = np.linalg.solve(np.linalg.cholesky(covariance), innovation)
+        return float(white @ white)

@@ -27,10 +27,19 @@ def turning(t):
     return 0.3 * math.sin(t - 3.0) if t > 3.0 else 0.0
 
 
-def drive(omega, reading=lambda t, rate: rate, period=0.1, until=8.0, pushed=standing, settings=None):
+def drive(
+    omega,
+    reading=lambda t, rate: rate,
+    period=0.1,
+    until=8.0,
+    pushed=standing,
+    settings=None,
+    late=lambda tick: False,
+):
     """Drive with odometry and gyro; return the estimator and the error of its heading at the end.
 
     ``reading`` makes a reading of the gyro from the true one, ``pushed`` is a turn rate that no wheel shows.
+    A ``late`` reading comes after the odometry of the same moment.
     """
     random, estimator = np.random.default_rng(7), started(settings)
     own = true = 0.0
@@ -41,8 +50,11 @@ def drive(omega, reading=lambda t, rate: rate, period=0.1, until=8.0, pushed=sta
         true += (1.2 * omega(t - 0.5 * period) + unseen) * period
         noise = NOISE_RAD * math.sqrt(0.1 / period) / 0.1 * random.normal()
         rate = 1.2 * omega(t - 0.5 * period) + unseen + TRUE_BIAS + noise
-        estimator.gyro(reading(t, rate), t)
+        if not late(tick):
+            estimator.gyro(reading(t, rate), t)
         estimator.odometry(*reported(Pose(0.0, 0.0, wrap_angle(own)), Velocity(0.0, omega(t))), t)
+        if late(tick):
+            estimator.gyro(reading(t, rate), t)
         if estimator.fault:
             break
     return estimator, wrap_angle(estimator.at(t).pose.theta - true)
@@ -75,6 +87,22 @@ def test_false_reading_is_dropped_and_counted(omega, false_rate, period):
     assert 1 <= estimator.gyro_rejected <= 0.1 / period + 1
     assert usual.gyro_rejected == 0
     assert not estimator.fault
+
+
+@pytest.mark.parametrize(
+    "late",
+    [lambda tick, at=at: tick == at for at in (1, 2, 3, 4, 40)]
+    + [lambda tick: tick in {2, 3}, lambda tick: tick % 2, lambda tick: tick % 3, lambda tick: True],
+    ids=["first", "second", "third", "fourth", "in a turn", "two", "every other", "two of three", "all"],
+)
+@pytest.mark.parametrize("omega", [standing, lambda t: 0.3 * math.sin(t)], ids=["standing", "turning"])
+def test_late_reading_is_no_prediction_that_came_true(omega, late):
+    # What is predicted for want of a reading has the bias that is assumed so far: at the start, none.
+    estimator, error = drive(omega, late=late)
+    assert abs(error) < 0.02
+    assert abs(error) < 4.0 * math.sqrt(estimator.at(8.0).covariance[2, 2])
+    assert bias(estimator, 8.0) == pytest.approx(TRUE_BIAS, abs=0.004)
+    assert estimator.gyro_rejected == 0
 
 
 @pytest.mark.parametrize("period", PERIODS)

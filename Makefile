@@ -69,7 +69,7 @@ test-ros: $(STAMP) ## Bridge and driver with ROS 2 (rclpy from PyPI); skipped wh
 
 .PHONY: test-timed
 test-timed: $(STAMP) ## Every row of both safety matrices, the soak's test and live drives.
-	$(BIN)/pytest tests/system -m "timed and long" --numprocesses 3 --dist loadgroup
+	$(BIN)/pytest tests/system -m "timed and long" --numprocesses 2 --dist loadgroup
 
 .PHONY: test-browser
 test-browser: chromium $(BROWSER_STAMP) ## Pages in chromium and recordings in Rerun; pictures in runs/browser.

@@ -97,7 +97,7 @@ def test_what_is_on_its_way_when_the_bridge_dies_does_not_count_as_the_bases(rig
 
     def act(scene):
         rig.line.tell("hold")
-        time.sleep(0.02)
+        time.sleep(0.3)  # in which the bridge repeats its setpoint
         killed_ns = time.monotonic_ns()
         ROWS["bridge-killed"].act(scene)
         time.sleep(0.06)

@@ -24,6 +24,7 @@ def newest_python():
     return done.stdout.strip()
 
 
+COLD = pytest.mark.timeout(600)  # downloads, and commands with cold kernels
 NEWEST = newest_python()
 # What each set of extras makes possible, as command lines and their exit codes.
 WORKS = {
@@ -81,7 +82,7 @@ def test_wheel_and_sdist_hold_the_packages_with_their_data(built):
     assert tracked | {"pyproject.toml", "README.md", "LICENSE"} <= held
 
 
-@pytest.mark.timeout(600)  # downloads, and commands with cold kernels
+@COLD
 @pytest.mark.parametrize("extras", WORKS)
 def test_an_installed_wheel_does_what_its_extras_promise(extras, built, tmp_path):
     check_install(sys.executable, extras, built[".whl"], tmp_path)
@@ -98,6 +99,7 @@ def test_the_extra_gradients_can_be_installed_beside_the_versions_of_this_projec
     assert {"torch", "stable-baselines3", "mujoco", "imageio"} <= names
 
 
+@COLD
 @pytest.mark.skipif(NEWEST is None, reason="needs Python 3.13")
 def test_the_sdist_works_with_the_newest_supported_python(built, tmp_path):
     check_install(NEWEST, "train", built[".gz"], tmp_path)

@@ -142,9 +142,10 @@ class Teleop:
     def run(self) -> None:
         """Drive until a key ends it.
 
-        Raises SafetyStop, KeyboardInterrupt, and the errors of ``Link.request_motors``; the rover was stopped
-        then.
+        Raises SafetyStop, KeyboardInterrupt, and the errors of `wait` and ``Link.request_motors``; the rover
+        was stopped then.
         """
+        self.wait()  # what took long since the first wait is not odometry's age
         try:
             self._link.request_motors("teleop")
             self._monitor.granted()

@@ -94,6 +94,7 @@ def identify_robot(
         recorder.open({SETTINGS_FILE: dump_yaml(about).encode()})
         seconds = sum(step.seconds for step in steps(robot))
         output.say(f"driving for {seconds:.0f} s within {fence_m} m of here; Ctrl-C stops the rover")
+        monitor.wait()  # what took long since the first wait is not odometry's age
         excite(link, measurements, monitor, fence_m, robot=robot)
     if recorder.failure:
         raise FileError(f"the recording failed: {recorder.failure}")

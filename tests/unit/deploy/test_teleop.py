@@ -77,6 +77,17 @@ def test_it_drives_while_a_key_repeats_and_stands_when_it_is_released(virtual):
     assert virtual.link.gate.lease == 0
 
 
+def test_what_takes_long_before_the_lease_is_not_odometrys_age(virtual, monkeypatch):
+    driven = teleop(virtual, [*held("i", 1.0), (1.0, "q")])
+    take, busy_until = virtual.link.odometry.take, virtual.bridge.monotonic() + 0.6
+    monkeypatch.setattr(
+        virtual.link.odometry, "take", lambda *a: take(*a) if virtual.bridge.monotonic() > busy_until else []
+    )
+    virtual.bridge.sleep(0.5)
+    driven.run()
+    assert driven.seconds == pytest.approx(1.0, abs=0.1)
+
+
 @pytest.mark.parametrize("way", ["q", "\x1a", None, "signal", "bridge-lost"])
 def test_on_every_way_out_the_rover_stands_and_the_lease_is_released(virtual, way):
     def leave():

@@ -169,7 +169,7 @@ def test_failed_atomic_write_keeps_the_old_file_and_is_our_error(tmp_path, monke
 
 @pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # interrupted as it was to be closed
 def test_ctrl_c_between_any_two_lines_of_a_write_leaves_no_other_file(tmp_path):
-    path, steps = tmp_path / "file.txt", 0
+    path, steps, before = tmp_path / "file.txt", 0, sys.gettrace()  # that of a measurement of coverage
     write_atomic(path, "old")
     while True:
         left = steps
@@ -179,7 +179,7 @@ def test_ctrl_c_between_any_two_lines_of_a_write_leaves_no_other_file(tmp_path):
             if frame.f_code is write_atomic.__code__ and event == "line":
                 left -= 1
                 if left < 0:
-                    sys.settrace(None)
+                    sys.settrace(before)
                     raise KeyboardInterrupt
             return trace
 
@@ -190,7 +190,7 @@ def test_ctrl_c_between_any_two_lines_of_a_write_leaves_no_other_file(tmp_path):
         except KeyboardInterrupt:
             steps += 1
         finally:
-            sys.settrace(None)
+            sys.settrace(before)
         assert path.read_text() in {"old", "new"}
         assert list(tmp_path.iterdir()) == [path], f"before line {steps}"
     assert steps > 10

@@ -151,8 +151,13 @@ class ResultStore:
     def every(self) -> Iterator[Result]:
         """Yield all runs, file by file. Raises FileError."""
         for budget in BudgetName:
-            for path in sorted((self.folder / budget).glob("*.jsonl")):
-                yield from self._runs(path).values()
+            try:  # since Python 3.13, glob finds nothing where a folder cannot be read
+                paths = sorted((self.folder / budget).iterdir())
+            except FileNotFoundError:
+                continue
+            for path in paths:
+                if path.suffix == ".jsonl":
+                    yield from self._runs(path).values()
 
     def save(self, result: Result) -> None:
         """Append a result to its file. Raises FileError."""

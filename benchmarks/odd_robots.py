@@ -20,14 +20,13 @@ from random import Random
 import mujoco
 import numpy as np
 
+from rover_ncp.core.console import Output
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import load_course
-from sim.evaluate.evaluate import tally
-from sim.evaluate.trial_runs import result_words
+from sim.evaluate.trial_runs import evaluate_stack, result_words
 from sim.learn.engine.driver import load_driver
 from sim.pioneer.trial import Drawn
-from sim.stack.estimates import summary, words
-from sim.stack.trials import Stack, drive_all
+from sim.stack.trials import Stack
 from sim.world.bodies import Body
 from sim.world.mujoco_rover import CONTROL_S, Motor, MujocoRover
 from sim.world.randomization import load_randomization
@@ -149,9 +148,7 @@ def main() -> None:
     ranges = load_randomization("slope" if given.kind == "heavy" else "varied", Body.MUJOCO)
     courses = (load_course("parking"),)
     stack = OddStack(load_driver("course"), courses, ranges, given.seed, gyro=True, kind=given.kind)
-    driven = drive_all(stack, given.trials, None)
-    print("\n".join(result_words(tally(driven), None)))
-    print("\n".join(words(summary([trial.belief for trial in driven], [trial.parked for trial in driven]))))
+    print("\n".join(result_words(*evaluate_stack(stack, given.trials, None, Output(as_json=False)))))
 
 
 if __name__ == "__main__":

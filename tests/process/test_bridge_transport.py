@@ -26,6 +26,8 @@ def tcp_pair(buffer=0):
             server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer)
         line = open_transport(f"tcp/127.0.0.1:{server.getsockname()[1]}")
         far, _ = server.accept()
+        # Else a report waits until the one before is acknowledged, which takes longer on a line that is full.
+        far.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         with closing(line), far:
             yield line, far
 

@@ -13,14 +13,14 @@ One extended Kalman filter: `motion` is its model, `history` applies the measure
 import copy
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import gammaincinv
 
 from deploy.estimator.history import TURN_S, History
-from deploy.estimator.measurements import Outcome
+from deploy.estimator.measurements import GyroAngle, Outcome
 from deploy.estimator.motion import (
     ASIDE,
     BIAS,
@@ -90,18 +90,16 @@ class _Gyro:
         """Record a reading that cannot be used: a gap."""
         self._gap = True
 
-    def angle(self, t: float, since: Callable[[float], tuple[float, float]]) -> tuple[float, float]:
-        """Return the angle at ``t``, and the variance of its predicted part.
+    def angle(self, t: float) -> GyroAngle:
+        """Return the angle at ``t``, or at the newest reading if that is older.
 
-        The angle is NaN where it is unknown, and once after each gap. ``since`` predicts the turn from the
-        newest reading until ``t``, with its variance. A prediction is no reading: taken for one, it would say
-        that the gyro has the bias that is assumed so far.
+        It is NaN where it is unknown, and once after each gap.
         """
         if self._gap or abs(t - self._t) > GYRO_GAP_S:
             self._gap = abs(t - self._t) > GYRO_GAP_S
-            return math.nan, 0.0
-        turn, variance = since(self._t) if t > self._t else (self._rate * (t - self._t), 0.0)
-        return self._rad + turn, variance
+            return GyroAngle(math.nan, t)
+        read = min(t, self._t)
+        return GyroAngle(self._rad + self._rate * (read - self._t), read)
 
 
 class _BurstStamps:
@@ -173,9 +171,7 @@ class Estimator:
             due = self._bursts.due(t)
             if due < t and self._history.misfit(z, due) < self._history.misfit(z, t):
                 t = due
-            # A gyro may lag: its rate of then, in a turn that begins or ends, would look like a bias.
-            turned = self._gyro.angle(t, lambda read: self._history.gyro_turn(read, pose.theta, t))
-            outcome, turn, waited = self._history.odometry(z, *turned, t)
+            outcome, turn, waited = self._history.odometry(z, self._gyro.angle(t), t)
             self._count_gyro(turn)
         if outcome is Outcome.ACCEPTED:
             self._in_a_row[ODOMETRY] = 0
@@ -187,7 +183,10 @@ class Estimator:
         return outcome
 
     def gyro(self, rate: float, t: float) -> None:
-        """Apply a gyro's rate of turn in rad/s, the mean since its last, before the odometry of ``t``."""
+        """Apply a gyro's rate of turn in rad/s, the mean since its last.
+
+        It may come before or after the odometry of ``t``.
+        """
         if not (math.isfinite(rate) and math.isfinite(t)):
             outcome = Outcome.NOT_FINITE
         elif abs(rate - self._history.turn_rate()) > self._gyro_off_rad_s:

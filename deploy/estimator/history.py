@@ -31,6 +31,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 from deploy.estimator.measurements import (
     Applied,
     Disturbance,
+    GyroAngle,
     Odometry,
     Outcome,
     PoseMeasurement,
@@ -140,8 +141,8 @@ class History:
         """Until when the speeds of odometry do not count, s."""
         self._disturbed = False
         """Whether the covariance grew by a disturbance since the last accepted pose."""
-        self._turn_began = t, math.nan, 0.0
-        """Begin of the turn in s, the gyro's angle there, and the variance of its predicted part."""
+        self._turn_began = t, GyroAngle(math.nan, t), 0.0
+        """Begin of the turn in s, the gyro's angle there, and odometry's turn since that angle's reading."""
         self._disturbance_rad = 0.0
         """Size of the disturbance that the gyro's last turns show, rad."""
         self.nis: dict[bool, tuple[int, float]] = {True: (0, 0.0), False: (0, 0.0)}
@@ -152,14 +153,11 @@ class History:
         """The moment of the newest odometry."""
         return self._last[0]
 
-    def odometry(self, z: Array, angle: float, predicted: float, t: float) -> Applied:
-        """Apply odometry, and the angle that a gyro has turned from any zero (NaN: not known, a new zero).
-
-        ``predicted`` is the variance of the part of that angle that `gyro_turn` predicted.
-        """
-        began, before, predicted_before = self._turn_began
-        if math.isnan(angle):  # also if this sample is rejected: turns are not compared across a gap
-            self._turn_began = began, math.nan, 0.0
+    def odometry(self, z: Array, angle: GyroAngle, t: float) -> Applied:
+        """Apply odometry, and the angle of a gyro (NaN: not known, a new zero)."""
+        began, before, ahead_before = self._turn_began
+        if math.isnan(angle.rad):  # also if this sample is rejected: turns are not compared across a gap
+            self._turn_began = began, angle, 0.0
         if t < self.t:
             return Applied(Outcome.OUT_OF_ORDER)
         if t > self.t + GAP_S:
@@ -172,13 +170,15 @@ class History:
             self._irregular_until = t + IRREGULAR_S
         stood, turn, turn_outcome = self._stands(z), None, None
         self._correct_by_odometry(z, stood, irregular)
-        turned, seconds = angle - before, t - began
-        ends_turn = math.isnan(turned) or seconds >= TURN_S
+        turned, seconds = angle.rad - before.rad, angle.t - before.t
+        # Without a reading the gyro says nothing: a turn would only confirm what is assumed.
+        ends_turn = math.isnan(turned) or (t - began >= TURN_S and seconds > 0.0)
         if ends_turn:
-            self._turn_began = t, angle, predicted
-        if ends_turn and math.isfinite(turned):
-            turn = self._apply_turn(turned, seconds, predicted_before + predicted)
-            turn_outcome = Outcome.ACCEPTED if turn else Outcome.OUTLIER
+            ahead = self._turned_since(angle.t, z[THETA], t)
+            self._turn_began = t, angle, ahead
+            if math.isfinite(turned):
+                turn = self._apply_turn(turned, seconds, ahead - ahead_before)
+                turn_outcome = Outcome.ACCEPTED if turn else Outcome.OUTLIER
         self._entries.append(self._entry(t, stood, Odometry(z, ends_turn, turn, irregular)))
         self._last = t, z
         self._valid += 1
@@ -226,8 +226,8 @@ class History:
         x = self._entries[self._valid - 1].x
         return true_motion(x, self._settings)[2] / float(x[GYRO]) + float(x[BIAS])
 
-    def gyro_turn(self, begin: float, heading: float, t: float) -> tuple[float, float]:
-        """Predict a gyro's turn and its variance from ``begin`` until odometry at ``t`` has ``heading``."""
+    def _turned_since(self, begin: float, heading: float, t: float) -> float:
+        """Return odometry's turn before the turn gain (rad) from ``begin`` until its ``heading`` of ``t``."""
         turned, after, seconds = 0.0, t, t - begin
         for entry in reversed(self._entries):
             if after <= begin:
@@ -236,11 +236,7 @@ class History:
                 before = float(entry.measured.z[THETA])
                 turned += wrap_angle(heading - before) * min(1.0, (after - begin) / (after - entry.t))
                 after, heading = entry.t, before
-        entry = self._entries[self._valid - 1]
-        by = np.array([turned_without_gain(turned / seconds, self._settings)[0], 1.0])
-        known = entry.P[np.ix_((GAIN, BIAS), (GAIN, BIAS))]
-        rate = float(entry.x[GAIN] * by[0] + entry.x[BIAS])
-        return rate * seconds, float(by @ known @ by) * seconds**2
+        return turned_without_gain(turned / seconds, self._settings)[0] * seconds if seconds > 0.0 else 0.0
 
     def at(self, t: float) -> tuple[Array, Array]:
         """Return state (19,) and covariance (19, 19) at ``t``, before the history those of its begin."""
@@ -344,17 +340,13 @@ class History:
 
     def _correct_by_turn(self, turn: Turn) -> None:
         self._ekf.P[np.ix_((THETA, TURN), (THETA, TURN))] += turn.disturbance_variance
-        H = _turn_row(turn.seconds)
-        self._correct(turn.angle - H @ self._ekf.x, H, np.array([[turn.variance]]))
+        self._correct(turn.angle - turn.row @ self._ekf.x, turn.row, np.array([[turn.variance]]))
 
-    def _apply_turn(self, angle: float, seconds: float, predicted: float) -> Turn | None:
-        """Apply a gyro's turn, as a disturbance if it does not fit; return it, None if it is rejected.
-
-        ``predicted`` is the variance of the parts at its ends that were predicted for want of readings.
-        """
+    def _apply_turn(self, angle: float, seconds: float, ahead: float) -> Turn | None:
+        """Apply a gyro's turn, as a disturbance if it does not fit; return it, None if it is rejected."""
         s, x, P = self._settings, self._ekf.x, self._ekf.P
-        turn = Turn(angle, seconds, s.gyro_rad**2 * seconds / GYRO_S + predicted)
-        row = _turn_row(seconds)[0]
+        turn = Turn(angle, seconds, ahead, s.gyro_rad**2 * seconds / GYRO_S)
+        row = turn.row[0]
         variance = float(row @ P @ row) + turn.variance
         missing = angle - float(row @ x)
         gain = float(x[GAIN] + P[GAIN] @ row / variance * missing)
@@ -392,8 +384,3 @@ class History:
         H = _ALL[POSE].copy()
         H[:, DELAY] = -velocity
         return residual(measured.z - (measured.assumed_delay_s - x[DELAY]) * velocity, x[POSE]), H
-
-
-def _turn_row(seconds: float) -> Array:
-    """Return the Jacobian (1, 19) of a gyro's turn in some seconds."""
-    return _ALL[TURN : TURN + 1] + seconds * _ALL[BIAS : BIAS + 1]

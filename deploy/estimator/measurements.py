@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deploy.estimator.motion import THETA, Array
+from deploy.estimator.motion import BIAS, GAIN, SIZE, THETA, TURN, Array
 from rover_ncp.core.geometry import wrap_angle
 
 
@@ -21,13 +21,32 @@ class Outcome(Enum):
     DROPPED = "too many poses wait for odometry"
 
 
+class GyroAngle(NamedTuple):
+    """Angle (rad, from any zero) that a gyro has turned at ``t`` s; NaN where it is not known."""
+
+    rad: float
+    t: float
+
+
 class Turn(NamedTuple):
-    """Angle (rad) that a gyro turned in some seconds, its variance, and that of a disturbance."""
+    """Angle (rad) that a gyro turned in some seconds, its variance, and that of a disturbance.
+
+    The newest reading may be older than odometry. ``ahead`` is how much more odometry had turned since then
+    at the turn's end than at its begin, before the turn gain, rad.
+    """
 
     angle: float
     seconds: float
+    ahead: float
     variance: float
     disturbance_variance: float = 0.0
+
+    @property
+    def row(self) -> Array:
+        """The Jacobian (1, 19) of the angle."""
+        row = np.zeros((1, SIZE))
+        row[0, [TURN, BIAS, GAIN]] = 1.0, self.seconds, -self.ahead
+        return row
 
 
 class Odometry(NamedTuple):

@@ -35,25 +35,31 @@ def drive(
     pushed=standing,
     settings=None,
     late=lambda tick: False,
+    read=lambda tick: True,
 ):
     """Drive with odometry and gyro; return the estimator and the error of its heading at the end.
 
     ``reading`` makes a reading of the gyro from the true one, ``pushed`` is a turn rate that no wheel shows.
-    A ``late`` reading comes after the odometry of the same moment.
+    A ``late`` reading comes after the odometry of the same moment. The gyro reports the mean rate at ticks
+    at which it is ``read``.
     """
     random, estimator = np.random.default_rng(7), started(settings)
     own = true = 0.0
+    rates = []
     for tick in range(1, round(until / period) + 1):
         t = tick * period
         own += omega(t - 0.5 * period) * period
         unseen = pushed(t - 0.5 * period)
         true += (1.2 * omega(t - 0.5 * period) + unseen) * period
         noise = NOISE_RAD * math.sqrt(0.1 / period) / 0.1 * random.normal()
-        rate = 1.2 * omega(t - 0.5 * period) + unseen + TRUE_BIAS + noise
-        if not late(tick):
-            estimator.gyro(reading(t, rate), t)
+        rates.append(1.2 * omega(t - 0.5 * period) + unseen + TRUE_BIAS + noise)
+        if read(tick):
+            rate = sum(rates) / len(rates)
+            rates.clear()
+            if not late(tick):
+                estimator.gyro(reading(t, rate), t)
         estimator.odometry(*reported(Pose(0.0, 0.0, wrap_angle(own)), Velocity(0.0, omega(t))), t)
-        if late(tick):
+        if late(tick) and read(tick):
             estimator.gyro(reading(t, rate), t)
         if estimator.fault:
             break
@@ -153,6 +159,34 @@ def test_gyro_that_stays_wrong_is_a_fault(reading, period):
     assert estimator.fault_rule == "gyro"
     assert estimator.fault.startswith("10 gyro readings rejected in a row")
     assert abs(error) < 0.8
+
+
+@pytest.mark.parametrize("late", [lambda tick: False, lambda tick: tick % 8 == 0, lambda tick: True])
+@pytest.mark.parametrize("every", [2, 4])
+def test_slow_gyro_that_stays_wrong_is_a_fault(every, late):
+    # Odometry comes between readings, too: what is predicted there is no reading that fits.
+    estimator, _ = drive(
+        turning, lambda t, rate: -rate, 0.05, until=12.0, late=late, read=lambda tick: tick % every == 0
+    )
+    assert estimator.fault_rule == "gyro"
+
+
+@pytest.mark.parametrize("late", [lambda tick: False, lambda tick: True])
+@pytest.mark.parametrize("every", [2, 4])
+@pytest.mark.parametrize("omega", [standing, turning])
+def test_slow_gyro_shows_its_bias_and_the_turn(omega, every, late):
+    estimator, error = drive(omega, period=0.05, late=late, read=lambda tick: tick % every == 0)
+    assert abs(error) < min(0.02, 4.0 * math.sqrt(estimator.at(8.0).covariance[2, 2]))
+    assert bias(estimator, 8.0) == pytest.approx(TRUE_BIAS, abs=0.004)
+    assert (estimator.gyro_rejected, estimator.fault) == (0, "")
+
+
+def test_time_without_a_reading_teaches_nothing():
+    deviations = []
+    for end in (2, 4, 5):  # the gyro reports at 0.1 s, and a new turn begins there
+        estimator, _ = drive(standing, period=0.05, until=0.05 * end, read=lambda tick: tick == 2)
+        deviations.append(math.sqrt(estimator._history.at(0.05 * end)[1][BIAS, BIAS]))
+    assert deviations == pytest.approx([deviations[0]] * 3, rel=0.01)
 
 
 def test_noise_of_a_turn_grows_with_its_time():

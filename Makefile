@@ -184,7 +184,7 @@ nightly: $(GRADIENTS_STAMP) $(FUZZ_STAMP) ## All that takes an hour or more: mat
 	$(MAKE) test-timed
 	$(MAKE) --jobs 2 --output-sync=line nightly-waits nightly-cpu
 
-# What measures times runs beside nothing, and then what waits for processes has precedence over what only computes. All is
+# Timed tests run beside no others. Then what waits for processes, the soak too, has precedence over what only computes. All is
 # installed before.
 nightly-waits:
 	$(BIN)/pytest tests/process tests/system -m "not browser and not timed" --hypothesis-profile=full \

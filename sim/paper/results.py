@@ -149,7 +149,7 @@ class ResultStore:
         return np.array([run.mean for run in self.results(task, agent, budget)])
 
     def every(self) -> Iterator[Result]:
-        """Yield all runs, file by file. Raises FileError."""
+        """Yield all runs, file by file. Raises FileError; OSError for a folder that cannot be read."""
         for budget in BudgetName:
             try:  # since Python 3.13, glob finds nothing where a folder cannot be read
                 paths = sorted((self.folder / budget).iterdir())

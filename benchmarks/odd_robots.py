@@ -9,7 +9,7 @@ one more error:
 - ramp: the gyro's bias grows to 0.5 °/s within the first 20 s of motion, every second one's to −0.5 °/s
 - kicks: at each start and reversal, casters push the rover 1 cm to a random side, which no encoder shows
 - four: each wheel has its own motor; odometry reads the front ones
-- heavy: on the slopes of `slope`, with twice a Pioneer's mass at twice its height, softer tyres and a longer base
+- heavy: on the slopes of `slope`, with twice a Pioneer's mass and height, softer tyres and a longer base
 """
 
 import argparse

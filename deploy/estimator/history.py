@@ -340,7 +340,8 @@ class History:
 
     def _correct_by_turn(self, turn: Turn) -> None:
         self._ekf.P[np.ix_((THETA, TURN), (THETA, TURN))] += turn.disturbance_variance
-        self._correct(turn.angle - turn.row @ self._ekf.x, turn.row, np.array([[turn.variance]]))
+        H = turn.row
+        self._correct(turn.angle - H @ self._ekf.x, H, np.array([[turn.variance]]))
 
     def _apply_turn(self, angle: float, seconds: float, ahead: float) -> Turn | None:
         """Apply a gyro's turn, as a disturbance if it does not fit; return it, None if it is rejected."""

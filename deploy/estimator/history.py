@@ -8,7 +8,8 @@ Rules of this file:
    squared (NIS).
 3. A pose may fail its gate while the rover moves. If the covariance of a disturbance explains it, such as a
    cable under the wheels, that covariance is added once until a pose is accepted. The pose is rejected all
-   the same: it does not move the estimate, and the next pose can correct it.
+   the same: it does not move the estimate, and the next pose can correct it. While the rover stands, this
+   takes three poses that show one place: somebody pushed the rover. Those of a camera that lags go on.
 4. The rover stands between two odometry samples that report no motion and the same place, both within their
    declared noise. Its pose then stays the same, and noise does not move the estimate.
 5. Odometry whose speeds are means, or contradict its pose, or whose steps alternate, is irregular: its pose
@@ -36,6 +37,7 @@ from deploy.estimator.measurements import (
     Outcome,
     PoseMeasurement,
     Turn,
+    irregular_covariance,
     normalised_square,
     residual,
 )
@@ -60,6 +62,8 @@ from deploy.estimator.motion import (
 from deploy.estimator.settings import GYRO_S, TURN_GAINS, EstimatorSettings
 from rover_ncp.core.geometry import Pose, wrap_angle
 
+PUSH_POSES = 3
+"""Poses that show a push of a rover that stands. Two of a camera that lags can agree by chance."""
 GAP_S = 10.0
 """After a longer gap any odometry would fit, so none is accepted."""
 WAITING_MAX = 100
@@ -68,10 +72,6 @@ REST_M_S, REST_RAD_S = 0.0005, 0.001
 """Slower motion counts as none: less than half a step of a Pioneer's rounding."""
 STILL_SIGMAS = 5.0
 """Limit for no motion between two samples, in standard deviations of odometry's noise."""
-STAMP_STD_S = 0.02
-"""Standard deviation of the stamps of irregular odometry: robots report poses of other moments than these."""
-COARSE_STD_RAD = 0.0018
-"""Standard deviation of a heading in steps of 0.35°, which some robots send."""
 IRREGULAR_S = 10.0
 """Time for which speeds do not count after one that contradicted its pose."""
 TURN_S = 0.08
@@ -141,6 +141,8 @@ class History:
         """Until when the speeds of odometry do not count, s."""
         self._disturbed = False
         """Whether the covariance grew by a disturbance since the last accepted pose."""
+        self._rejected: list[PoseMeasurement] = []
+        """The first poses that were rejected since the last accepted one."""
         self._turn_began = t, GyroAngle(math.nan, t), 0.0
         """Begin of the turn in s, the gyro's angle there, and odometry's turn since that angle's reading."""
         self._disturbance_rad = 0.0
@@ -268,15 +270,26 @@ class History:
         if accepted:
             count, total = self.nis[stood]
             self.nis[stood] = count + 1, total + nis
-        disturbed = not (accepted or stood or self._disturbed) and (
-            normalised_square(innovation, covariance + self._disturbance.covariance)
+        disturbed = (
+            not (accepted or self._disturbed)
+            and (not stood or self._pushed(measured))
+            and normalised_square(innovation, covariance + self._disturbance.covariance)
             <= self._settings.pose_gate
         )
         if accepted or disturbed:
             self._entries.insert(place, self._updated(t, stood, measured if accepted else self._disturbance))
             self._valid = place + 1
         self._disturbed = disturbed or (self._disturbed and not accepted)
+        self._rejected = [] if accepted else [*self._rejected, measured][: PUSH_POSES - 1]
         return Outcome.ACCEPTED if accepted else Outcome.OUTLIER
+
+    def _pushed(self, measured: PoseMeasurement) -> bool:
+        """Return whether this pose and enough rejected ones show the same place."""
+        return len(self._rejected) == PUSH_POSES - 1 and all(
+            normalised_square(residual(measured.z, before.z), measured.covariance + before.covariance)
+            <= self._settings.pose_gate
+            for before in self._rejected
+        )
 
     def _apply_again(self, count: int) -> None:
         """Bring the first ``count`` entries up to date."""
@@ -317,10 +330,7 @@ class History:
 
     def _irregular_covariance(self) -> Array:
         """Return the covariance (3, 3) of a pose of irregular odometry."""
-        v, omega = STAMP_STD_S * self._ekf.x[MOTION]
-        more = np.square([v, v, math.hypot(omega, COARSE_STD_RAD)])
-        covariance: Array = self._odometry_covariance[:3, :3] + np.diag(more)
-        return covariance
+        return self._odometry_covariance[:3, :3] + irregular_covariance(*self._ekf.x[MOTION])
 
     def _pose_fits(self, z: Array) -> bool:
         """Return whether the pose of irregular odometry fits; the filter is predicted to its time."""

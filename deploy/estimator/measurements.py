@@ -1,5 +1,6 @@
 """What the filter is given, how far it is from what was expected, and what becomes of it."""
 
+import math
 from enum import Enum
 from typing import NamedTuple
 
@@ -7,6 +8,11 @@ import numpy as np
 
 from deploy.estimator.motion import BIAS, GAIN, SIZE, THETA, TURN, Array
 from rover_ncp.core.geometry import wrap_angle
+
+STAMP_STD_S = 0.02
+"""Standard deviation of the stamps of irregular odometry: robots report poses of other moments than these."""
+COARSE_STD_RAD = 0.0018
+"""Standard deviation of a heading in steps of 0.35°, which some robots send."""
 
 
 class Outcome(Enum):
@@ -94,3 +100,10 @@ def normalised_square(innovation: Array, covariance: Array) -> float:
     with np.errstate(over="ignore", invalid="ignore"):
         white = np.linalg.solve(np.linalg.cholesky(covariance), innovation)
         return float(white @ white)
+
+
+def irregular_covariance(v: float, omega: float) -> Array:
+    """Return what a motion in m/s and rad/s adds to the covariance (3, 3) of irregular odometry's pose."""
+    late_m, late_rad = STAMP_STD_S * v, STAMP_STD_S * omega
+    added: Array = np.diag(np.square([late_m, late_m, math.hypot(late_rad, COARSE_STD_RAD)]))
+    return added

@@ -5,6 +5,7 @@ for parked (at the goal within a quarter of it), rests there long enough, and to
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
@@ -191,8 +192,7 @@ def _clearance(
     if not course.obstacles:
         return None, []
     least, problems = math.inf, []
-    # From its centre of rotation, which need not be its middle.
-    rover = _UNIT * [robot.length_m, robot.width_m] + [(robot.front_m - robot.rear_m) / 2, 0.0]
+    rover = _outline(robot)
     size = f"{robot.length_m:g} m by {robot.width_m:g} m"
     reach, poses = float(np.hypot(*rover.T).max()), reference.poses.tolist()
     for which, obstacle in enumerate(course.obstacles, 1):
@@ -214,6 +214,17 @@ def _clearance(
             detail = f"the rover ({size}) touches obstacle {which} at {t:.1f} s"
             problems.append(Problem(number, course.checkpoints[number - 1].t, Cause.OBSTACLE, detail))
     return max(least, 0.0), problems
+
+
+def clearance_at(pose: Pose, obstacles: Iterable[Obstacle], robot: RobotDescription) -> float:
+    """Return the distance (m) from a robot to the nearest obstacle: 0 if it touches one, infinite without."""
+    rover = _placed(_outline(robot), list(pose))
+    return min((_gap(rover, _corners(obstacle)) for obstacle in obstacles), default=math.inf)
+
+
+def _outline(robot: RobotDescription) -> FloatArray:
+    # From its centre of rotation, which need not be its middle.
+    return _UNIT * [robot.length_m, robot.width_m] + [(robot.front_m - robot.rear_m) / 2, 0.0]
 
 
 def _corners(obstacle: Obstacle) -> FloatArray:

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
+import numpy as np
+
 from deploy.drive.config import DriveConfig
 from deploy.drive.control_loop import Drive
 from deploy.place.docking import Docking, place_config
@@ -17,9 +19,11 @@ from deploy.place.outcome import DockResult, PoseErrors
 from deploy.place.place import Place
 from deploy.place.plan import approach
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.errors import NoPose, UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose, compose
 from rover_ncp.core.streams import Domain, integer_seed, random_stream
+from rover_ncp.course.feasibility import clearance_at
 from rover_ncp.robot.description import RobotDescription, load_description
 from rover_ncp.robot.profile import RoverProfile
 from sim.pioneer.trial import BaseTrial, draw_rover
@@ -34,6 +38,8 @@ BEARING_RAD = math.radians(60.0)
 """Starts: this far from the place, at bearings up to this off its axis."""
 HEADING_RAD = math.radians(30.0)
 """Largest turn of a start from the direction in which the tags are."""
+STARTS = 1000
+"""Starts that are drawn at most until one is clear of obstacles."""
 
 
 class Docked(NamedTuple):
@@ -41,7 +47,7 @@ class Docked(NamedTuple):
 
     result: DockResult
     stop: str
-    """The safety rule that stopped the drive, or ""."""
+    """The safety rule that stopped the drive, ``no-pose`` if no pose came at the start, or ""."""
     off: PoseErrors
     """Of the true pose."""
     docked: bool
@@ -81,8 +87,18 @@ class DockTrials:
         return place_config(self.place, known, self.robot, robot="virtual", policy=self.dock.circuit.name)
 
     def start(self, number: int) -> Pose:
-        """Return where the robot of a trial starts: it sees the tags."""
+        """Return where the robot of a trial starts: it sees the tags and touches no obstacle.
+
+        Raises UsageError if the obstacles leave no such start.
+        """
         stream = random_stream(self.seed, Domain.DOCKING, number)
+        for _ in range(STARTS):
+            start = self._drawn(stream)
+            if clearance_at(start, self.place.obstacles, self.description) > 0.0:
+                return start
+        raise UsageError(f"place '{self.place.name}': its obstacles leave no start before it")
+
+    def _drawn(self, stream: np.random.Generator) -> Pose:
         away = stream.uniform(*DISTANCES_M)
         bearing, heading = stream.uniform(-1.0, 1.0, 2) * (BEARING_RAD, HEADING_RAD)
         side = math.pi if self.place.backward else 0.0
@@ -107,7 +123,10 @@ class DockTrials:
         publisher = TicklessPublisher(link, lambda message: None, self.dock.circuit.neurons, bridge)
         docking = copy.deepcopy(self._docking)
         drive = Drive(link, docking, publisher, self._config, lambda: False, clock=bridge)
-        drive_whole(drive)
-        stop, off = "" if drive.stop is None else drive.stop.rule, self.place.errors(rover.pose)
-        docked = self.place.holds(rover.pose)
-        return Docked(docking.result(drive.reason), stop, off, docked, bridge.monotonic())
+        try:
+            drive_whole(drive)
+            stop, reason = "" if drive.stop is None else drive.stop.rule, drive.reason
+        except NoPose as error:
+            stop, reason = "no-pose", str(error)
+        off, docked = self.place.errors(rover.pose), self.place.holds(rover.pose)
+        return Docked(docking.result(reason), stop, off, docked, bridge.monotonic())

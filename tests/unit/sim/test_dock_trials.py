@@ -9,6 +9,7 @@ from kit.virtual_docking import place
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.console import Output
+from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.wire.messages import pose_with_covariance, read_pose
 from sim.evaluate.docking_runs import evaluate_docking
@@ -49,6 +50,28 @@ def test_starts_lie_before_the_place_and_see_the_tags(direction):
         out_m = off.longitudinal_m if direction == "backward" else -off.longitudinal_m
         assert math.atan2(abs(off.lateral_m), out_m) <= BEARING_RAD + 1e-9
         assert measured(start, direction, LosesNone, seconds=1.0)
+
+
+def test_starts_touch_no_obstacle():
+    box = {"x": 0.9, "y": 1.0, "length": 0.5, "width": 0.5}
+    free, beside = trials(), trials(obstacles=[box])
+    moved = [number for number in range(60) if free.start(number) != beside.start(number)]
+    assert 3 < len(moved) < 50
+    # A Pioneer's middle is at least half its width away from what it does not touch.
+    assert all(math.hypot(s.x - 0.9, s.y - 1.0) > 0.25 + 0.2 for s in map(beside.start, range(60)))
+    everywhere = trials(obstacles=[box | {"length": 8.0, "width": 8.0}])
+    with pytest.raises(UsageError, match="leave no start"):
+        everywhere.start(0)
+
+
+def test_a_trial_whose_robot_never_sees_the_tags_is_counted():
+    class Blind(TagLocaliser):
+        farthest_m = 0.1
+
+    drawn = dataclasses.replace(trials(), localiser=Blind)
+    found = evaluate_docking(drawn, 2, 1, Output(False), randomize="none", model=None, body="pymunk")
+    assert (found.trials, found.said_docked) == (2, 0)
+    assert found.failures == {"stopped by no-pose": 2}
 
 
 @pytest.mark.parametrize("pose", [Pose(1.9, 1.0, 0.0), Pose(0.2, 0.3, 0.4)])

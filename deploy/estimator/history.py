@@ -9,7 +9,7 @@ Rules of this file:
 3. A pose may fail its gate while the rover moves. If the covariance of a disturbance explains it, such as a
    cable under the wheels, that covariance is added once until a pose is accepted. The pose is rejected all
    the same: it does not move the estimate, and the next pose can correct it. While the rover stands, this
-   takes three poses that show one place: somebody pushed the rover. Those of a camera that lags go on.
+   takes three poses that show one place, as after a push. The poses of a camera that lags do not.
 4. The rover stands between two odometry samples that report no motion and the same place, both within their
    declared noise. Its pose then stays the same, and noise does not move the estimate.
 5. Odometry whose speeds are means, or contradict its pose, or whose steps alternate, is irregular: its pose
@@ -273,8 +273,7 @@ class History:
         disturbed = (
             not (accepted or self._disturbed)
             and (not stood or self._pushed(measured))
-            and normalised_square(innovation, covariance + self._disturbance.covariance)
-            <= self._settings.pose_gate
+            and self._passes(innovation, covariance + self._disturbance.covariance)
         )
         if accepted or disturbed:
             self._entries.insert(place, self._updated(t, stood, measured if accepted else self._disturbance))
@@ -286,10 +285,12 @@ class History:
     def _pushed(self, measured: PoseMeasurement) -> bool:
         """Return whether this pose and enough rejected ones show the same place."""
         return len(self._rejected) == PUSH_POSES - 1 and all(
-            normalised_square(residual(measured.z, before.z), measured.covariance + before.covariance)
-            <= self._settings.pose_gate
+            self._passes(residual(measured.z, before.z), measured.covariance + before.covariance)
             for before in self._rejected
         )
+
+    def _passes(self, innovation: Array, covariance: Array) -> bool:
+        return normalised_square(innovation, covariance) <= self._settings.pose_gate
 
     def _apply_again(self, count: int) -> None:
         """Bring the first ``count`` entries up to date."""
@@ -330,12 +331,12 @@ class History:
 
     def _irregular_covariance(self) -> Array:
         """Return the covariance (3, 3) of a pose of irregular odometry."""
-        return self._odometry_covariance[:3, :3] + irregular_covariance(*self._ekf.x[MOTION])
+        return irregular_covariance(self._odometry_covariance[:3, :3], *self._ekf.x[MOTION])
 
     def _pose_fits(self, z: Array) -> bool:
         """Return whether the pose of irregular odometry fits; the filter is predicted to its time."""
         covariance = self._ekf.P[OWN, OWN] + self._irregular_covariance()
-        return normalised_square(residual(z[:3], self._ekf.x[OWN]), covariance) <= self._settings.pose_gate
+        return self._passes(residual(z[:3], self._ekf.x[OWN]), covariance)
 
     def _correct_by_odometry(self, z: Array, stood: bool, irregular: bool) -> None:
         if irregular:

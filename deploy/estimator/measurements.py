@@ -102,8 +102,8 @@ def normalised_square(innovation: Array, covariance: Array) -> float:
         return float(white @ white)
 
 
-def irregular_covariance(v: float, omega: float) -> Array:
-    """Return what a motion in m/s and rad/s adds to the covariance (3, 3) of irregular odometry's pose."""
+def irregular_covariance(covariance: Array, v: float, omega: float) -> Array:
+    """Add the noise of irregular odometry at v (m/s) and omega (rad/s) to a pose's covariance (3, 3)."""
     late_m, late_rad = STAMP_STD_S * v, STAMP_STD_S * omega
     added: Array = np.diag(np.square([late_m, late_m, math.hypot(late_rad, COARSE_STD_RAD)]))
-    return added
+    return covariance + added

@@ -123,6 +123,12 @@ def check_course(
     return Drivability(reference, found, tuple(problems), clearance)
 
 
+def clearance_at(pose: Pose, obstacles: Iterable[Obstacle], robot: RobotDescription) -> float:
+    """Return the distance (m) from a robot to the nearest obstacle: 0 if it touches one, infinite without."""
+    rover = _placed(_outline(robot), list(pose))
+    return min((_gap(rover, _corners(obstacle)) for obstacle in obstacles), default=math.inf)
+
+
 def _start(course: Course) -> list[Problem]:
     first, rule = course.checkpoints[0], course.parked
     away, turned = distance(first.pose, Pose(0, 0, 0)), abs(first.theta)
@@ -214,12 +220,6 @@ def _clearance(
             detail = f"the rover ({size}) touches obstacle {which} at {t:.1f} s"
             problems.append(Problem(number, course.checkpoints[number - 1].t, Cause.OBSTACLE, detail))
     return max(least, 0.0), problems
-
-
-def clearance_at(pose: Pose, obstacles: Iterable[Obstacle], robot: RobotDescription) -> float:
-    """Return the distance (m) from a robot to the nearest obstacle: 0 if it touches one, infinite without."""
-    rover = _placed(_outline(robot), list(pose))
-    return min((_gap(rover, _corners(obstacle)) for obstacle in obstacles), default=math.inf)
 
 
 def _outline(robot: RobotDescription) -> FloatArray:

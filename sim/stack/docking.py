@@ -38,8 +38,8 @@ BEARING_RAD = math.radians(60.0)
 """Starts: this far from the place, at bearings up to this off its axis."""
 HEADING_RAD = math.radians(30.0)
 """Largest turn of a start from the direction in which the tags are."""
-STARTS = 1000
-"""Starts that are drawn at most until one is clear of obstacles."""
+MAX_DRAWS = 1000
+"""Maximum number of draws until a start is clear of obstacles."""
 
 
 class Docked(NamedTuple):
@@ -92,7 +92,7 @@ class DockTrials:
         Raises UsageError if the obstacles leave no such start.
         """
         stream = random_stream(self.seed, Domain.DOCKING, number)
-        for _ in range(STARTS):
+        for _ in range(MAX_DRAWS):
             start = self._drawn(stream)
             if clearance_at(start, self.place.obstacles, self.description) > 0.0:
                 return start

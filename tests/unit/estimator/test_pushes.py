@@ -1,4 +1,4 @@
-"""External poses of a rover whose wheels stand: somebody pushed it, or the localiser is wrong."""
+"""External poses of a rover whose wheels stand: it was pushed, or the localiser is wrong."""
 
 import math
 
@@ -36,7 +36,7 @@ def test_a_rover_that_was_pushed_while_it_stands_is_found_again(noise_std):
         # A camera that lags shows the way to where the rover stands.
         lambda i: (i + 1) * PUSH,
         lambda i: (5 - i) * PUSH,
-        # So far nobody pushes it: it was carried, or the localiser found another place.
+        # Too far for a push: it was carried, or the localiser found another place.
         lambda i: np.array([0.3, 0.0, 0.0]),
         # The localiser cannot decide between two places.
         lambda i: PUSH if i % 2 else -PUSH,

@@ -21,9 +21,10 @@ from sim.camera.render import Renderer
 from sim.stack.lines import WALL_NS
 from sim.stack.rendered_camera import RenderedLocaliser
 
-START = Pose(1.05, 1.12, -0.5)
-APPROACH_S = 20.0
-"""The rover is on its way then."""
+STAGING = Pose(1.3, 1.0, 0.0)
+BEFORE_STAGING = Pose(1.05, 1.12, -0.5)
+APPROACH_S = 8.0
+"""A rover that starts at the staging pose is on its way then."""
 
 
 class Camera:
@@ -85,14 +86,14 @@ class Case(NamedTuple):
     error: DockError = DockError.FAILED_TO_CONTROL
     place: Mapping = MappingProxyType({})
     see: object = None
-    start: Pose = START
+    start: Pose = STAGING
     obstacles: tuple = ()
     charge: bool | None = None
 
 
 def tags(hang):
     """Tags that hang otherwise than the map says: the rover does not start."""
-    return Case("no external pose", "no-pose", see=lambda: Camera(hang))
+    return Case("no external pose", "no-pose", see=lambda: Camera(hang), start=BEFORE_STAGING)
 
 
 UNCERTAIN = "within the tolerances with a probability of"
@@ -106,9 +107,13 @@ CASES = {
     "the camera is over-exposed on the way": Case(UNCERTAIN, see=lambda: Camera(gain=12.0)),
     "the camera freezes on the way": Case(UNCERTAIN, see=lambda: Camera(frozen=True)),
     "the localiser dies early": Case(UNCERTAIN, see=lambda: lambda pose, now: pose if now < 4.0 else None),
-    "the camera lags 1.5 s": Case("5 external poses rejected", "external-pose", see=lambda: late(1.5)),
+    "the camera lags 1.5 s": Case(
+        "5 external poses rejected", "external-pose", see=lambda: late(1.5), start=BEFORE_STAGING
+    ),
     # Late poses make the estimate wrong; which of the two rules ends the drive first depends on the lag.
-    "the camera lags 2 s": Case("by the estimate the rover drove", "no-response", see=lambda: late(2.0)),
+    "the camera lags 2 s": Case(
+        "by the estimate the rover drove", "no-response", see=lambda: late(2.0), start=BEFORE_STAGING
+    ),
     "poses jump by 0.5 m on the way": Case(
         "5 external poses rejected",
         "external-pose",
@@ -120,6 +125,7 @@ CASES = {
     "a wall stands before the place": Case(
         "touches obstacle 1",
         "start-pose",
+        start=BEFORE_STAGING,
         place={"obstacles": [{"x": 1.3, "y": 1.0, "length": 0.1, "width": 4.0}]},
     ),
     "somebody stands in the approach": Case("contact ", obstacles=(dock(-0.215),)),

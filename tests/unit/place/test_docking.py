@@ -16,6 +16,7 @@ from rover_ncp.core.geometry import Pose, distance
 from rover_ncp.course.course import Obstacle
 
 START = Pose(1.05, 1.12, -0.5)
+STAGING = Pose(1.3, 1.0, 0.0)
 DOCK = Obstacle(x=2.365, y=1.0, length=0.1, width=0.6)
 """A wall that the front of a Pioneer 3-AT reaches at the place."""
 BEFORE = DOCK.model_copy(update={"x": 2.15})
@@ -89,7 +90,7 @@ def test_report_explains_each_part_of_the_way_by_the_policy_that_drove_it(read):
 
 def test_contact_elsewhere_is_a_miss_and_the_rover_backs_out(tmp_path):
     where = place(retries=1, proof="contact")
-    drive = VirtualDocking(where, START, path=tmp_path / "c.mcap", obstacles=[BEFORE])
+    drive = VirtualDocking(where, STAGING, path=tmp_path / "c.mcap", obstacles=[BEFORE])
     result = drive.run()
     assert not result.dock.success
     assert (result.exit_code, result.dock.error_code) == (1, DockError.FAILED_TO_CONTROL)
@@ -98,7 +99,7 @@ def test_contact_elsewhere_is_a_miss_and_the_rover_backs_out(tmp_path):
 
 
 def test_charge_that_flows_before_the_place_is_no_docking():
-    drive = charging(VirtualDocking(place(proof="charging", retries=0), START, obstacles=[BEFORE]), True)
+    drive = charging(VirtualDocking(place(proof="charging", retries=0), STAGING, obstacles=[BEFORE]), True)
     result = drive.run()
     assert (result.exit_code, result.dock.error_code) == (1, DockError.FAILED_TO_CONTROL)
     assert result.dock.error_msg.startswith("contact ")
@@ -122,8 +123,8 @@ BACKWARD = place(direction="backward")
 @pytest.mark.parametrize(
     ("where", "start", "world", "charge"),
     [
-        pytest.param(place(proof="contact"), START, {"obstacles": (DOCK,)}, False, id="contact proves it"),
-        pytest.param(place(proof="charging"), START, {}, True, id="charge proves it"),
+        pytest.param(place(proof="contact"), STAGING, {"obstacles": (DOCK,)}, False, id="contact proves it"),
+        pytest.param(place(proof="charging"), STAGING, {}, True, id="charge proves it"),
         pytest.param(place(), START, {"see": lost_near}, False, id="odometry replaces poses lost near"),
         pytest.param(BACKWARD, Pose(2.9, 0.9, 0.4), {}, False, id="backward"),
     ],

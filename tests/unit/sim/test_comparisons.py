@@ -31,7 +31,11 @@ def test_agents_start_inside_their_bounds(name, numbers):
     assert np.array_equal(box.vectors(box.start[None]), again.vectors(again.start[None]))
 
 
-@pytest.mark.parametrize("name", ["mlp", "lstm", "cfc", "ltc"])
+LIQUID = [pytest.param(name, marks=pytest.mark.long) for name in ("cfc", "ltc")]
+"""Their kernels take longest to compile, and only benchmarks run them."""
+
+
+@pytest.mark.parametrize("name", ["mlp", "lstm", *LIQUID])
 def test_network_gives_the_same_return_in_any_company(name):
     agents = [find_agent(name, seed) for seed in range(20)]
     engine = agents[0].engine(load_course("parking"))

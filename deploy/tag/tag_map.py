@@ -104,6 +104,11 @@ class Intrinsics(StrictModel):
         """OpenCV's 3 × 3 camera matrix, pixels."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    def pixels(self, flat: Floats) -> Floats:
+        """Return points (n × 2) in pixels, from focal lengths, without distortion."""
+        found: Floats = flat @ self.matrix[:2, :2].T + self.matrix[:2, 2]
+        return found
+
 
 class CameraFile(StrictModel):
     """A camera: its intrinsics, and its mount on the rover (or in the map, for tags on the rover)."""

@@ -32,8 +32,8 @@ class Renderer:
     def __init__(
         self, camera: CameraFile, tag_map: TagMap, stream: np.random.Generator, gain: float = 1.0
     ) -> None:
+        self._intrinsics = camera.intrinsics
         self._size = (camera.intrinsics.width, camera.intrinsics.height)
-        self._matrix = camera.intrinsics.matrix
         self._locator = Locator(camera, tag_map)
         self._tags = [(tag, _texture(tag)) for tag in tag_map.tags]
         self._stream, self.gain = stream, gain
@@ -54,7 +54,7 @@ class Renderer:
         flat = self._locator.project(pose, tag.model_copy(update={"size": edge}).corners)
         if np.any(np.abs(flat) > BEHIND) or not _faces(flat):
             return
-        pixels = flat @ self._matrix[:2, :2].T + self._matrix[:2, 2]
+        pixels = self._intrinsics.pixels(flat)
         # From pixel centres of the picture to those of the finer one.
         fine = ((pixels + 0.5) * FINE - 0.5).astype(np.float32)
         side = texture.shape[0]

@@ -87,14 +87,15 @@ class DockTrials:
         return place_config(self.place, known, self.robot, robot="virtual", policy=self.dock.circuit.name)
 
     def start(self, number: int) -> Pose:
-        """Return where the robot of a trial starts: it sees the tags and touches no obstacle.
+        """Return where the robot of a trial starts: it has tags in its image and touches no obstacle.
 
         Raises UsageError if the obstacles leave no such start.
         """
         stream = random_stream(self.seed, Domain.DOCKING, number)
         for _ in range(MAX_DRAWS):
             start = self._drawn(stream)
-            if clearance_at(start, self.place.obstacles, self.description) > 0.0:
+            clear = clearance_at(start, self.place.obstacles, self.description) > 0.0
+            if clear and self.localiser.has_tags(start, self.place):
                 return start
         raise UsageError(f"place '{self.place.name}': its obstacles leave no start before it")
 

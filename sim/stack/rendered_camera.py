@@ -1,5 +1,6 @@
 """A camera on the rover whose pictures of tags are rendered, and the poses found in them."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy as np
 from deploy.place.place import Place
 from deploy.tag.camera import Picture
 from deploy.tag.localiser import Localiser
+from deploy.tag.locate import Locator
 from deploy.tag.tag_map import CameraFile, Mount, TagMap
 from rover_ncp.core.config import load_yaml
 from rover_ncp.core.files import resolve
@@ -32,22 +34,36 @@ class RenderedLocaliser(TagLocaliser):
         self, rover: Rover, place: Place, stream: np.random.Generator, send: Callable[[bytes, int], None]
     ) -> None:
         super().__init__(rover, place, stream, send)
+        self.known = self._known(place)
+        self.renderer, self.localiser = Renderer(*self.known, stream), Localiser(*self.known, 2.0)
+
+    @classmethod
+    def _known(cls, place: Place) -> tuple[CameraFile, TagMap]:
         camera, tags = (
             load_yaml(resolve("dock", "camera"), CameraFile),
             load_yaml(resolve("dock", "tags"), TagMap),
         )
+        side = Pose(0.0, 0.0, math.pi if place.backward else 0.0)
         moved = []
         for tag in tags.tags:
-            x, y, yaw = compose(self._toward, Pose(tag.x - PLACE_M, tag.y, tag.yaw))
+            x, y, yaw = compose(compose(place.goal, side), Pose(tag.x - PLACE_M, tag.y, tag.yaw))
             moved.append(tag.model_copy(update={"x": x, "y": y, "yaw": yaw}))
-        x, y, yaw = compose(
-            Pose(0.0, 0.0, self._looks), Pose(camera.mount.x, camera.mount.y, camera.mount.yaw)
-        )
-        self.known = (
+        x, y, yaw = compose(side, Pose(camera.mount.x, camera.mount.y, camera.mount.yaw))
+        return (
             camera.model_copy(update={"mount": Mount(x=x, y=y, z=camera.mount.z, yaw=yaw)}),
-            tags.model_copy(update={"tags": tuple(moved), "frame": self._frame}),
+            tags.model_copy(update={"tags": tuple(moved), "frame": place.frame}),
         )
-        self.renderer, self.localiser = Renderer(*self.known, stream), Localiser(*self.known, 2.0)
+
+    @classmethod
+    def has_tags(cls, start: Pose, place: Place) -> bool:
+        """Return whether two tags are wholly in the image: the pose by one tag can be ambiguous."""
+        camera, tags = cls._known(place)
+        locator, size = Locator(camera, tags), (camera.intrinsics.width, camera.intrinsics.height)
+        within = 0
+        for tag in tags.tags:
+            pixels = camera.intrinsics.pixels(locator.project(np.array(start), tag.corners))
+            within += bool(np.all((pixels > 0.0) & (pixels < np.array(size) - 1.0)))
+        return within >= 2
 
     def measure(self, wall_ns: int) -> bytes | None:
         """Return the pose that a picture of the present moment gives."""

@@ -14,6 +14,7 @@ from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.wire.messages import pose_with_covariance, read_pose
 from sim.evaluate.docking_runs import evaluate_docking
 from sim.stack.docking import BEARING_RAD, DISTANCES_M, DockTrials
+from sim.stack.rendered_camera import RenderedLocaliser
 from sim.stack.tag_camera import TagLocaliser
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
@@ -50,6 +51,13 @@ def test_starts_lie_before_the_place_and_see_the_tags(direction):
         out_m = off.longitudinal_m if direction == "backward" else -off.longitudinal_m
         assert math.atan2(abs(off.lateral_m), out_m) <= BEARING_RAD + 1e-9
         assert measured(start, direction, LosesNone, seconds=1.0)
+
+
+@pytest.mark.parametrize("direction", ["forward", "backward"])
+def test_rendered_picture_of_each_start_gives_a_pose(direction):
+    drawn = dataclasses.replace(trials(direction=direction), localiser=RenderedLocaliser)
+    for number in range(12):
+        assert measured(drawn.start(number), direction, RenderedLocaliser, seconds=0.3), number
 
 
 def test_starts_touch_no_obstacle():

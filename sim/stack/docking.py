@@ -28,7 +28,7 @@ from rover_ncp.robot.description import RobotDescription, load_description
 from rover_ncp.robot.profile import RoverProfile
 from sim.pioneer.trial import BaseTrial, draw_rover
 from sim.stack.lines import simulated_base
-from sim.stack.tag_camera import TagLocaliser
+from sim.stack.tag_camera import TagLocaliser, camera_direction
 from sim.stack.trials import drive_whole
 from sim.stack.virtual import TicklessPublisher, VirtualBridge, VirtualLink
 from sim.world.randomization import Randomization
@@ -39,7 +39,7 @@ BEARING_RAD = math.radians(60.0)
 HEADING_RAD = math.radians(30.0)
 """Largest turn of a start from the direction in which the tags are."""
 MAX_DRAWS = 1000
-"""Maximum number of draws until a start is clear of obstacles."""
+"""Maximum number of draws until a start is clear of obstacles and has tags in its image."""
 
 
 class Docked(NamedTuple):
@@ -102,12 +102,11 @@ class DockTrials:
     def _drawn(self, stream: np.random.Generator) -> Pose:
         away = stream.uniform(*DISTANCES_M)
         bearing, heading = stream.uniform(-1.0, 1.0, 2) * (BEARING_RAD, HEADING_RAD)
-        side = math.pi if self.place.backward else 0.0
+        direction = camera_direction(self.place)
         x, y = -away * math.cos(bearing), -away * math.sin(bearing)
         from_place = Pose(x, y, math.atan2(-y, self.localiser.tags_ahead_m - x) + heading)
         # Turned about the place for a rover that backs in, its tail towards the place.
-        toward = compose(Pose(0.0, 0.0, side), from_place)
-        return compose(self.place.goal, compose(toward, Pose(0.0, 0.0, side)))
+        return compose(self.place.goal, compose(compose(direction, from_place), direction))
 
     def drive(self, number: int) -> Docked:
         """Drive a trial from power-up to the motors' release."""

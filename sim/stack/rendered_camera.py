@@ -1,7 +1,7 @@
 """A camera on the rover whose pictures of tags are rendered, and the poses found in them."""
 
-import math
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 
@@ -15,18 +15,35 @@ from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose, compose
 from rover_ncp.wire.messages import pose_with_covariance
 from sim.camera.render import Renderer
-from sim.stack.tag_camera import TagLocaliser
+from sim.stack.tag_camera import TagLocaliser, camera_direction
 from sim.world.rover import Rover
 
 PLACE_M = 1.6
 """Place of `park --dock` on the x axis of its tags' file."""
 
 
-class RenderedLocaliser(TagLocaliser):
-    """The camera and the tags of `park --dock` at any place.
+@cache
+def dock_camera(place: Place) -> tuple[CameraFile, TagMap]:
+    """Return the camera and the tags of `park --dock`, moved to a place.
 
-    A rover that backs in has its camera at its rear. ``known`` are the camera and the map.
+    A rover that backs in has its camera at its rear.
     """
+    camera = load_yaml(resolve("dock", "camera"), CameraFile)
+    tags = load_yaml(resolve("dock", "tags"), TagMap)
+    direction = camera_direction(place)
+    toward, moved = compose(place.goal, direction), []
+    for tag in tags.tags:
+        x, y, yaw = compose(toward, Pose(tag.x - PLACE_M, tag.y, tag.yaw))
+        moved.append(tag.model_copy(update={"x": x, "y": y, "yaw": yaw}))
+    x, y, yaw = compose(direction, Pose(camera.mount.x, camera.mount.y, camera.mount.yaw))
+    return (
+        camera.model_copy(update={"mount": Mount(x=x, y=y, z=camera.mount.z, yaw=yaw)}),
+        tags.model_copy(update={"tags": tuple(moved), "frame": place.frame}),
+    )
+
+
+class RenderedLocaliser(TagLocaliser):
+    """The camera and the tags of `park --dock` at any place."""
 
     tags_ahead_m = 0.7
 
@@ -34,30 +51,13 @@ class RenderedLocaliser(TagLocaliser):
         self, rover: Rover, place: Place, stream: np.random.Generator, send: Callable[[bytes, int], None]
     ) -> None:
         super().__init__(rover, place, stream, send)
-        self.known = self._known(place)
-        self.renderer, self.localiser = Renderer(*self.known, stream), Localiser(*self.known, 2.0)
-
-    @classmethod
-    def _known(cls, place: Place) -> tuple[CameraFile, TagMap]:
-        camera, tags = (
-            load_yaml(resolve("dock", "camera"), CameraFile),
-            load_yaml(resolve("dock", "tags"), TagMap),
-        )
-        side = Pose(0.0, 0.0, math.pi if place.backward else 0.0)
-        moved = []
-        for tag in tags.tags:
-            x, y, yaw = compose(compose(place.goal, side), Pose(tag.x - PLACE_M, tag.y, tag.yaw))
-            moved.append(tag.model_copy(update={"x": x, "y": y, "yaw": yaw}))
-        x, y, yaw = compose(side, Pose(camera.mount.x, camera.mount.y, camera.mount.yaw))
-        return (
-            camera.model_copy(update={"mount": Mount(x=x, y=y, z=camera.mount.z, yaw=yaw)}),
-            tags.model_copy(update={"tags": tuple(moved), "frame": place.frame}),
-        )
+        camera, tags = dock_camera(place)
+        self.renderer, self.localiser = Renderer(camera, tags, stream), Localiser(camera, tags, 2.0)
 
     @classmethod
     def has_tags(cls, start: Pose, place: Place) -> bool:
         """Return whether two tags are wholly in the image: the pose by one tag can be ambiguous."""
-        camera, tags = cls._known(place)
+        camera, tags = dock_camera(place)
         locator, size = Locator(camera, tags), (camera.intrinsics.width, camera.intrinsics.height)
         within = 0
         for tag in tags.tags:

@@ -22,6 +22,11 @@ FULL_M = 3.0
 """Distance at which the growth of the errors counts in full."""
 
 
+def camera_direction(place: Place) -> Pose:
+    """Return the direction of the camera in the rover's frame: it looks where the rover enters the place."""
+    return Pose(0.0, 0.0, math.pi if place.backward else 0.0)
+
+
 class TagLocaliser(PoseSource):
     """Poses of one rover from tags at a place, by the camera at that end of the rover which enters it.
 
@@ -46,9 +51,8 @@ class TagLocaliser(PoseSource):
     ) -> None:
         super().__init__(rover, stream, send)
         self._frame = place.frame
-        self._looks = math.pi if place.backward else 0.0
-        """Where the camera looks, from the rover's heading."""
-        self._toward = compose(place.goal, Pose(0.0, 0.0, self._looks))
+        self._camera = camera_direction(place)
+        self._toward = compose(place.goal, self._camera)
         """The place, turned to where a docked rover's camera looks."""
 
     @classmethod
@@ -62,7 +66,7 @@ class TagLocaliser(PoseSource):
     def measure(self, wall_ns: int) -> bytes | None:
         """Return the pose by the noise model."""
         tags = compose(self._toward, Pose(self.tags_ahead_m, 0.0, 0.0))
-        eye = compose(self._rover.pose, Pose(0.0, 0.0, self._looks))
+        eye = compose(self._rover.pose, self._camera)
         x, y, turn = relative(eye, tags)
         distance, bearing = math.hypot(x, y), math.atan2(y, x)
         seen = self.nearest_m <= distance <= self.farthest_m and abs(bearing) <= self.half_view_rad
@@ -74,7 +78,7 @@ class TagLocaliser(PoseSource):
         distance, bearing, turn = (np.array([distance, bearing, turn]) + errors * sigmas).tolist()
         direction = tags.theta - turn + bearing
         ahead, left = distance * math.cos(direction), distance * math.sin(direction)
-        theta = wrap_angle(tags.theta - turn - self._looks)
+        theta = wrap_angle(tags.theta - turn - self._camera.theta)
         # How the pose changes with distance, bearing and turn.
         jacobian = np.array(
             [[-ahead / distance, left, -left], [-left / distance, -ahead, ahead], [0.0, 0.0, -1.0]]

@@ -22,6 +22,10 @@ def place(**changed):
     return Place(**{"name": "bay", "frame": "map", "pose": {"x": 2.0, "y": 1.0, "theta": 0.0}} | changed)
 
 
+BEFORE_STAGING = Pose(1.05, 1.12, -0.5)
+STAGING = place().staging
+
+
 class VirtualDocking(VirtualDrive):
     """One drive from ``start`` to a place. ``see`` returns the pose that the localiser sends, or None."""
 

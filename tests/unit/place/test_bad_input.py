@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from kit.virtual_docking import VirtualDocking, charging, place
+from kit.virtual_docking import BEFORE_STAGING, STAGING, VirtualDocking, charging, place
 
 from deploy.place.outcome import DockError
 from deploy.tag.camera import Picture
@@ -19,10 +19,8 @@ from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.course.course import Obstacle
 from sim.camera.render import Renderer
 from sim.stack.lines import WALL_NS
-from sim.stack.rendered_camera import RenderedLocaliser
+from sim.stack.rendered_camera import dock_camera
 
-STAGING = Pose(1.3, 1.0, 0.0)
-BEFORE_STAGING = Pose(1.05, 1.12, -0.5)
 APPROACH_S = 8.0
 """A rover that starts at the staging pose is on its way then."""
 
@@ -34,7 +32,7 @@ class Camera:
     """
 
     def __init__(self, hang=lambda tags: tags, gain=1.0, frozen=False):
-        camera, known = RenderedLocaliser(None, place(), np.random.default_rng(1), None).known
+        camera, known = dock_camera(place())
         hung = known.model_copy(update={"tags": tuple(hang(known.tags))})
         self._renderer = Renderer(camera, hung, np.random.default_rng(2))
         self.localiser = Localiser(camera, known, 2.0)

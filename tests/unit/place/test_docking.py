@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from kit.virtual_docking import VirtualDocking, charging, place
+from kit.virtual_docking import BEFORE_STAGING, STAGING, VirtualDocking, charging, place
 
 from deploy.place.outcome import DockError
 from deploy.replay import replay
@@ -15,8 +15,6 @@ from deploy.view.trace import synapse_currents
 from rover_ncp.core.geometry import Pose, distance
 from rover_ncp.course.course import Obstacle
 
-START = Pose(1.05, 1.12, -0.5)
-STAGING = Pose(1.3, 1.0, 0.0)
 DOCK = Obstacle(x=2.365, y=1.0, length=0.1, width=0.6)
 """A wall that the front of a Pioneer 3-AT reaches at the place."""
 BEFORE = DOCK.model_copy(update={"x": 2.15})
@@ -34,7 +32,7 @@ def drove_m(drive):
 @pytest.fixture(scope="module")
 def docked(tmp_path_factory):
     path = tmp_path_factory.mktemp("docked") / "docked.mcap"
-    drive = VirtualDocking(place(), START, path=path)
+    drive = VirtualDocking(place(), BEFORE_STAGING, path=path)
     drive.run()
     return drive
 
@@ -107,7 +105,7 @@ def test_charge_that_flows_before_the_place_is_no_docking():
 
 
 def test_dry_run_plans_the_way_and_moves_nothing(tmp_path):
-    drive = VirtualDocking(place(), START, path=tmp_path / "dry.mcap", dry_run=True)
+    drive = VirtualDocking(place(), BEFORE_STAGING, path=tmp_path / "dry.mcap", dry_run=True)
     result = drive.run()
     assert (result.exit_code, result.dock.success, result.verdict) == (0, False, "not parked")
     assert "the dry run ends after the first way (staging, " in result.dock.error_msg
@@ -125,7 +123,9 @@ BACKWARD = place(direction="backward")
     [
         pytest.param(place(proof="contact"), STAGING, {"obstacles": (DOCK,)}, False, id="contact proves it"),
         pytest.param(place(proof="charging"), STAGING, {}, True, id="charge proves it"),
-        pytest.param(place(), START, {"see": lost_near}, False, id="odometry replaces poses lost near"),
+        pytest.param(
+            place(), BEFORE_STAGING, {"see": lost_near}, False, id="odometry replaces poses lost near"
+        ),
         pytest.param(BACKWARD, Pose(2.9, 0.9, 0.4), {}, False, id="backward"),
     ],
 )
@@ -158,7 +158,7 @@ def test_rover_undocks_from_contact_without_any_pose():
 
 
 def test_rover_elsewhere_does_not_undock():
-    result = VirtualDocking(place(), START, undock=True).run()
+    result = VirtualDocking(place(), BEFORE_STAGING, undock=True).run()
     assert (result.exit_code, result.stopped_by) == (4, "start-pose")
     assert "does not stand in bay" in result.reason
 

@@ -23,9 +23,9 @@ import numpy as np
 from rover_ncp.core.console import Output
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import load_course
+from sim.base.trial import Drawn
 from sim.evaluate.trial_runs import evaluate_stack, result_words
 from sim.learn.engine.driver import load_driver
-from sim.pioneer.trial import Drawn
 from sim.stack.trials import Stack
 from sim.world.bodies import Body
 from sim.world.mujoco_rover import CONTROL_S, Motor, MujocoRover

@@ -28,7 +28,7 @@ RESULTS = {
     "paper run": "sim.paper.results:MadeResult",
     "paper replay": "sim.paper.results:ReplayResult",
     "paper report": "sim.paper.report:ReportResult",
-    "mock": "sim.pioneer.run:MockResult",
+    "mock": "sim.mock.run:MockResult",
     "bridge": "bridge.node:BridgeResult",
     "export": "rover_ncp.export.commands:Exported",
     "tag print": "deploy.tag.localiser:TagPrintResult",

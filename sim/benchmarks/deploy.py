@@ -22,7 +22,7 @@ from rover_ncp.core.files import write_atomic
 from rover_ncp.course.course import TICK_S, load_course
 from sim.benchmarks.peer import BenchPeer
 from sim.live.processes import Process, ProcessError, TimedOut, wait_for
-from sim.pioneer.ros2_server import free_port
+from sim.mock.ros2_server import free_port
 
 RATES_HZ = (10.0, 50.0, 100.0)
 CIRCUIT_TICKS, CIRCUIT_REPEATS = 500, 20

@@ -26,7 +26,7 @@ from rover_ncp.core.streams import Domain, integer_seed, random_stream
 from rover_ncp.course.feasibility import clearance_at
 from rover_ncp.robot.description import RobotDescription, load_description
 from rover_ncp.robot.profile import RoverProfile
-from sim.pioneer.trial import BaseTrial, draw_rover
+from sim.base.trial import BaseTrial, draw_rover
 from sim.stack.lines import simulated_base
 from sim.stack.tag_camera import TagLocaliser, camera_direction
 from sim.stack.trials import drive_whole

@@ -17,11 +17,11 @@ from bridge.pioneer.setpoints import MotionLimits
 from bridge.ros2.base import Ros2Base
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.robot.description import RobotDescription
-from sim.pioneer.firmware import Firmware
-from sim.pioneer.models import config_of
-from sim.pioneer.ros2_robot import Ros2Robot
-from sim.pioneer.simulated_base import SimulatedBase
-from sim.pioneer.trial import BaseTrial
+from sim.base.firmware import Firmware
+from sim.base.models import config_of
+from sim.base.ros2_robot import Ros2Robot
+from sim.base.simulated_base import SimulatedBase
+from sim.base.trial import BaseTrial
 from sim.world.rover import Rover
 
 WALL_NS = 1_700_000_000 * NS_PER_S

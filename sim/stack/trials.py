@@ -30,9 +30,9 @@ from rover_ncp.course.scoring import Verdict, judge
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import RobotDescription, load_description
 from rover_ncp.robot.profile import RoverProfile
+from sim.base.trial import BaseTrial, Drawn, draw_rover
 from sim.learn.engine.driver import Driver
 from sim.learn.workers import ProcessPool, available_processes, made_in_each_process
-from sim.pioneer.trial import BaseTrial, Drawn, draw_rover
 from sim.stack.camera import Localiser
 from sim.stack.estimates import Belief, belief_of
 from sim.stack.lines import simulated_base

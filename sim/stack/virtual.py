@@ -30,8 +30,8 @@ from rover_ncp.wire.protocol import (
     dump_json,
     parse_json,
 )
-from sim.pioneer.firmware import Firmware
-from sim.pioneer.ros2_robot import Ros2Robot
+from sim.base.firmware import Firmware
+from sim.base.ros2_robot import Ros2Robot
 from sim.stack.camera import start_pose
 from sim.stack.lines import WALL_NS, ArcosConnection, Ros2Connection
 

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from bridge.pioneer.transport import ABORT
 from sim.live.processes import Applied, Process
-from sim.pioneer.real_time import Lateness
+from sim.mock.real_time import Lateness
 
 CHUNK_BYTES = 1 << 16
 TURN_S = 0.005

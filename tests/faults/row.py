@@ -7,7 +7,7 @@ from typing import NamedTuple
 from faults.rig import Scene
 from faults.scripted_driver import NAME
 from rover_ncp.robot.description import RobotDescription
-from sim.pioneer.ros2_robot import BATTERY_S
+from sim.base.ros2_robot import BATTERY_S
 
 STOP_S, WATCHDOG_S = 0.5, 2.0
 """The first safety requirement, and a Pioneer's own watchdog."""

@@ -7,7 +7,7 @@ from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.packets import ConfigPac, Sip, encode_names
 from bridge.pioneer.session import Session, SessionEvent
 from bridge.pioneer.states import PATIENCE_S, Input, SessionState
-from sim.pioneer.client_commands import decode_argument
+from sim.base.client_commands import decode_argument
 
 Sent = list[tuple[Command, object]]
 

@@ -58,8 +58,8 @@ from rover_ncp.wire.messages import (
     text,
     twist_stamped,
 )
-from sim.pioneer.client_commands import decode_argument
-from sim.pioneer.firmware import Firmware
+from sim.base.client_commands import decode_argument
+from sim.base.firmware import Firmware
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import Randomization

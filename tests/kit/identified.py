@@ -16,8 +16,8 @@ from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile
 from rover_ncp.wire.messages import COURSE_FRAME, pose_with_covariance
-from sim.pioneer.firmware import Firmware
-from sim.pioneer.trial import BaseTrial, rover_of
+from sim.base.firmware import Firmware
+from sim.base.trial import BaseTrial, rover_of
 from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground

@@ -7,9 +7,9 @@ from bridge.pioneer.framing import Command, Decoder, Packet, encode_command, enc
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Sip
 from rover_ncp.course.course import Obstacle
 from rover_ncp.robot.description import load_description
-from sim.pioneer.client_commands import STRING
-from sim.pioneer.faults import Faults, parse_fault
-from sim.pioneer.firmware import ClientState, Firmware
+from sim.base.client_commands import STRING
+from sim.base.faults import Faults, parse_fault
+from sim.base.firmware import ClientState, Firmware
 from sim.world.described import described_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 

@@ -11,7 +11,7 @@ import tty
 
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.robot.description import load_description
-from sim.pioneer.firmware import Firmware
+from sim.base.firmware import Firmware
 from sim.world.described import described_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 

@@ -2,8 +2,8 @@
 
 from kit.driver_client import DriverClient
 from rover_ncp.wire.key_table import spec
-from sim.pioneer.firmware import Firmware
-from sim.pioneer.ros2_robot import Ros2Robot
+from sim.base.firmware import Firmware
+from sim.base.ros2_robot import Ros2Robot
 from sim.stack.virtual import VirtualBridge
 from sim.world.described import described_rover
 from sim.world.pymunk_rover import Ground, PymunkRover

@@ -29,7 +29,7 @@ from rover_ncp.wire.protocol import (
     dump_json,
     parse_json,
 )
-from sim.pioneer.firmware import Firmware
+from sim.base.firmware import Firmware
 from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover

@@ -28,7 +28,7 @@ from rover_ncp.wire.messages import TWIST_STAMPED, read_twist
 from rover_ncp.wire.zenoh import CLIENT
 from sim.live.live_run import RMW_ZENOH, ROS2DDS, LiveRun
 from sim.live.processes import Process
-from sim.pioneer.ros2_server import free_port
+from sim.mock.ros2_server import free_port
 
 # Published in each message package of ROS 2 Jazzy (REP-2011).
 ODOMETRY_HASH = "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"

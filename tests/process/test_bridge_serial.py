@@ -11,8 +11,8 @@ from kit.bridge_bench import Driver, wait_for
 from kit.paths import ROOT
 from kit.serial_base import SerialBase
 
+from sim.base.firmware import ClientState
 from sim.live.processes import Process
-from sim.pioneer.firmware import ClientState
 
 
 @pytest.mark.long

@@ -16,10 +16,10 @@ from rover_ncp.cli import run
 from rover_ncp.core.errors import UsageError
 from sim.live.processes import Process, wait_for
 from sim.live.truth import TruthReader
-from sim.pioneer.options import MockOptions
-from sim.pioneer.ros2_server import free_port
-from sim.pioneer.run import run_mock
-from sim.pioneer.server import Server
+from sim.mock.options import MockOptions
+from sim.mock.ros2_server import free_port
+from sim.mock.run import run_mock
+from sim.mock.server import Server
 
 
 @pytest.fixture
@@ -132,7 +132,7 @@ def test_no_client_connects_while_the_camera_starts(monkeypatch):
             socket.create_connection(("127.0.0.1", port), 1.0)
         raise UsageError("the camera starts")
 
-    monkeypatch.setattr("sim.pioneer.run._camera", camera)
+    monkeypatch.setattr("sim.mock.run._camera", camera)
     options = MockOptions(listen=f"127.0.0.1:{port}", camera=Path("camera.yaml"), tags=Path("tags.yaml"))
     with pytest.raises(UsageError, match="the camera starts"):
         run_mock(options)

@@ -13,7 +13,7 @@ from kit.zenoh_session import open_router
 from rover_ncp.core.process import ClosedAtExit
 from sim.live.live_run import RMW_ZENOH, ROS2DDS, LiveRun
 from sim.live.processes import GrowingFile, ProcessError, wait_for
-from sim.pioneer.ros2_server import free_port
+from sim.mock.ros2_server import free_port
 
 FOLDER = Path(__file__).parent
 VENV = FOLDER.parents[1] / "build" / "venv-ros"

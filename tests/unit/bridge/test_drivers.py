@@ -15,7 +15,7 @@ from rover_ncp.robot.description import load_description
 from rover_ncp.wire.key_table import KEYS, Kind, Role, spec
 from rover_ncp.wire.messages import decode, twist_stamped
 from rover_ncp.wire.protocol import CommandTag, MotorsReply, MotorsRequest, Signed, dump_json, parse_json
-from sim.pioneer.firmware import Firmware
+from sim.base.firmware import Firmware
 from sim.stack.virtual import VirtualBridge, VirtualLink
 
 

@@ -13,8 +13,8 @@ from rover_ncp.core.geometry import Velocity
 from rover_ncp.course.course import Obstacle
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.protocol import ResetReply, parse_json
-from sim.pioneer.client_commands import decode_argument
-from sim.pioneer.faults import parse_fault
+from sim.base.client_commands import decode_argument
+from sim.base.faults import parse_fault
 from sim.stack.virtual import WALL_NS
 
 HOUR_NS = 3600 * 1_000_000_000

@@ -10,7 +10,7 @@ from kit.arcos_captures import ARIA_LINE, CAPTURES, PLAYER_LINE
 from bridge.pioneer.framing import Command, Decoder
 from bridge.pioneer.odometry import ROBOTS, Odometer
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Sip
-from sim.pioneer.client_commands import MockCommand
+from sim.base.client_commands import MockCommand
 
 SPOKEN = [c for c in CAPTURES if c.said(ARIA_LINE) or c.said(PLAYER_LINE)]
 

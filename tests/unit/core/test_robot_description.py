@@ -12,7 +12,7 @@ from rover_ncp.core.errors import ConfigError, UsageError
 from rover_ncp.core.files import resolve, shipped_names
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.protocol import BaseReply, parse_json
-from sim.pioneer.firmware import Firmware
+from sim.base.firmware import Firmware
 from sim.stack.virtual import VirtualBridge
 from sim.world.described import described_rover
 from sim.world.pymunk_rover import Ground, PymunkRover

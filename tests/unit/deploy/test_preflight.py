@@ -18,9 +18,9 @@ from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.robot.description import DeadBand, load_description
 from rover_ncp.wire.protocol import BaseReply, GateStatus
-from sim.pioneer.faults import Faults, parse_fault
-from sim.pioneer.firmware import Firmware
-from sim.pioneer.ros2_robot import Ros2Robot
+from sim.base.faults import Faults, parse_fault
+from sim.base.firmware import Firmware
+from sim.base.ros2_robot import Ros2Robot
 from sim.stack.virtual import VirtualBridge
 from sim.world.described import described_rover
 from sim.world.pymunk_rover import Ground, PymunkRover

@@ -13,11 +13,11 @@ from rover_ncp.course.course import load_course
 from rover_ncp.course.scoring import Parked
 from rover_ncp.robot.description import load_description
 from rover_ncp.robot.profile import RoverProfile
+from sim.base.drive_train import DriveTrain
+from sim.base.trial import BaseTrial
 from sim.evaluate.evaluate import drive_trials
 from sim.learn.engine.driver import circuit_driver, load_driver
 from sim.learn.engine.rollout import rollout
-from sim.pioneer.drive_train import DriveTrain
-from sim.pioneer.trial import BaseTrial
 from sim.stack.estimates import summary
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body

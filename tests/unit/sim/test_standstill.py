@@ -8,7 +8,7 @@ from faults.table import ROWS
 from rover_ncp.robot.description import load_description
 from sim.live.processes import TimedOut
 from sim.live.truth import SAMPLE_S, TruthReader
-from sim.pioneer.real_time import TRUTH_COLUMNS
+from sim.mock.real_time import TRUTH_COLUMNS
 
 STEP_NS = 10_000_000
 EPOCH_NS = 1_700_000_000 * 10**9

@@ -13,9 +13,9 @@ from bridge.pioneer.odometry import COUNTER_BITS, HEADING_BITS, WHEEL_SPEED_M_S,
 from bridge.pioneer.packets import ConfigPac, Flag, Sip
 from rover_ncp.core.geometry import ORIGIN
 from rover_ncp.robot.description import RobotDescription
-from sim.pioneer.drive_train import DriveTrain
-from sim.pioneer.models import TICKS_PER_MM
-from sim.pioneer.sensors import Sonars
+from sim.base.drive_train import DriveTrain
+from sim.base.models import TICKS_PER_MM
+from sim.base.sensors import Sonars
 
 SIMSTAT, ENCODER, IO = 0x62, 0x90, 0xF0
 """Packet types that the bridge does not read."""

@@ -15,8 +15,8 @@ from bridge.ros2.discovery import Convention
 from bridge.ros2.ros_node import RosNode
 from rover_ncp.core.errors import PortInUse
 from rover_ncp.wire.zenoh import reason
-from sim.pioneer.real_time import RealTimeLoop
-from sim.pioneer.ros2_robot import Ros2Robot
+from sim.base.ros2_robot import Ros2Robot
+from sim.mock.real_time import RealTimeLoop
 
 _SETTINGS: dict[str, Any] = {
     "mode": "router",

@@ -8,8 +8,8 @@ from contextlib import suppress
 
 from rover_ncp.core.errors import PortInUse, UsageError
 from rover_ncp.wire.address import MAX_PORT, parse_address
-from sim.pioneer.firmware import Firmware
-from sim.pioneer.real_time import RealTimeLoop
+from sim.base.firmware import Firmware
+from sim.mock.real_time import RealTimeLoop
 
 CHUNK_BYTES = 4096
 

@@ -4,9 +4,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 from rover_ncp.robot.description import RobotDescription
-from sim.pioneer.drive_train import DriveTrain
-from sim.pioneer.faults import Fault, Faults
-from sim.pioneer.trial import BaseTrial
+from sim.base.drive_train import DriveTrain
+from sim.base.faults import Fault, Faults
+from sim.base.trial import BaseTrial
 from sim.world.randomization import nominal_trials
 from sim.world.rover import SUBSTEP_S, Rover
 

@@ -18,10 +18,10 @@ from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire import messages
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import TWIST_BYTES
-from sim.pioneer.faults import Faults
-from sim.pioneer.sensors import TurnMeter
-from sim.pioneer.simulated_base import SimulatedBase
-from sim.pioneer.trial import BaseTrial
+from sim.base.faults import Faults
+from sim.base.sensors import TurnMeter
+from sim.base.simulated_base import SimulatedBase
+from sim.base.trial import BaseTrial
 from sim.world.rover import SUBSTEP_S, Rover
 
 RESTART_S = 1.5

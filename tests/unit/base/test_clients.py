@@ -12,7 +12,7 @@ from kit.pioneer_bench import Pioneer
 from bridge.pioneer.framing import Command, Decoder, Packet, encode_command, encode_frame
 from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.packets import decode_names
-from sim.pioneer.client_commands import MockCommand, decode_argument
+from sim.base.client_commands import MockCommand, decode_argument
 
 SYNC = [Command.PULSE, Command.OPEN, Command.CLOSE]
 

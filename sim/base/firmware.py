@@ -24,13 +24,13 @@ from bridge.pioneer.framing import HOSTBAUD_RATES, Command, Decoder, Packet, enc
 from bridge.pioneer.packets import ConfigPac, Kind, encode_names
 from rover_ncp.core.geometry import Pose
 from rover_ncp.robot.description import RobotDescription, load_description
-from sim.pioneer.client_commands import IGNORED, MockCommand, decode_argument, pair
-from sim.pioneer.faults import Faults
-from sim.pioneer.models import BASE_CLASS, BASE_NAME, config_of
-from sim.pioneer.report import BATTERY_DV, Panel, Reporter
-from sim.pioneer.sensors import Gyro, Sonars
-from sim.pioneer.simulated_base import SimulatedBase
-from sim.pioneer.trial import BaseTrial
+from sim.base.client_commands import IGNORED, MockCommand, decode_argument, pair
+from sim.base.faults import Faults
+from sim.base.models import BASE_CLASS, BASE_NAME, config_of
+from sim.base.report import BATTERY_DV, Panel, Reporter
+from sim.base.sensors import Gyro, Sonars
+from sim.base.simulated_base import SimulatedBase
+from sim.base.trial import BaseTrial
 from sim.world.rover import Rover
 
 VEL2_M_S = 0.02

@@ -9,9 +9,9 @@ from kit.pioneer_bench import Pioneer
 from bridge.pioneer.framing import Command, encode_command, encode_frame
 from bridge.pioneer.odometry import ROBOTS, Odometer
 from bridge.pioneer.packets import ConfigPac, Flag, decode_names
-from sim.pioneer.client_commands import MockCommand
-from sim.pioneer.firmware import ClientState
-from sim.pioneer.report import ENCODER, IO, SIMSTAT
+from sim.base.client_commands import MockCommand
+from sim.base.firmware import ClientState
+from sim.base.report import ENCODER, IO, SIMSTAT
 
 SYNC = [Command.PULSE, Command.OPEN, Command.CLOSE]
 

@@ -20,15 +20,15 @@ from rover_ncp.core.process import Interrupts
 from rover_ncp.core.streams import Domain, integer_seed
 from rover_ncp.course.course import load_course
 from rover_ncp.robot.description import RobotDescription, load_description
-from sim.pioneer.faults import Faults, parse_fault
-from sim.pioneer.firmware import Firmware
-from sim.pioneer.models import config_of
-from sim.pioneer.options import MockOptions
-from sim.pioneer.real_time import TruthFile
-from sim.pioneer.ros2_robot import Ros2Robot
-from sim.pioneer.ros2_server import Ros2Server
-from sim.pioneer.server import Server, parse_listen
-from sim.pioneer.trial import BaseTrial, draw_rover
+from sim.base.faults import Faults, parse_fault
+from sim.base.firmware import Firmware
+from sim.base.models import config_of
+from sim.base.ros2_robot import Ros2Robot
+from sim.base.trial import BaseTrial, draw_rover
+from sim.mock.options import MockOptions
+from sim.mock.real_time import TruthFile
+from sim.mock.ros2_server import Ros2Server
+from sim.mock.server import Server, parse_listen
 from sim.world.bodies import PRESETS
 from sim.world.described import ranges_for
 from sim.world.rover import Rover

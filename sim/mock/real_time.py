@@ -15,8 +15,8 @@ from pathlib import Path
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import create
 from rover_ncp.core.geometry import Pose
-from sim.pioneer.faults import parse_fault
-from sim.pioneer.simulated_base import SimulatedBase
+from sim.base.faults import parse_fault
+from sim.base.simulated_base import SimulatedBase
 from sim.world.rover import SUBSTEP_S
 
 _LOGGER = logging.getLogger("rover_ncp")

@@ -15,9 +15,9 @@ from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.session import FAST_RATE, BaudChanged, Session, SessionEvent
 from bridge.pioneer.states import SessionState
 from rover_ncp.core.geometry import Velocity
-from sim.pioneer.client_commands import MockCommand
-from sim.pioneer.firmware import ClientState
-from sim.pioneer.models import config_of
+from sim.base.client_commands import MockCommand
+from sim.base.firmware import ClientState
+from sim.base.models import config_of
 
 STEP_S = 0.02
 

@@ -8,9 +8,9 @@ import time
 import pytest
 
 from rover_ncp.robot.description import load_description
-from sim.pioneer.faults import Faults
-from sim.pioneer.firmware import Firmware
-from sim.pioneer.real_time import RealTimeLoop
+from sim.base.faults import Faults
+from sim.base.firmware import Firmware
+from sim.mock.real_time import RealTimeLoop
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 

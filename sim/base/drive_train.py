@@ -10,7 +10,7 @@ import math
 
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from rover_ncp.robot.description import RobotDescription
-from sim.pioneer.trial import BaseTrial
+from sim.base.trial import BaseTrial
 from sim.world.rover import STILL_M_S, SUBSTEP_S, Rover
 
 DISTANCE_GAIN, HEADING_GAIN = 2.0, 3.0

@@ -8,9 +8,9 @@ from kit.pioneer_bench import Pioneer
 from bridge.pioneer.framing import Command, Decoder, Packet, encode_frame
 from bridge.pioneer.packets import Flag
 from rover_ncp.core.errors import UsageError
-from sim.pioneer.client_commands import MockCommand
-from sim.pioneer.faults import FAULTS, Fault, Faults, parse_fault
-from sim.pioneer.firmware import ClientState
+from sim.base.client_commands import MockCommand
+from sim.base.faults import FAULTS, Fault, Faults, parse_fault
+from sim.base.firmware import ClientState
 
 
 @pytest.mark.parametrize(

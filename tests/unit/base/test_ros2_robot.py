@@ -10,8 +10,8 @@ from kit.ros2_world import twist
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.messages import read_imu, read_odometry, twist_stamped
-from sim.pioneer.faults import Faults, parse_fault
-from sim.pioneer.ros2_robot import Ros2Robot
+from sim.base.faults import Faults, parse_fault
+from sim.base.ros2_robot import Ros2Robot
 from sim.world.described import described_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 

@@ -2,7 +2,7 @@
 
 from rover_ncp.core.console import command, reject
 from rover_ncp.core.errors import UsageError
-from sim.pioneer.options import MockOptions
+from sim.mock.options import MockOptions
 
 
 @command
@@ -32,7 +32,7 @@ def mock(options: MockOptions) -> None:
         rover-ncp mock --randomize full --truth truth.csv
         rover-ncp mock --ros2 --model turtlebot4
     """
-    from sim.pioneer.run import run_mock
+    from sim.mock.run import run_mock
 
     if options.ros2:
         reject("a ROS 2 robot's gyro is in its description", gyro=options.gyro)

@@ -9,7 +9,7 @@ import typer
 from bridge.ros2.discovery import Convention
 from rover_ncp.core.console import MAX_SEED, Json, Overwrite
 from rover_ncp.core.files import DEFAULT_ROBOT
-from sim.pioneer.faults import FAULTS
+from sim.base.faults import FAULTS
 from sim.world.bodies import BODY_WORDS, PRESET_WORDS, Body
 
 

@@ -1,0 +1,1 @@
+"""The command ``mock``: a simulated base in real time, for programs that drive one."""

@@ -1,1 +1,0 @@
-"""The firmware of a Pioneer base on the rover of sim.world."""

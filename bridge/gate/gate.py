@@ -59,7 +59,7 @@ from rover_ncp.wire.protocol import CommandTag
 ROS_AGE_S = 0.3
 """The gate accepts a stamped command without a tag if its stamp is no farther from our clock than this."""
 UNTAGGED_PAUSE_S = 1.0
-"""How long untagged commands must pause, or be zero, after a lease ended."""
+"""How long untagged commands must pause, or be zero, after a lease or a hazard."""
 MOTORS_GRACE_S = 1.0
 """How long after ENABLE the base may still report its motors off."""
 COAST_S = 2.0
@@ -105,7 +105,7 @@ def step(
         state = _end_lease(state, hazard)
     # A publisher may wait for a bridge that starts: the time before the first report is no hazard to it.
     if hazard is not None and (hazard is not Reason.NO_BASE or state.base_s > -math.inf):
-        state = replace(state, hazard_since_untagged=True)
+        state = replace(state, untagged_pauses=True)
     held = hazard or _hold_reason(state, limits)
     if state.held is None and held not in {None, Reason.NO_LEASE}:
         state = replace(state, stops=_count(state.stops, held))
@@ -246,7 +246,7 @@ def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateStat
         leases=granted.number,
         lease_over=None,
         lease_over_detail="",
-        hazard_since_untagged=state.hazard_since_untagged and granted.secret is not None,
+        untagged_pauses=state.untagged_pauses and granted.secret is not None,
         target=None,
         no_command=Reason.SILENCE,
         minima=update_clock_offset(() if lease is None else state.minima, state.now, request.sent_ns),
@@ -269,7 +269,7 @@ def _end_lease(state: GateState, reason: Reason | None) -> GateState:
         lease_over_detail="" if reason is None else describe(reason, state),
         target=None,
         motors_until_s=state.now + COAST_S,
-        untagged_until_s=state.now + UNTAGGED_PAUSE_S,
+        untagged_pauses=True,
     )
 
 
@@ -305,11 +305,8 @@ def _command(
     elif accept_ros:
         admitted = _untagged(state, command, limits)
     if isinstance(admitted, Reason):
-        waits = state.hazard_since_untagged and state.lease is None
-        if waits and command.tag is None and velocity != STANDSTILL:
-            state = replace(state, untagged_until_s=state.now + UNTAGGED_PAUSE_S)
-        return replace(state, dropped=_count(state.dropped, admitted)), admitted
-    state, flaw = admitted.state, _flaw(velocity)
+        return replace(_noted(state, command), dropped=_count(state.dropped, admitted)), admitted
+    state, flaw = _noted(admitted.state, command), _flaw(velocity)
     if flaw is not None:
         # The driver that holds the lease is faulty: the command before this one is not carried out further.
         return replace(state, target=None, no_command=flaw, dropped=_count(state.dropped, flaw)), flaw
@@ -355,9 +352,8 @@ def _tagged(state: GateState, tag: CommandTag, signed: bool, limits: Limits) -> 
 def _untagged(state: GateState, command: VelocityCommand, limits: Limits) -> _Admitted | Reason:
     """Check a plain ROS command by its stamp, if it has one, on synchronised wall clocks.
 
-    A valid one gets its lease without a request. After a lease ended, a pause or a zero command must come
-    first, as when a user releases a stick. After a hazard, each dropped command that is not zero restarts
-    the pause.
+    A valid one gets its lease without a request. After a lease of any driver or a hazard, a pause or a zero
+    command must come first, as when a user releases a stick: a publisher that never paused drives nothing.
     """
     age = 0.0 if command.age_s is None else command.age_s
     if not abs(age) <= ROS_AGE_S:
@@ -365,7 +361,8 @@ def _untagged(state: GateState, command: VelocityCommand, limits: Limits) -> _Ad
     if state.lease is None:
         known = one_sided_contact(state) if command.velocity == STANDSTILL else NO_CONTACT
         refusal = _hazard(state, limits, known) or _flaw(command.velocity)
-        if refusal is None and state.now < state.untagged_until_s and command.velocity != STANDSTILL:
+        paused = state.now - state.untagged_s >= UNTAGGED_PAUSE_S or command.velocity == STANDSTILL
+        if refusal is None and state.untagged_pauses and not paused:
             refusal = Reason.NO_LEASE
         if refusal is None:
             state, refusal = _enable(state, Enable("ros"), limits)
@@ -375,6 +372,12 @@ def _untagged(state: GateState, command: VelocityCommand, limits: Limits) -> _Ad
     if lease is None or lease.secret is not None:
         return Reason.FOREIGN
     return _Admitted(state, lease, state.now - max(age, 0.0))
+
+
+def _noted(state: GateState, command: VelocityCommand) -> GateState:
+    """Note when an untagged command that is not zero came."""
+    plain = command.tag is None and command.velocity != STANDSTILL
+    return replace(state, untagged_s=state.now) if plain else state
 
 
 def _flaw(velocity: Velocity | None) -> Reason | None:

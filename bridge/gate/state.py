@@ -207,10 +207,10 @@ class GateState:
     """Second of arrival, and the smallest (arrival − stamp) in it."""
     motors: bool = False
     motors_until_s: float = -math.inf
-    untagged_until_s: float = -math.inf
-    """Untagged commands that are not zero are dropped before this, unless they hold the lease."""
-    hazard_since_untagged: bool = False
-    """Whether a hazard was active since untagged commands last got a lease."""
+    untagged_s: float = -math.inf
+    """When an untagged command that was not zero came last, accepted or not."""
+    untagged_pauses: bool = False
+    """Whether untagged commands must pause, or be zero, before they get a lease."""
     accepted: int = 0
     dropped: Mapping[Reason, int] = field(default_factory=dict)
     """Commands that the gate dropped, by reason."""

@@ -41,6 +41,7 @@ from rover_ncp.wire.messages import (
     BOOL,
     BUMP,
     CLIFF,
+    NO_BATTERY,
     ODOMETRY,
     STALL,
     TWIST,
@@ -69,6 +70,8 @@ OWN_S = 2.0
 COAST_S, DRIVES_ALONE_S = 2.0, 0.5
 """A robot that still drives so long after the last command, for so long, is driven by another."""
 MOVING_M_S, MOVING_RAD_S = 0.05, 0.15
+BATTERY_S = 60.0
+"""A battery's state is that of the robot for so long. Some robots report it every 10 s."""
 _BUMPERS = frozenset({BUMP, CLIFF, WHEEL_DROP})
 _LOOP = (
     "the robot's Zenoh network is connected to the drivers': commands could reach the robot past the bridge; "
@@ -140,8 +143,7 @@ class Ros2Base:
         """Number of the lease of the last setpoint."""
         self._driven_s = self._reported_s = -math.inf
         self._alone_since_s: float | None = None
-        self._battery_v = 0.0
-        self._charging: bool | None = None
+        self._battery, self._battery_s = NO_BATTERY, -math.inf
         self._stop_pressed, self._hazards = False, frozenset[int]()
         self._turns = GyroTurns()
         self._room = ScanRoom(description) if self._topics.scan is not None else None
@@ -247,7 +249,7 @@ class Ros2Base:
             elif topic == self._topics.battery_state:
                 battery = read_battery(message.payload)
                 if math.isfinite(battery.voltage):
-                    self._battery_v, self._charging = battery
+                    self._battery, self._battery_s = battery, now
         except FormatError:
             self._odometer.counters["unreadable"] += 1
         return []
@@ -269,11 +271,12 @@ class Ros2Base:
         events: list[BaseEvent] = [turn] if turn is not None else []
         x, y, theta = moved.pose
         ahead, behind = self._room.clear(now) if self._room is not None else (math.nan, math.nan)
+        battery = self._battery if now - self._battery_s <= BATTERY_S else NO_BATTERY
         report = BaseReport(
             *(x, y, theta, v, omega),
             age_s=moved.age_s,
-            battery_v=self._battery_v,
-            charging=self._charging,
+            battery_v=battery.voltage,
+            charging=battery.charging,
             stop_pressed=self._stop_pressed,
             stalled=(STALL in self._hazards, STALL in self._hazards),
             # Bumpers and cliff sensors are in front. With a dropped wheel no direction is free.

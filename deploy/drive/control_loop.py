@@ -29,7 +29,7 @@ from deploy.estimator.estimator import Estimate
 from deploy.estimator.measurements import Outcome
 from deploy.place.docking import Docking, Evidence
 from rover_ncp.core.clock_offset import NS_PER_S
-from rover_ncp.core.errors import SafetyStop
+from rover_ncp.core.errors import SafetyStop, UnreachableError
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from rover_ncp.core.process import Clock
 from rover_ncp.course.course import TICK_S
@@ -256,8 +256,7 @@ class Drive:
             self.monitor.check_command(tick.command, estimate.velocity)
             self._check_poses(estimate.velocity, now_ns)
             if self._touched and not controller.over:
-                self._link.request_motors(f"policy {self.config.policy}")
-                self.monitor.granted()
+                self._request_motors_again()
             if not (self._touched and controller.over):
                 sequence = self._link.command(tick.command)
         if not predicted:
@@ -279,6 +278,14 @@ class Drive:
         if not last:
             self.keeper.ticked(now_ns, predicted)
         self._publish_status()
+
+    def _request_motors_again(self) -> None:
+        """Request the lease that a contact ended. Raises SafetyStop when it is refused."""
+        try:
+            self._link.request_motors(f"policy {self.config.policy}")
+        except UnreachableError as error:  # the drive has begun, so it ends as one
+            raise SafetyStop("lease", str(error)) from error
+        self.monitor.granted()
 
     def _take(self, timeout_s: float) -> Measurement[OdometrySample] | None:
         """Give new measurements to the estimator; return the odometry, if it came in time."""
@@ -312,7 +319,9 @@ class Drive:
 
     def _evidence(self, docking: Docking) -> Evidence:
         """Give a docking what the base reports beside its motion, and return it for the record."""
-        evidence = Evidence(self._touched, self._link.charging)
+        # What is pressed when the lease is granted does not end it.
+        touched = self._touched or (self.estimate is None and self._link.pressed)
+        evidence = Evidence(touched, self._link.charging)
         docking.note(evidence)
         return evidence
 

@@ -109,6 +109,8 @@ class Link(ABC):
         """The newest gate status."""
         self.bumped = 0
         """Number of messages that reported a pressed bumper."""
+        self.pressed = False
+        """Whether a bumper is pressed, by the newest of them."""
         self.lease = DriverLease()
         self.charging: bool | None = None
         """Whether the battery charges; None = not known."""
@@ -130,7 +132,8 @@ class Link(ABC):
                     self.charging = read_battery(arrival.data).charging
             case "bumpers":
                 with contextlib.suppress(FormatError):
-                    self.bumped += read_bumpers(arrival.data)
+                    self.pressed = read_bumpers(arrival.data)
+                    self.bumped += self.pressed
 
     @abstractmethod
     def authorised(self) -> bool:

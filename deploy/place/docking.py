@@ -61,7 +61,7 @@ class Evidence(NamedTuple):
     """What the base reports beside its motion."""
 
     contact: bool = False
-    """A bumper or a stall revoked the lease since the last tick."""
+    """A bumper or a stall revoked the lease since the last tick, or a bumper was pressed at the first one."""
     charging: bool | None = None
 
 
@@ -106,6 +106,8 @@ class Docking:
         """Tick of the present leg's begin."""
         self.stage, self.over = Stage.NONE, False
         self._tries = self._stagings = 0
+        self._gives_up = False
+        """Whether no further try can succeed."""
         self._evidence, self._charge_until = Evidence(), math.inf
         self._poses: deque[tuple[float, Pose]] = deque(maxlen=KEPT_POSES)
         """Times and values of the newest external poses."""
@@ -119,14 +121,12 @@ class Docking:
     ) -> None:
         """Begin as `Controller.start`. Raises SafetyStop if there is no way from that pose."""
         self.estimator.start(pose, t, odometry, covariance)
-        off = self.place.errors(pose)
-        out_m = off.longitudinal_m if self.place.backward else -off.longitudinal_m
+        off, out_m = self.place.errors(pose), self.place.out_m(pose)
         in_line = abs(off.lateral_m) <= STAGED_M and abs(off.yaw_rad) <= STAGED_RAD
         problem = ""
         if in_line and CONTACT_M < out_m < self.place.staging_m - STAGED_M:
             # It may stand in the dock: it does not turn on the spot there.
-            out = self._leg(self._dock, retreat(self.place, self._slower, out_m))
-            self._begin(Stage.CONTROLLING if self._undock else Stage.RETRY, out, 0, pose)
+            self._begin(Stage.CONTROLLING if self._undock else Stage.RETRY, self._way_out(out_m), 0, pose)
         elif in_line and abs(out_m) <= CONTACT_M and self._undock:
             self._begin(Stage.CONTROLLING, self._retreat, 0, pose)
         elif in_line and abs(out_m) <= CONTACT_M:
@@ -152,7 +152,8 @@ class Docking:
     @property
     def expects_contact(self) -> bool:
         """Whether contact ends a try, and not the drive."""
-        return self.stage is Stage.CONTROLLING and not self._undock
+        waits = self.stage is Stage.WAIT_FOR_CHARGE  # in the dock a bumper may open and close again
+        return waits or (self.stage is Stage.CONTROLLING and not self._undock)
 
     @property
     def words(self) -> str:
@@ -195,10 +196,14 @@ class Docking:
                 self._judge(index, t, contact, charging)
             case Stage.WAIT_FOR_CHARGE if charging:
                 self._end(DockError.NONE)
+            case Stage.WAIT_FOR_CHARGE if t >= self._charge_until and charging is None:
+                self._gives_up = True
+                words = "battery_state does not tell whether the battery charges: unknown, or full"
+                self._missed(index, estimate.pose, DockError.FAILED_TO_CHARGE, words)
             case Stage.WAIT_FOR_CHARGE if t >= self._charge_until:
                 words = f"no charge within {CHARGE_S:g} s"
                 self._missed(index, estimate.pose, DockError.FAILED_TO_CHARGE, words)
-            case Stage.RETRY if ended and self._tries > self.place.retries:
+            case Stage.RETRY if ended and (self._gives_up or self._tries > self.place.retries):
                 self.over = True
             case Stage.RETRY if ended:
                 self._staged(index, estimate.pose)
@@ -235,7 +240,7 @@ class Docking:
     def _missed(self, index: int, pose: Pose, error: DockError, why: str) -> None:
         """Go back to the staging pose."""
         self._error, self._why = error, why
-        self._begin(Stage.RETRY, self._retreat, index, pose)
+        self._begin(Stage.RETRY, self._way_out(self.place.out_m(pose)), index, pose)
 
     def _staged(self, index: int, pose: Pose) -> None:
         """Begin an approach, or drive to the staging pose anew if the rover is too far from it."""
@@ -269,6 +274,13 @@ class Docking:
         self.stage, self._now, self._began = stage, leg, index
         leg.controller.begin(tail(pose) if leg.way.backward else pose)
 
+    def _way_out(self, out_m: float) -> "_Leg":
+        """Return the way to the staging pose from so far out of the place."""
+        if out_m <= CONTACT_M:
+            return self._retreat
+        out_m = min(out_m, self.place.staging_m - CONTACT_M)
+        return self._leg(self._dock, retreat(self.place, self._slower, out_m))
+
     def _leg(self, policy: Policy, way: Way) -> "_Leg":
         c, (course, reference) = self._config, way.of_tail() if way.backward else (way.course, way.reference)
         controller = Controller(policy, course, c.estimator, c.rover, c.described, reference=reference)
@@ -289,12 +301,18 @@ class Docking:
         assert self._estimate is not None  # the drive had a tick
         goal, pose = self.place.staging if self._undock else self.place.goal, self._estimate.pose
         error_m, error_rad = distance(pose, goal), abs(wrap_angle(pose.theta - goal.theta))
-        success = self._error is DockError.NONE
-        return Verdict(success, error_m, error_rad, self._why, Failure.NONE if success else Failure.FAR)
+        error, why = self._ending()
+        failure = Failure.NONE if error is DockError.NONE else Failure.FAR
+        return Verdict(failure is Failure.NONE, error_m, error_rad, why, failure)
+
+    def _ending(self) -> tuple[DockError, str]:
+        """Return how the docking ended and why; an earlier miss is not why a drive was stopped."""
+        return (self._error, self._why) if self.over else (DockError.UNKNOWN, "")
 
     def result(self, ending: str = "") -> DockResult:
         """Return the result; ``ending`` is why a drive ended that did not come to a judgement."""
-        success, at = self._error is DockError.NONE, "elsewhere"
+        error, why = self._ending()
+        success, at = error is DockError.NONE, "elsewhere"
         if success and not self._undock:
             at = "place"
         elif self._estimate is not None and self._stands_at_staging(self._estimate.pose):
@@ -303,8 +321,8 @@ class Docking:
             place=self.place.name,
             undock=self._undock,
             success=success,
-            error_code=self._error,
-            error_msg="" if success else self._why or ending or "the time is over",
+            error_code=error,
+            error_msg="" if success else why or ending or "the time is over",
             num_retries=max(self._tries - 1, 0),
             stage=self.stage,
             at=at,

@@ -87,6 +87,11 @@ class Place(StrictModel):
         found = relative(self.goal, pose)
         return PoseErrors(longitudinal_m=found.x, lateral_m=found.y, yaw_rad=found.theta)
 
+    def out_m(self, pose: Pose) -> float:
+        """Return how far a pose is from the place towards the staging pose, along the line between them."""
+        ahead = self.errors(pose).longitudinal_m
+        return ahead if self.backward else -ahead
+
     def holds(self, pose: Pose) -> bool:
         """Whether a pose is within the tolerances."""
         return near(pose, self.goal, self.position_m, self.heading_rad)

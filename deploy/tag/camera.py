@@ -1,5 +1,7 @@
 """Pictures of a camera: a device, a video, a folder of pictures, or an MJPEG stream over HTTP."""
 
+import http.client
+import logging
 import threading
 import time
 import urllib.request
@@ -17,8 +19,10 @@ from deploy.drive.link import Inbox
 from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.core.process import ClosedAtExit
 
+_LOGGER = logging.getLogger("rover_ncp")
+
 TIMEOUT_S = 3.0
-"""A stream that sends nothing for so long is lost; also the limit of the wait for its first picture."""
+"""A stream without a picture that can be read for so long is lost, also at its beginning."""
 MAX_JPEG = 8 << 20
 """Most bytes of a picture in a stream."""
 STAMP = "x-timestamp"
@@ -89,8 +93,7 @@ class Ended(str):
 class LiveCamera(ClosedAtExit):
     """The newest picture of a camera that runs: no picture waits in a queue.
 
-    Iterating ends with UsageError when the camera sends nothing for `TIMEOUT_S`, and with a picture that
-    cannot be had.
+    Iterating ends with UsageError when the camera sends no picture that can be read for `TIMEOUT_S`.
     """
 
     def __init__(self, source: str) -> None:
@@ -99,6 +102,7 @@ class LiveCamera(ClosedAtExit):
         """Functions that decode the newest pictures, or raise ValueError, and an end."""
 
     def __iter__(self) -> Iterator[Picture]:
+        seen_s, damaged = time.monotonic(), False
         while True:
             arrived = self.newest.take(TIMEOUT_S)
             pictures = [each for each in arrived if not isinstance(each, Ended)]
@@ -109,7 +113,13 @@ class LiveCamera(ClosedAtExit):
                 try:
                     picture = decode()
                 except ValueError as error:
-                    raise UsageError(f"camera {self._source}: {error}") from error
+                    if time.monotonic() - seen_s > TIMEOUT_S:
+                        raise UsageError(f"camera {self._source}: {error}") from error
+                    if not damaged:
+                        _LOGGER.warning("camera %s: left out: %s", self._source, error)
+                    damaged = True
+                    continue
+                seen_s = time.monotonic()
                 yield picture
             if ends:
                 raise UsageError(f"camera {self._source}: {ends[0]}")
@@ -135,8 +145,8 @@ class ReadCamera(LiveCamera):
                     return
                 self.newest.put(picture)
             why = "it sends no more pictures"
-        except (OSError, ValueError) as error:
-            why = str(error)
+        except (OSError, ValueError, ArithmeticError, http.client.HTTPException) as error:
+            why = str(error) or type(error).__name__
         self.newest.put(Ended(why))
 
     def _device(self) -> Iterator[Callable[[], Picture]]:
@@ -160,7 +170,10 @@ class ReadCamera(LiveCamera):
 
 def compressed(data: NDArray[np.uint8], wall_ns: int) -> Picture:
     """Decode a JPEG or PNG. Raises ValueError."""
-    frame = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+    try:
+        frame = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+    except cv2.error as error:  # it says that it is too large
+        raise ValueError(f"a picture that OpenCV does not read: {error.err}") from error
     if frame is None:
         raise ValueError("a picture is neither a JPEG nor a PNG")
     return Picture(np.asarray(frame, np.uint8), wall_ns)

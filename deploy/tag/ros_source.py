@@ -31,7 +31,7 @@ class RosSource(NamedTuple):
         where = parse_ros_endpoint(source, PORT)
         settings = {} if where is None else dict(where.settings)
         topic = settings.pop(name, topic).strip("/")
-        if where is None or settings or not topic:
+        if where is None or settings or "" in topic.split("/"):
             raise UsageError(
                 f"{source}: expected ros2/tcp/HOST[:PORT][#{name}=TOPIC&namespace=NAME], with "
                 "&rmw=zenoh&domain=N for rmw_zenoh"

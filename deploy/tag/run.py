@@ -100,7 +100,12 @@ def calibrate_intrinsics(
             for each in until(pictures, seconds, lambda: interrupts.raised):
                 if live and each.wall_ns - last < 0.5e9:  # neighbours show nothing new
                     continue
-                last, size = each.wall_ns, (each.grey.shape[1], each.grey.shape[0])
+                last, before, size = each.wall_ns, size, (each.grey.shape[1], each.grey.shape[0])
+                if found and size != before:
+                    raise UsageError(
+                        f"{source}: pictures of {before[0]} × {before[1]} and {size[0]} × {size[1]} pixels, "
+                        "expected one size"
+                    )
                 found.append(detector.detect(each.grey))
                 output.say(f"picture {len(found)}: {len(found[-1])} tags of the board")
         intrinsics, rms, used = find_intrinsics(found, size)

@@ -82,6 +82,10 @@ class BatterySample(NamedTuple):
     charging: bool | None
 
 
+NO_BATTERY = BatterySample(0.0, None)
+"""The state of a battery that nothing reports."""
+
+
 class PoseSample(NamedTuple):
     """A pose with its 3 × 3 covariance (x, y, theta; m², m·rad, rad²)."""
 
@@ -275,9 +279,10 @@ def battery_state(voltage: float, stamp_ns: int, charging: bool | None = None) -
 def read_battery(data: bytes) -> BatterySample:
     """Read a BatteryState. Raises FormatError."""
     message = decode(BATTERY_STATE, data)
-    # The type's POWER_SUPPLY_STATUS: 0 unknown, 1 charging, 2 discharging, 3 not charging, 4 full.
+    # The type's POWER_SUPPLY_STATUS: 0 unknown, 1 charging, 2 discharging, 3 not charging, 4 full, with or
+    # without a charger.
     status = message.power_supply_status
-    return BatterySample(float(message.voltage), None if status == 0 else status == 1)
+    return BatterySample(float(message.voltage), None if status in {0, 4} else status == 1)
 
 
 def hazards(kinds: Sequence[int], stamp_ns: int) -> bytes:
@@ -387,7 +392,7 @@ def _read_pose(pose: Any) -> Pose:
 
 def read_yaw(q: Any) -> float:
     """Return the heading of a message's quaternion. Raises FormatError for what is no rotation."""
-    if abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1.0) > _UNIT_TOLERANCE:
+    if not abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1.0) <= _UNIT_TOLERANCE:
         raise FormatError(f"the orientation {q.x:g}, {q.y:g}, {q.z:g}, {q.w:g} is not a rotation")
     return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
 

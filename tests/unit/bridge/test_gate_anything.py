@@ -153,9 +153,11 @@ def allowed_to_move(history, limits):
 
 
 def asked_again(history, counted, hazardous):
-    """Whether the first driver after a hazard asked for a lease, sent zero, or paused for 1 s before."""
+    """Whether the first driver after a hazard or a lease asked for one, sent zero, or paused for 1 s."""
+    leases = [verdict.lease and verdict.lease.number for _, _, verdict in history]
+    ended = [k for k in range(1, len(leases)) if leases[k - 1] and leases[k] is None]
     hazards = [k for k, flagged in enumerate(hazardous) if flagged]
-    begin = hazards[-1] if hazards else len(history)
+    begin = max(hazards + ended, default=len(history))
     first = next((k for k in counted if k > begin), None)
     if first is None:
         return True
@@ -169,7 +171,7 @@ def asked_again(history, counted, hazardous):
             and event.tag is None
             and event.velocity != STANDSTILL
             and counted_s < t + 1.0
-            for t, event, _ in history[begin:first]
+            for t, event, _ in history[:first]
         )
     )
 
@@ -262,7 +264,8 @@ def check(happenings, limits, accept_ros):
             strange = forged(event, idle)
             state, verdict = step(state, event, now, limits, accept_ros)
             if strange:
-                assert replace(state, dropped={}) == replace(idle, dropped={})
+                pauses = {"dropped": {}, "untagged_s": 0.0}  # of the plain commands, not of the driver
+                assert replace(state, **pauses) == replace(idle, **pauses)
             v, omega = verdict.velocity
             history.append((max(now, before[0]), event, verdict))
             assert math.isfinite(v)

@@ -3,6 +3,7 @@
 import http.server
 import itertools
 import math
+import socket
 import struct
 import threading
 import time
@@ -71,6 +72,9 @@ def part(level, stamp=None):
     return f"{header}\r\n".encode() + data + b"\r\n"
 
 
+DAMAGED = b"--b\r\nContent-Length: 4\r\n\r\nabcd"
+
+
 @pytest.fixture
 def stream():
     servers = []
@@ -93,11 +97,29 @@ def test_stream_gives_the_newest_picture_with_its_moment(stream):
     assert 0.2e9 < time.time_ns() - second.wall_ns < 5e9
 
 
+def test_damaged_picture_is_left_out(stream, caplog):
+    with stream(part(50), 0.2, DAMAGED, 0.2, DAMAGED, 0.2, part(90), 0.2) as camera:
+        levels = [int(each.grey[0, 0]) for each in itertools.islice(iter(camera), 2)]
+    assert levels == [50, 90]
+    assert caplog.text.count("left out: a picture is neither a JPEG nor a PNG") == 1
+
+
+def test_server_that_does_not_speak_http_ends_the_command_with_its_words():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        camera = pictures_of(f"http://127.0.0.1:{server.getsockname()[1]}/")
+        with camera, pytest.raises(UsageError, match="hello"):
+            accepted, _ = server.accept()
+            with accepted:
+                accepted.sendall(b"hello\r\n\r\n")
+            next(iter(camera))
+
+
 @pytest.mark.parametrize(
     ("parts", "words"),
     [
         ((part(50),), "sends no more pictures"),
-        ((part(50), b"--b\r\nContent-Length: 4\r\n\r\nabcd"), "neither a JPEG nor a PNG"),
+        ((part(50), *[DAMAGED, 0.4] * 10), "neither a JPEG nor a PNG"),
+        ((part(50), part(90, "inf")), "infinity"),
         ((part(50), b"--b\r\nContent-Length: 99999999999\r\n\r\n"), "a picture of 99999999999 bytes"),
         ((part(50), 3.5), "no picture for 3 s|timed out"),
     ],

@@ -128,6 +128,15 @@ def test_gyro_battery_stop_button_and_hazards_are_passed_on(pressed):
     assert (report.battery_v, report.charging) == (pytest.approx(11.5), True)
 
 
+@pytest.mark.parametrize(("status", "charging"), [(0, None), (1, True), (2, False), (3, False), (4, None)])
+def test_battery_is_known_for_a_minute(ready, status, charging):
+    ready.hear("battery_state", encode(BATTERY_STATE, voltage=11.5, power_supply_status=status))
+    ready.run(59.0)
+    assert (ready.reports[-1].battery_v, ready.reports[-1].charging) == (pytest.approx(11.5), charging)
+    ready.run(2.0)
+    assert (ready.reports[-1].battery_v, ready.reports[-1].charging) == (0.0, None)
+
+
 # Bad input.
 
 
@@ -182,10 +191,17 @@ def test_another_type_of_odometry_is_named_although_its_messages_arrive(world):
     assert world.last == Failed(f"tcp/robot:7447: {WRONG_TYPE}")
 
 
-@pytest.mark.parametrize("values", [{"x": math.nan}, {"v": math.inf}, {"x": math.inf, "theta": math.nan}])
-def test_odometry_that_is_not_finite_stops_it(ready, values):
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"x": math.nan}, "odometry is not finite"),
+        ({"v": math.inf}, "odometry is not finite"),
+        ({"theta": math.nan}, "odometry cannot be read: the orientation 0, 0, nan, nan is not a rotation"),
+    ],
+)
+def test_odometry_that_is_not_finite_stops_it(ready, values, reason):
     ready.run(1.0, **values)
-    assert ready.last == Lost("odometry is not finite")
+    assert ready.last == Lost(reason)
     assert all(math.isfinite(report.x) for report in ready.reports)
 
 

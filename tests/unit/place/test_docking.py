@@ -12,8 +12,10 @@ from deploy.view.findings import analyse
 from deploy.view.page_data import columns
 from deploy.view.recorded_drive import read_drive, summarise
 from deploy.view.trace import synapse_currents
+from rover_ncp.core.errors import NoBridge
 from rover_ncp.core.geometry import Pose, distance
 from rover_ncp.course.course import Obstacle
+from rover_ncp.wire.messages import battery_state
 
 DOCK = Obstacle(x=2.365, y=1.0, length=0.1, width=0.6)
 """A wall that the front of a Pioneer 3-AT reaches at the place."""
@@ -94,6 +96,104 @@ def test_contact_elsewhere_is_a_miss_and_the_rover_backs_out(tmp_path):
     assert (result.exit_code, result.dock.error_code) == (1, DockError.FAILED_TO_CONTROL)
     assert (result.dock.num_retries, result.dock.at) == (1, "staging pose")
     assert replay(drive.path).same
+
+
+def bumped(drive, pressed):
+    """Let a front bumper be pressed when ``pressed(pose, now)`` says so."""
+    observe = drive.base.observe
+
+    def observed(now):
+        observe(now)
+        drive.base.panel.front_bumpers = 4 if pressed(drive.rover.pose, now) else 0
+
+    drive.base.observe = observed
+    return drive
+
+
+class Since:
+    """Seconds since the rover was first at ``x`` or beyond; None before."""
+
+    def __init__(self, x):
+        self.x, self.first_s = x, None
+
+    def __call__(self, pose, now):
+        if self.first_s is None and pose.x >= self.x:
+            self.first_s = now
+        return None if self.first_s is None else now - self.first_s
+
+
+def test_rover_that_stands_in_contact_with_its_dock_is_docked():
+    drive = VirtualDocking(place(proof="contact", retries=0), Pose(2.0, 1.0, 0.0))
+    dock = bumped(drive, lambda pose, now: pose.x > 1.995).run().dock
+    assert (dock.success, dock.at, drove_m(drive)) == (True, "place", 0.0)
+
+
+def test_bumper_that_opens_and_closes_in_the_dock_does_not_end_the_wait_for_the_charge(tmp_path):
+    since = Since(1.99)
+    where = place(proof="charging", retries=0)
+    drive = VirtualDocking(where, STAGING, path=tmp_path / "bounce.mcap")
+    bumped(drive, lambda pose, now: (s := since(pose, now)) is not None and not 1.0 < s < 1.3)
+    drive.link.change["battery_state"] = lambda data: battery_state(
+        12.5, 1, charging=since.first_s is not None and drive.bridge.monotonic() - since.first_s > 5.0
+    )
+    result = drive.run()
+    assert (result.exit_code, result.dock.success, result.dock.num_retries) == (0, True, 0)
+    assert replay(drive.path).same
+
+
+def test_base_that_does_not_tell_whether_it_charges_gets_one_try():
+    drive = charging(VirtualDocking(place(proof="charging", retries=2), STAGING), None)
+    dock = drive.run().dock
+    assert (dock.success, dock.error_code, dock.num_retries) == (False, DockError.FAILED_TO_CHARGE, 0)
+    assert "does not tell whether the battery charges" in dock.error_msg
+    assert (dock.at, drive.stands()) == ("staging pose", True)
+
+
+def test_rover_backs_out_at_once_from_contact_far_from_the_place():
+    since, way = Since(1.5), []
+    drive = VirtualDocking(place(retries=0), STAGING)
+
+    def pressed(pose, now):
+        s = since(pose, now)
+        way.append((s, pose.x))
+        return s is not None and s < 0.3
+
+    assert not bumped(drive, pressed).run().dock.success
+    assert next(x for s, x in way if s is not None and s > 4.0) < 1.4
+
+
+def test_stop_after_a_miss_is_told_as_the_reason():
+    since = Since(1.5)
+    drive = VirtualDocking(place(), STAGING)
+    bumped(drive, lambda pose, now: (s := since(pose, now)) is not None and s < 0.3)
+    observe = drive.base.observe
+
+    def stopped(now):
+        observe(now)
+        drive.base.panel.stop_pressed = since.first_s is not None and now - since.first_s > 2.0
+
+    drive.base.observe = stopped
+    result = drive.run()
+    assert (result.exit_code, result.stopped_by) == (4, "stop-button")
+    assert result.dock.error_code == DockError.UNKNOWN
+    assert "stop" in result.dock.error_msg
+
+
+def test_lease_that_is_refused_after_contact_ends_the_drive_with_its_result(monkeypatch):
+    since = Since(1.5)
+    drive = VirtualDocking(place(), STAGING)
+    bumped(drive, lambda pose, now: (s := since(pose, now)) is not None and s < 0.3)
+    request = drive.link.request_motors
+
+    def once(name, unchecked=False):
+        if drive.link.requests:
+            raise NoBridge("the bridge does not answer within 2 s")
+        return request(name, unchecked)
+
+    monkeypatch.setattr(drive.link, "request_motors", once)
+    result = drive.run()
+    assert (result.exit_code, result.stopped_by) == (4, "lease")
+    assert "does not answer within 2 s" in result.dock.error_msg
 
 
 def test_charge_that_flows_before_the_place_is_no_docking():

@@ -2,6 +2,7 @@
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -50,6 +51,15 @@ def test_intrinsics_come_back_from_pictures_of_the_board():
 def test_too_few_pictures_of_the_board_are_refused():
     with pytest.raises(UsageError, match="seen well in 2 of 3 pictures"):
         find_intrinsics([*board_pictures(2), []], (640, 480))
+
+
+def test_pictures_of_two_sizes_are_refused(tmp_path, capsys):
+    for index, width in enumerate((640, 320)):
+        cv2.imwrite(str(tmp_path / f"{index}.png"), np.zeros((width * 3 // 4, width), np.uint8))
+    camera = tmp_path / "camera.yaml"
+    assert cli.run(["tag", "calibrate", "--camera", str(tmp_path), "--camera-file", str(camera)]) == 2
+    assert "pictures of 640 × 480 and 320 × 240 pixels, expected one size" in capsys.readouterr().err
+    assert not camera.exists()
 
 
 WALL = TagMap(

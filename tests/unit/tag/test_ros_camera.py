@@ -1,6 +1,8 @@
 """A ROS 2 robot's images, the place of its camera on it, and poses from its transforms."""
 
 import math
+import struct
+import zlib
 
 import numpy as np
 import pytest
@@ -32,6 +34,22 @@ def test_red_and_blue_are_not_exchanged():
     assert levels == {"rgb8": round(0.299 * 200), "bgr8": round(0.114 * 200)}
 
 
+def too_large():
+    """Return a PNG whose header says that it has 40 gigapixels."""
+
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    size = struct.pack(">IIBBBBB", 200_000, 200_000, 8, 0, 0, 0, 0)
+    data = (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", size)
+        + chunk(b"IDAT", zlib.compress(b"0"))
+        + chunk(b"IEND", b"")
+    )
+    return np.frombuffer(data, np.uint8)
+
+
 @pytest.mark.parametrize(
     ("ros_type", "data", "words"),
     [
@@ -45,6 +63,7 @@ def test_red_and_blue_are_not_exchanged():
             "neither a JPEG nor a PNG",
         ),
         (COMPRESSED, encode(COMPRESSED, format="jpeg"), "neither a JPEG nor a PNG"),
+        (COMPRESSED, encode(COMPRESSED, format="png", data=too_large()), "does not read"),
     ],
 )
 def test_message_that_is_no_picture_says_why(ros_type, data, words):
@@ -108,6 +127,7 @@ def test_source_names_router_and_key(source, key):
         "ros2/tcp/r:0",
         "ros2/udp/robot",
         "ros2/tcp/robot#rmw=zenoh&domain=233",
+        "ros2/tcp/robot#image=a//b",
     ],
 )
 def test_source_of_another_form_is_refused(source):
@@ -125,8 +145,10 @@ def test_transforms_give_a_pose_each_time_the_localiser_corrects():
     assert found.pose == pytest.approx((2.0, 4.0, math.pi / 2 + 0.5))
     assert (found.frame, found.stamp_ns, found.covariance.any()) == ("map", 5, False)
     assert poses.take(transforms([odom], 6)) is None
-    with pytest.raises(FormatError, match="is not a rotation"):
-        poses.take(encode(TF, transforms=[{"header": {"frame_id": "map"}, "child_frame_id": "odom"}]))
+    for turn in ({}, {"z": math.nan, "w": 1.0}):
+        link = {"header": {"frame_id": "map"}, "child_frame_id": "odom", "transform": {"rotation": turn}}
+        with pytest.raises(FormatError, match="is not a rotation"):
+            poses.take(encode(TF, transforms=[link]))
     beyond = {"frame_id": "map", "stamp": {"sec": 1, "nanosec": 1_000_000_000}}
     upright = {"rotation": {"w": 1.0}}
     with pytest.raises(FormatError, match="beyond its seconds"):

@@ -41,12 +41,12 @@ from rover_ncp.wire.messages import (
     BOOL,
     BUMP,
     CLIFF,
-    NO_BATTERY,
     ODOMETRY,
     STALL,
     TWIST,
     TWIST_STAMPED,
     WHEEL_DROP,
+    BatterySample,
     header_of,
     read_battery,
     read_hazards,
@@ -70,6 +70,7 @@ OWN_S = 2.0
 COAST_S, DRIVES_ALONE_S = 2.0, 0.5
 """A robot that still drives so long after the last command, for so long, is driven by another."""
 MOVING_M_S, MOVING_RAD_S = 0.05, 0.15
+_NO_BATTERY = BatterySample(0.0, None)
 BATTERY_S = 60.0
 """A battery's state is that of the robot for so long. Some robots report it every 10 s."""
 _BUMPERS = frozenset({BUMP, CLIFF, WHEEL_DROP})
@@ -143,7 +144,7 @@ class Ros2Base:
         """Number of the lease of the last setpoint."""
         self._driven_s = self._reported_s = -math.inf
         self._alone_since_s: float | None = None
-        self._battery, self._battery_s = NO_BATTERY, -math.inf
+        self._battery, self._battery_s = _NO_BATTERY, -math.inf
         self._stop_pressed, self._hazards = False, frozenset[int]()
         self._turns = GyroTurns()
         self._room = ScanRoom(description) if self._topics.scan is not None else None
@@ -271,7 +272,7 @@ class Ros2Base:
         events: list[BaseEvent] = [turn] if turn is not None else []
         x, y, theta = moved.pose
         ahead, behind = self._room.clear(now) if self._room is not None else (math.nan, math.nan)
-        battery = self._battery if now - self._battery_s <= BATTERY_S else NO_BATTERY
+        battery = self._battery if now - self._battery_s <= BATTERY_S else _NO_BATTERY
         report = BaseReport(
             *(x, y, theta, v, omega),
             age_s=moved.age_s,

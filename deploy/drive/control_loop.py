@@ -163,6 +163,7 @@ class Drive:
         if self._docking is None:
             self._check_start(pose)
         elif covariance is None:
+            self._check_no_pose()
             pose = self._docking.place.goal
         self._start = start.ref
         """The controller's time is in seconds from this sample."""
@@ -192,6 +193,13 @@ class Drive:
                 f"external poses show the rover at {found} from the course's start (limit {limits}); "
                 "place it nearer, or give a course that starts there",
             )
+
+    def _check_no_pose(self) -> None:
+        """Raise SafetyStop if external poses arrive of which none can be used."""
+        heard = self.measurements
+        if heard.taken["pose"] or heard.unreadable["pose"]:
+            why = heard.complaints.get("pose", "too seldom, or without a valid covariance")
+            raise SafetyStop("start-pose", f"external poses arrive, but none can be used: {why}")
 
     def _predict_accuracy(self) -> None:
         """Predict the error of the estimate at the goal."""
@@ -248,7 +256,7 @@ class Drive:
         index = (
             self.keeper.index if self.controller.over else self.config.ticks if last else self.keeper.index
         )
-        evidence = None if self._docking is None or last else self._evidence(self._docking)
+        evidence = None if self._docking is None or last else self._evidence(self._docking, now_ns)
         tick = None if last else controller.tick(index, t)
         estimate = self.estimate = tick.estimate if tick else controller.record_estimate(index, t)
         sequence = None
@@ -317,11 +325,11 @@ class Drive:
         if estimator.fault:
             raise SafetyStop(estimator.fault_rule, estimator.fault)
 
-    def _evidence(self, docking: Docking) -> Evidence:
+    def _evidence(self, docking: Docking, now_ns: int) -> Evidence:
         """Give a docking what the base reports beside its motion, and return it for the record."""
         # What is pressed when the lease is granted does not end it.
         touched = self._touched or (self.estimate is None and self._link.pressed)
-        evidence = Evidence(touched, self._link.charging)
+        evidence = Evidence(touched, self._link.charging(now_ns))
         docking.note(evidence)
         return evidence
 

@@ -26,6 +26,10 @@ LAST, STEPS_BACK = 20, 4
 """Number of the last messages whose stamps are compared, and the steps back that show two publishers."""
 
 
+CHARGING_NS = 3_000_000_000
+"""The bridge reports the battery once a second."""
+
+
 class Arrival(NamedTuple):
     """A message and the moment of its arrival on the monotonic clock."""
 
@@ -112,8 +116,8 @@ class Link(ABC):
         self.pressed = False
         """Whether a bumper is pressed, by the newest of them."""
         self.lease = DriverLease()
-        self.charging: bool | None = None
-        """Whether the battery charges; None = not known."""
+        self._charging: tuple[bool | None, int] = None, 0
+        """The newest report whether the battery charges, and the moment of its arrival."""
 
     def receive(self, name: str, arrival: Arrival) -> None:
         """Store a message of the bridge; an unreadable gate status is ignored."""
@@ -129,7 +133,7 @@ class Link(ABC):
                     self.gate = parse_json(GateStatus, read_text(arrival.data))
             case "battery_state":
                 with contextlib.suppress(FormatError):
-                    self.charging = read_battery(arrival.data).charging
+                    self._charging = read_battery(arrival.data).charging, arrival.arrival_ns
             case "bumpers":
                 with contextlib.suppress(FormatError):
                     self.pressed = read_bumpers(arrival.data)
@@ -149,6 +153,11 @@ class Link(ABC):
     @abstractmethod
     def release(self) -> None:
         """Stop the rover and release the lease, if this driver holds it; never raises."""
+
+    def charging(self, now_ns: int) -> bool | None:
+        """Return whether the battery charges by a report that is not old; None = not known."""
+        charging, arrival_ns = self._charging
+        return charging if now_ns - arrival_ns <= CHARGING_NS else None
 
     @abstractmethod
     def command(self, velocity: Velocity) -> int:

@@ -163,7 +163,7 @@ def result_of(drive: Drive, recording: Mapping[str, Any]) -> DriveResult:
             **pose,
             placed=drive.placed,
             used=outcomes[Outcome.ACCEPTED],
-            refused=outcomes[Outcome.OUTLIER] + outcomes[Outcome.NOT_FINITE],
+            refused=outcomes[Outcome.OUTLIER] + outcomes[Outcome.NOT_FINITE] + outcomes[Outcome.REPEATED],
             too_late=outcomes[Outcome.TOO_OLD],
             dropped=outcomes[Outcome.DROPPED],
             nis=Nis(**estimator.nis),

@@ -40,7 +40,7 @@ from deploy.estimator.motion import (
     turned_without_gain,
 )
 from deploy.estimator.settings import GYRO_S, EstimatorSettings
-from rover_ncp.core.geometry import Pose, Velocity, compose, inverse
+from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, compose, inverse, near
 from rover_ncp.wire.messages import GYRO_GAP_S
 
 GYRO_OFF_RAD_S = 1.0
@@ -48,6 +48,15 @@ GYRO_OFF_RAD_S = 1.0
 LATE, EARLY = 1.5, 0.5
 """Odometry after a gap of more than 1.5 default gaps may be delayed, and the next one after less than 0.5."""
 GAPS = 9
+MAX_VARIANCE = 1e12
+"""Of an external pose, m² and rad²: beyond any that says "not known", and far from overflow."""
+REPEATED_M, REPEATED_RAD = 0.03, 0.05
+"""A localiser whose pose does not change in the least while odometry moves so far repeats an old one."""
+JUDGED_POSES, REJECTED_POSES = 20, 10
+"""Among so many external poses, so many rejections are a fault, too."""
+GAINS = 0.25, 4.0
+"""External poses that need another turn gain contradict odometry, such as those of a mirrored frame. It falls
+by half for a moment where poses are late by a second."""
 ODOMETRY, GYRO_READINGS, POSES = "odometry samples", "gyro readings", "external poses"
 
 
@@ -143,6 +152,14 @@ class Estimator:
         self._in_a_row: Counter[str] = Counter()
         """Rejections in a row, by what was rejected."""
         self._gyro_counted = -math.inf
+        self._judged: deque[bool] = deque(maxlen=JUDGED_POSES)
+        """Of the newest external poses, whether they were rejected."""
+        self._corrected = False
+        """Whether an external pose was accepted since the turn gain was checked."""
+        self._own = ORIGIN
+        """The newest pose of odometry, in its own frame."""
+        self._changed: tuple[Pose, Pose] | None = None
+        """The newest external pose that differed from the one before, and the pose of odometry then."""
 
     def start(
         self, pose: Pose, t: float, odometry: Pose | None = None, covariance: Array | None = None
@@ -154,7 +171,7 @@ class Estimator:
         """
         if self._started is not None:
             raise RuntimeError("the estimator is seeded once and never again")
-        own = pose if odometry is None else odometry
+        own = self._own = pose if odometry is None else odometry
         if not all(map(math.isfinite, (*pose, *own, t))):
             raise ValueError(f"cannot start from {pose}, odometry {own}, at {t}")
         sure = np.zeros((3, 3)) if covariance is None else completed(covariance, self._settings)
@@ -175,8 +192,12 @@ class Estimator:
             self._count_gyro(turn)
         if outcome is Outcome.ACCEPTED:
             self._in_a_row[ODOMETRY] = 0
+            self._own = pose
             for waiting in waited:
                 self._count(waiting)
+            if self._corrected:
+                self._corrected = False
+                self._check_turn_gain()
         else:
             self.rejected += 1
             self._reject(ODOMETRY, outcome, self._settings.rejected_in_a_row, "estimator")
@@ -205,10 +226,18 @@ class Estimator:
         known = completed(covariance, self._settings)
         if known is None or not all(map(math.isfinite, (*pose, t))):
             outcome = Outcome.NOT_FINITE
+        elif self._repeated(pose):
+            outcome = Outcome.REPEATED
         else:
             outcome = self._history.pose(np.array(pose), known, t)
         self._count(outcome)
         return outcome
+
+    def _repeated(self, pose: Pose) -> bool:
+        """Return whether a localiser sends the same pose again although the rover moved."""
+        if self._changed is None or pose != self._changed[0]:
+            self._changed = pose, self._own
+        return not near(self._own, self._changed[1], REPEATED_M, REPEATED_RAD)
 
     def at(self, t: float) -> Estimate:
         """Return the estimate at ``t``: predicted, or of the last second; before that, its oldest."""
@@ -274,15 +303,30 @@ class Estimator:
         self.poses[outcome] += 1
         if outcome is Outcome.ACCEPTED:
             self._in_a_row[POSES] = 0
-        elif outcome in {Outcome.OUTLIER, Outcome.NOT_FINITE}:
+            self._corrected = True
+        elif outcome in {Outcome.OUTLIER, Outcome.NOT_FINITE, Outcome.REPEATED}:
             self._reject(POSES, outcome, self._settings.poses_rejected_in_a_row, "external-pose")
+        if outcome in {Outcome.ACCEPTED, Outcome.OUTLIER}:
+            self._judged.append(outcome is Outcome.OUTLIER)
+            if (rejected := sum(self._judged)) >= REJECTED_POSES:
+                self._fail(f"{rejected} of the last {len(self._judged)} {POSES} rejected", "external-pose")
+
+    def _check_turn_gain(self) -> None:
+        gain = float(self._history.at(self._history.t)[0][GAIN]) / self._settings.turn_gain
+        if not GAINS[0] <= gain <= GAINS[1]:
+            words = f"by the external poses the rover turns {gain:.1f} times what odometry says"
+            self._fail(f"{words}: is their frame turned or mirrored?", "external-pose")
 
     def _reject(self, what: str, outcome: Outcome, limit: int, rule: str) -> None:
         """Count a rejection; so many in a row are the fault ``rule``."""
         self._in_a_row[what] += 1
-        if self._in_a_row[what] >= limit and not self.fault:
-            self.fault = f"{self._in_a_row[what]} {what} rejected in a row (last: {outcome.value})"
-            self.fault_rule = rule
+        if self._in_a_row[what] >= limit:
+            self._fail(f"{self._in_a_row[what]} {what} rejected in a row (last: {outcome.value})", rule)
+
+    def _fail(self, words: str, rule: str) -> None:
+        """Note the first fault."""
+        if not self.fault:
+            self.fault, self.fault_rule = words, rule
 
 
 def error_95_m(covariance: Array) -> float:
@@ -299,7 +343,7 @@ def error_95_m(covariance: Array) -> float:
 def completed(covariance: Array, settings: EstimatorSettings) -> Array | None:
     """Return an external pose's covariance with unknown variances filled in; None if it is invalid."""
     matrix = np.array(covariance, dtype=np.float64)
-    if not np.isfinite(matrix).all() or (np.diag(matrix) < 0).any():
+    if not np.isfinite(matrix).all() or (np.diag(matrix) < 0).any() or np.abs(matrix).max() > MAX_VARIANCE:
         return None
     default = np.square([settings.pose_m, settings.pose_m, settings.pose_rad])
     matrix[np.diag_indices(3)] = np.where(np.diag(matrix) == 0.0, default, np.diag(matrix))

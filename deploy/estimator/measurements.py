@@ -25,6 +25,7 @@ class Outcome(Enum):
     WAITING = "newer than odometry, which it waits for"
     TOO_OLD = "too old"
     DROPPED = "too many poses wait for odometry"
+    REPEATED = "the same pose again, although odometry moved"
 
 
 class GyroAngle(NamedTuple):

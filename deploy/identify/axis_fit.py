@@ -42,6 +42,8 @@ MIN_BLOCKS, FEW_BLOCKS = 3, 6
 """Fewer than 3 blocks give no variance between blocks; below 6, Student's quantile replaces 1.96."""
 SINGULAR = 1e12
 """Condition number beyond which a matrix counts as singular."""
+AT_BOUND = 0.003
+"""A value this near to its bound is at it."""
 NEGLIGIBLE = 1e-3
 """A value is not determined if a unit of it changes all samples by less than this share of SCALES."""
 MISFIT = 1.3
@@ -132,7 +134,9 @@ def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis |
             args=(chosen,),
         )
         x = fit.x
-        if (fit.active_mask[1:] != 0).any() or fit.active_mask[0] > 0:
+        # The solver may stop short of a bound without marking it.
+        room = np.minimum(x - bounds[0], bounds[1] - x)[1:]
+        if (room < AT_BOUND).any() or DELAY_MAX_S - x[0] < AT_BOUND:
             return None  # the best value is beyond any base's; a delay of 0 at its bound is valid
         kept = ~np.isin(blocks, _outliers(residuals(x), blocks, scale))
         if (kept == chosen).all() or not kept.any():

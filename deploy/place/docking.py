@@ -24,13 +24,13 @@ from deploy.drive.start import median_pose
 from deploy.estimator.estimator import Estimate, Estimator
 from deploy.estimator.measurements import Outcome
 from deploy.place.outcome import DockError, DockResult, PoseErrors, Stage
-from deploy.place.place import Place, Proof
-from deploy.place.plan import FAR_M, Way, approach, retreat, tail, to_staging
+from deploy.place.place import CONTACT_M, Place, Proof
+from deploy.place.plan import FAR_M, Way, approach, in_the_way, retreat, tail, to_staging
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import ConfigError, SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, near, wrap_angle
 from rover_ncp.course.course import TICK_S
-from rover_ncp.course.scoring import Failure, Parked, Verdict
+from rover_ncp.course.scoring import SURE, Failure, Parked, Verdict, pose_samples, probability_within
 from rover_ncp.course.slowdown import slowdown
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import RoverProfile
@@ -38,8 +38,8 @@ from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
 
 STAGED_M, STAGED_RAD = 0.10, math.radians(10.0)
 """How far from the staging pose an approach may begin: the policy's training."""
-CONTACT_M = 0.05
-"""How far from the place, along its heading, contact counts as that with the dock."""
+UNSEEN = 0.1, 0.1, math.radians(10.0)
+"""Standard deviations of the place of a rover that is to be undocked and that no external pose shows."""
 CHARGER_M, CHARGER_RAD = 0.10, math.radians(10.0)
 """How far from the place a charge counts: farther away it is that of another charger."""
 CONTACT_S = 0.5
@@ -120,7 +120,8 @@ class Docking:
         self, odometry: Pose, t: float, pose: Pose, covariance: NDArray[np.float64] | None = None
     ) -> None:
         """Begin as `Controller.start`. Raises SafetyStop if there is no way from that pose."""
-        self.estimator.start(pose, t, odometry, covariance)
+        unseen = np.diag(np.square(UNSEEN)) if covariance is None else covariance
+        self.estimator.start(pose, t, odometry, unseen)
         off, out_m = self.place.errors(pose), self.place.out_m(pose)
         in_line = abs(off.lateral_m) <= STAGED_M and abs(off.yaw_rad) <= STAGED_RAD
         problem = ""
@@ -135,7 +136,8 @@ class Docking:
         elif self._undock:
             problem = f"the rover does not stand in {self.place.name}, but {off} of it"
         else:
-            problem = self._to_staging(0, pose)
+            problem = in_the_way(self.place, self._approach.way, self._config.described)
+            problem = problem or self._to_staging(0, pose)
         if problem:
             raise SafetyStop("start-pose", problem)
 
@@ -215,7 +217,9 @@ class Docking:
         pose, proof = self.estimator.at(t).pose, self.place.proof
         verdict = leg.verdict()
         off = self.place.errors(pose)
-        self._judged = _Judged(verdict.probability, off, self._by_poses(t, contact))
+        by_poses = self._by_poses(t, contact)
+        sure = self._contact_probability(t)
+        self._judged = _Judged(sure if proof is Proof.CONTACT else verdict.probability, off, by_poses)
         in_line = abs(off.lateral_m) <= self.place.position_m and abs(off.yaw_rad) <= self.place.heading_rad
         where = f"{off} of the place by the estimate"
         at_place = proof is Proof.CONTACT and in_line and abs(off.longitudinal_m) <= CONTACT_M
@@ -227,6 +231,10 @@ class Docking:
             why = f"contact {where}"
         elif proof is Proof.CHARGING and far:
             why = f"too far for the place's charger, {where}"
+        elif proof is Proof.CONTACT and sure < SURE:
+            why = f"contact {where}, which is sure to {sure:.0%}"
+        elif proof is Proof.POSE and by_poses is not None and not self.place.allows(by_poses):
+            why = f"{by_poses} of the place by the external poses alone, {where}"
         elif proof is Proof.POSE and verdict.words is not Parked.YES:
             why = verdict.reason or f"within the tolerances with a probability of {verdict.probability:.0%}"
         elif proof is Proof.CHARGING and not charging:
@@ -236,6 +244,16 @@ class Docking:
             self._missed(index, pose, DockError.FAILED_TO_CONTROL, why)
         else:
             self._end(DockError.NONE)
+
+    def _contact_probability(self, t: float) -> float:
+        """Return the probability that a contact is at the place, and the rover in line with it."""
+        estimate, place = self.estimator.at(t), self.place
+        turn, off = np.eye(3), place.errors(estimate.pose)
+        cos, sin = math.cos(place.goal.theta), math.sin(place.goal.theta)
+        turn[:2, :2] = [[cos, sin], [-sin, cos]]
+        mean = Pose(off.longitudinal_m, off.lateral_m, off.yaw_rad)
+        errors = np.abs(pose_samples(mean, turn @ estimate.covariance[:3, :3] @ turn.T))
+        return float(np.mean((errors <= (CONTACT_M, place.position_m, place.heading_rad)).all(axis=1)))
 
     def _missed(self, index: int, pose: Pose, error: DockError, why: str) -> None:
         """Go back to the staging pose."""
@@ -302,8 +320,11 @@ class Docking:
         goal, pose = self.place.staging if self._undock else self.place.goal, self._estimate.pose
         error_m, error_rad = distance(pose, goal), abs(wrap_angle(pose.theta - goal.theta))
         error, why = self._ending()
-        failure = Failure.NONE if error is DockError.NONE else Failure.FAR
-        return Verdict(failure is Failure.NONE, error_m, error_rad, why, failure)
+        failure, sure = Failure.NONE if error is DockError.NONE else Failure.FAR, None
+        if self._undock:
+            off = Pose(pose.x - goal.x, pose.y - goal.y, wrap_angle(pose.theta - goal.theta))
+            sure = probability_within(off, self._estimate.covariance[:3, :3], STAGED_M, STAGED_RAD)
+        return Verdict(failure is Failure.NONE, error_m, error_rad, why, failure, sure)
 
     def _ending(self) -> tuple[DockError, str]:
         """Return how the docking ended and why; an earlier miss is not why a drive was stopped."""

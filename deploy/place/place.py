@@ -1,5 +1,6 @@
 """The file of a place, in the frame of the external poses."""
 
+import math
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
@@ -9,10 +10,12 @@ from pydantic import Field
 from deploy.place.outcome import PoseErrors
 from rover_ncp.core.config import StrictModel, load_yaml
 from rover_ncp.core.geometry import Pose, compose, near, relative
-from rover_ncp.course.course import Angle, Coordinate, Name, Obstacle
+from rover_ncp.course.course import Angle, Name, Obstacle
 
 SUFFIXES = {".yaml", ".yml"}
 MAX_OBSTACLES = 100
+CONTACT_M = 0.05
+"""How far from a place, along its heading, contact counts as that with the dock."""
 
 
 class Proof(StrEnum):
@@ -26,11 +29,15 @@ class Proof(StrEnum):
     """The base reports that its battery is charging."""
 
 
+PlaceCoordinate = Annotated[float, Field(ge=-990.0, le=990.0)]
+"""In m: 10 m less than `Coordinate`, for the ways there."""
+
+
 class PlacePose(StrictModel):
     """Pose of the docked base (base_link)."""
 
-    x: Coordinate
-    y: Coordinate
+    x: PlaceCoordinate
+    y: PlaceCoordinate
     theta: Angle
 
 
@@ -95,6 +102,11 @@ class Place(StrictModel):
     def holds(self, pose: Pose) -> bool:
         """Whether a pose is within the tolerances."""
         return near(pose, self.goal, self.position_m, self.heading_rad)
+
+    def allows(self, off: PoseErrors) -> bool:
+        """Whether errors are within the tolerances."""
+        away = math.hypot(off.longitudinal_m, off.lateral_m)
+        return away <= self.position_m and abs(off.yaw_rad) <= self.heading_rad
 
 
 def place_path(name: str) -> Path:

@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
-from deploy.place.place import Place, Proof
+from deploy.place.place import CONTACT_M, Place, Proof
+from rover_ncp.core.errors import UsageError
+from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose, compose, distance, wrap_angle
-from rover_ncp.course.course import TICK_S, Checkpoint, Course, ParkedRule
-from rover_ncp.course.feasibility import Problem, check_course
+from rover_ncp.course.course import MAX_CHECKPOINTS, TICK_S, Checkpoint, Course, ParkedRule
+from rover_ncp.course.feasibility import Problem, check_course, clearance_at
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX, Reference, drive_profile
-from rover_ncp.robot.description import RobotDescription
+from rover_ncp.robot.description import RobotDescription, load_description
 
 EASE = 0.6
 """Speed of a plan, as a share of the limits of a reference: the policy must be able to catch up."""
@@ -38,6 +40,8 @@ FAR_M = 3.0
 """Largest distance of a start from the staging pose."""
 SMALL_M, SMALL_RAD = 0.02, 0.03
 """Shorter pieces are left out: the approach corrects them."""
+MAX_WAY_S = 3600.0
+"""The limit of a course."""
 CHECKPOINT_TICKS = 10
 DETOURS_M = (0.5, 0.0), (1.0, 0.0), (0.0, 0.8), (0.0, -0.8), (0.8, 0.8), (0.8, -0.8)
 """Points of detours: how much farther out than the staging pose, and how far to its left."""
@@ -93,6 +97,18 @@ def retreat(place: Place, slower: float = 1.0, out_m: float = 0.0) -> Way:
     start = compose(place.goal, Pose(out_m if place.backward else -out_m, 0.0, 0.0))
     pieces = [Piece(place.staging_m - out_m, 0.0, SETTLE_S)]
     return _way(place, "retreat", start, pieces, backward=not place.backward, slower=slower)
+
+
+def in_the_way(place: Place, way: Way, robot: RobotDescription | None = None) -> str:
+    """Return which of the place's obstacles an approach touches before the place, in words; "" if none."""
+    robot = load_description(DEFAULT_ROBOT) if robot is None else robot
+    for point in way.course.checkpoints:
+        # What it touches at its place may be the dock.
+        out_m = place.out_m(point.pose)
+        for number, obstacle in enumerate(place.obstacles, 1):
+            if out_m > CONTACT_M and clearance_at(point.pose, [obstacle], robot) == 0.0:
+                return f"the approach touches obstacle {number}, {out_m:.2f} m before {place.name}"
+    return ""
 
 
 def to_staging(
@@ -157,7 +173,9 @@ def _way(
         omega += [0.0] * len(along) + turning + rest
     reference = drive_profile(start, [-speed for speed in v] if backward else v, omega)
     ticks = reference.ticks
-    at = [*range(0, ticks, CHECKPOINT_TICKS), ticks]
+    if ticks * TICK_S > MAX_WAY_S:
+        raise UsageError(f"{place.name}: one way would take {ticks * TICK_S:.0f} s (at most {MAX_WAY_S:g} s)")
+    at = [*range(0, ticks, max(CHECKPOINT_TICKS, math.ceil(ticks / (MAX_CHECKPOINTS - 1)))), ticks]
     points = tuple(Checkpoint(t=round(k * TICK_S, 1), **reference.tick(k)[0]._asdict()) for k in at)
     course = Course(
         name=name,

@@ -115,12 +115,16 @@ def probability_within(
 ) -> float:
     """Return the probability that the true pose is within a distance and an angle of the goal.
 
-    ``error`` is the estimate minus the goal, ``covariance`` (3, 3) that of its x, y and θ. The same
-    arguments give the same result: the samples of the normal distribution have a fixed seed.
+    ``error`` is the estimate minus the goal, ``covariance`` (3, 3) that of its x, y and θ.
     """
-    draws = np.random.default_rng(0).multivariate_normal(error, covariance, _SAMPLES, method="eigh")
+    draws = pose_samples(error, covariance)
     near = np.hypot(draws[:, 0], draws[:, 1]) <= position_m
     return float(np.mean(near & (np.abs(draws[:, 2]) <= heading_rad)))
+
+
+def pose_samples(mean: Pose, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return samples (20,000, 3) of a normal distribution of poses; the same arguments give the same ones."""
+    return np.random.default_rng(0).multivariate_normal(mean, covariance, _SAMPLES, method="eigh")
 
 
 def due_checkpoints(course: Course) -> NDArray[np.int64]:

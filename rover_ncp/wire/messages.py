@@ -82,10 +82,6 @@ class BatterySample(NamedTuple):
     charging: bool | None
 
 
-NO_BATTERY = BatterySample(0.0, None)
-"""The state of a battery that nothing reports."""
-
-
 class PoseSample(NamedTuple):
     """A pose with its 3 × 3 covariance (x, y, theta; m², m·rad, rad²)."""
 
@@ -279,8 +275,7 @@ def battery_state(voltage: float, stamp_ns: int, charging: bool | None = None) -
 def read_battery(data: bytes) -> BatterySample:
     """Read a BatteryState. Raises FormatError."""
     message = decode(BATTERY_STATE, data)
-    # The type's POWER_SUPPLY_STATUS: 0 unknown, 1 charging, 2 discharging, 3 not charging, 4 full, with or
-    # without a charger.
+    # POWER_SUPPLY_STATUS: 0 unknown, 1 charging, 2 discharging, 3 not charging, 4 full (charger or not).
     status = message.power_supply_status
     return BatterySample(float(message.voltage), None if status in {0, 4} else status == 1)
 

@@ -2,10 +2,14 @@
 
 import math
 
+import numpy as np
+
 from deploy.estimator.estimator import Estimator
 from rover_ncp.core.geometry import Pose, Velocity, compose, wrap_angle
 
 STEP_RAD = math.tau / 4096
+DT = 0.1
+POSE_COVARIANCE = np.diag(np.square([0.005, 0.005, math.radians(0.5)]))
 
 
 def reported(pose, velocity):
@@ -28,3 +32,17 @@ def started(settings=None, heading=0.0, covariance=None):
     estimator = Estimator(settings)
     estimator.start(Pose(0.0, 0.0, heading), 0.0, covariance=covariance)
     return estimator
+
+
+def straight(until_s, settings=None, covariance=POSE_COVARIANCE):
+    """Return an estimator of a rover that drives straight ahead from time 0 as `way_m` says."""
+    estimator = started(settings, covariance=covariance)
+    for tick in range(1, round(until_s / DT) + 1):
+        t = tick * DT
+        estimator.odometry(Pose(way_m(t), 0.0, 0.0), Velocity(min(0.1, 0.3 * t), 0.0), t)
+    return estimator
+
+
+def way_m(t):
+    """Return the way at 0.1 m/s, reached with 0.3 m/s²."""
+    return 0.15 * t * t if t < 1 / 3 else 0.1 * t - 1 / 60

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from kit.base_odometry import started
+from kit.base_odometry import DT, started, straight, way_m
 from kit.skid_rover import Camera, SkidDrive
 from scipy.stats import chi2
 
@@ -18,7 +18,6 @@ from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
 from rover_ncp.robot.profile import RoverProfile
 
-DT = 0.1
 SETTINGS = EstimatorSettings()
 COVARIANCE = np.diag(np.square([0.005, 0.005, math.radians(0.5)]))
 COUNT = 30
@@ -199,7 +198,7 @@ def test_a_rover_that_a_cable_turns_is_found_again(side):
 @pytest.mark.parametrize(("off_rad", "may_be_a_push"), [(0.12, True), (0.3, False)])
 def test_a_refused_pose_leaves_the_estimate_where_it_is(off_rad, may_be_a_push):
     estimator = straight(2.0)
-    before, seen = estimator.at(2.0), Pose(_way(2.0), 0.0, off_rad)
+    before, seen = estimator.at(2.0), Pose(way_m(2.0), 0.0, off_rad)
     assert estimator.external(seen, COVARIANCE, 2.0) is Outcome.OUTLIER
     after = estimator.at(2.0)
     assert after.pose == pytest.approx(before.pose, abs=1e-12)
@@ -210,32 +209,18 @@ def test_a_refused_pose_leaves_the_estimate_where_it_is(off_rad, may_be_a_push):
     assert again is (Outcome.ACCEPTED if may_be_a_push else Outcome.OUTLIER)
 
 
-def straight(until_s, settings=SETTINGS):
-    estimator = started(settings, covariance=COVARIANCE)
-    for tick in range(1, round(until_s / DT) + 1):
-        t = tick * DT
-        v = min(0.1, 0.3 * t)
-        estimator.odometry(Pose(_way(t), 0.0, 0.0), Velocity(v, 0.0), t)
-    return estimator
-
-
-def _way(t):
-    """0.1 m/s, reached with 0.3 m/s²."""
-    return 0.15 * t * t if t < 1 / 3 else 0.1 * t - 1 / 60
-
-
 def test_a_pose_counts_for_the_moment_at_which_it_was_measured():
     sure, prompt = 1e-8 * np.eye(3), EstimatorSettings(pose_delay_s=0.0, pose_delay_std_s=1e-6)
     late = straight(3.0, prompt)
-    assert late.external(Pose(_way(2.35) + 0.01, 0.02, 0.0), sure, 2.35) is Outcome.ACCEPTED
-    assert late.at(3.0).pose == pytest.approx((_way(3.0) + 0.01, 0.02, 0.0), abs=0.003)
+    assert late.external(Pose(way_m(2.35) + 0.01, 0.02, 0.0), sure, 2.35) is Outcome.ACCEPTED
+    assert late.at(3.0).pose == pytest.approx((way_m(3.0) + 0.01, 0.02, 0.0), abs=0.003)
     assert straight(3.0).external(Pose(0, 0, 0), sure, 1.7) is Outcome.TOO_OLD
     assert straight(3.0).external(Pose(0, 0, 0), sure, -0.1) is Outcome.TOO_OLD
 
     early = straight(3.0, prompt)
-    assert early.external(Pose(_way(3.05), 0.02, 0.0), sure, 3.05) is Outcome.WAITING
+    assert early.external(Pose(way_m(3.05), 0.02, 0.0), sure, 3.05) is Outcome.WAITING
     assert early.at(3.1).pose.y == pytest.approx(0.0)
-    early.odometry(Pose(_way(3.1), 0.0, 0.0), Velocity(0.1, 0.0), 3.1)
+    early.odometry(Pose(way_m(3.1), 0.0, 0.0), Velocity(0.1, 0.0), 3.1)
     assert early.at(3.1).pose.y == pytest.approx(0.02, abs=0.001)
     assert early.poses[Outcome.ACCEPTED] == 1
 
@@ -253,14 +238,14 @@ def test_many_late_poses_at_once_cost_hardly_more_than_one(monkeypatch):
     monkeypatch.setattr(History, "_updated", lambda *args: (entered.append(1), once(*args))[1])
     times = np.linspace(2.05, 2.95, 80)
     for t in times:
-        assert estimator.external(Pose(_way(t), 0.0, 0.0), COVARIANCE, t) is Outcome.ACCEPTED
+        assert estimator.external(Pose(way_m(t), 0.0, 0.0), COVARIANCE, t) is Outcome.ACCEPTED
     estimator.at(3.0)
     assert len(entered) < 3 * len(times)  # applied again each time it would be 80 times 50
 
 
 def test_one_wrong_pose_is_rejected_and_many_are_a_fault_that_stays():
     estimator = straight(1.0)
-    wrong, right = Pose(_way(1.0), 0.3, 0.0), Pose(_way(1.0), 0.0, 0.0)
+    wrong, right = Pose(way_m(1.0), 0.3, 0.0), Pose(way_m(1.0), 0.0, 0.0)
     for _ in range(4):
         assert estimator.external(wrong, COVARIANCE, 1.0) is Outcome.OUTLIER
     assert estimator.external(right, COVARIANCE, 1.0) is Outcome.ACCEPTED
@@ -280,6 +265,7 @@ def test_one_wrong_pose_is_rejected_and_many_are_a_fault_that_stays():
     ("pose", "covariance"),
     [
         (Pose(math.nan, 0, 0), COVARIANCE),
+        (Pose(0, 0, 0), 1e300 * np.eye(3)),
         (Pose(0, math.inf, 0), COVARIANCE),
         (Pose(0, 0, 0), np.full((3, 3), math.nan)),
         (Pose(0, 0, 0), -COVARIANCE),
@@ -298,7 +284,7 @@ def test_invalid_poses_are_rejected(pose, covariance):
 
 def test_a_variance_of_zero_counts_as_unknown():
     one, other = straight(1.0), straight(1.0)
-    seen = Pose(_way(1.0) + 0.01, 0.01, 0.01)
+    seen = Pose(way_m(1.0) + 0.01, 0.01, 0.01)
     one.external(seen, np.zeros((3, 3)), 1.0)
     other.external(seen, np.diag([SETTINGS.pose_m**2, SETTINGS.pose_m**2, SETTINGS.pose_rad**2]), 1.0)
     assert one.at(1.0).pose == other.at(1.0).pose

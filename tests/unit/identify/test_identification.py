@@ -2,6 +2,7 @@
 
 import functools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.recording.recording import Recorded, RecordingWriter
 from rover_ncp.robot.description import load_description
 from rover_ncp.robot.profile import load_profile
-from rover_ncp.wire.messages import odometry, twist_stamped
+from rover_ncp.wire.messages import odometry, read_odometry, twist_stamped
 from sim.world.randomization import load_randomization
 from sim.world.rover import toward
 
@@ -50,6 +51,20 @@ def test_random_robots_are_identified_from_their_bytes(number):
     assert found.noise_rad == pytest.approx(0.0087, rel=0.25)
     assert (found.odometry_distance, found.slip_s) == (None, None)
     assert (found.dead_band_v, found.dead_band_omega) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_odometry_that_reports_no_speed_or_far_too_little_gives_no_gain(share):
+    def weakened(message):
+        if message.topic != "odom":
+            return message
+        seen = read_odometry(message.data)
+        velocity = Velocity(share * seen.velocity.v, share * seen.velocity.omega)
+        pose = seen.pose if share == 0.0 else Pose(*(share * value for value in seen.pose))
+        return replace(message, data=odometry(pose, velocity, seen.stamp_ns))
+
+    found = identify(motion_log([weakened(each) for each in drive("full")[0].messages]), "mock")
+    assert (found.gain_v, found.gain_omega) == (None, None)
 
 
 def test_external_poses_show_the_errors_of_odometry():

@@ -13,9 +13,9 @@ from deploy.view.page_data import columns
 from deploy.view.recorded_drive import read_drive, summarise
 from deploy.view.trace import synapse_currents
 from rover_ncp.core.errors import NoBridge
-from rover_ncp.core.geometry import Pose, distance
+from rover_ncp.core.geometry import ORIGIN, Pose, distance
 from rover_ncp.course.course import Obstacle
-from rover_ncp.wire.messages import battery_state
+from rover_ncp.wire.messages import battery_state, odometry, read_odometry
 
 DOCK = Obstacle(x=2.365, y=1.0, length=0.1, width=0.6)
 """A wall that the front of a Pioneer 3-AT reaches at the place."""
@@ -196,6 +196,54 @@ def test_lease_that_is_refused_after_contact_ends_the_drive_with_its_result(monk
     assert "does not answer within 2 s" in result.dock.error_msg
 
 
+def test_contact_whose_place_is_not_sure_is_a_miss():
+    """The poses end far from the dock, and one wheel is larger than the other."""
+    wall = Obstacle(x=2.365, y=1.0, length=0.1, width=2.0)
+
+    def see(pose, now):
+        return pose if now < 2.0 else None
+
+    drive = VirtualDocking(
+        place(proof="contact", retries=0), Pose(-0.2, 1.4, -0.3), obstacles=[wall], see=see
+    )
+
+    def uneven(data):
+        seen = read_odometry(data)
+        way.append(distance(seen.pose, last[-1]))
+        last.append(seen.pose)
+        turned = seen.pose.theta + 0.03 * sum(way)
+        return odometry(seen.pose._replace(theta=turned), seen.velocity, seen.stamp_ns)
+
+    last, way = [ORIGIN], []
+    drive.link.change["odom"] = uneven
+    dock = drive.run().dock
+    assert (dock.success, dock.error_code) == (False, DockError.FAILED_TO_CONTROL)
+    assert dock.probability < 0.95
+
+
+def test_docking_that_the_last_poses_contradict_is_a_miss(monkeypatch):
+    monkeypatch.setattr("kit.virtual_docking.COVARIANCE", np.diag(np.square([0.02, 0.02, 0.02])))
+    since = Since(1.98)
+
+    def see(pose, now):
+        aside = (since(pose, now) or 0.0) > 4.0
+        return pose._replace(y=pose.y + 0.035) if aside else pose
+
+    drive = VirtualDocking(place(retries=0), STAGING, see=see)
+    dock = drive.run().dock
+    assert not dock.success
+    assert "by the external poses alone" in dock.error_msg
+
+
+def test_undocking_by_poses_that_cannot_be_used_does_not_begin():
+    drive = VirtualDocking(place(frame="dock"), Pose(2.0, 1.0, 0.0), undock=True)
+    drive.place = place()  # the localiser's frame
+    result = drive.run()
+    assert (result.exit_code, result.stopped_by) == (4, "start-pose")
+    assert "pose in frame 'map', expected 'dock'" in result.reason
+    assert drove_m(drive) == 0.0
+
+
 def test_charge_that_flows_before_the_place_is_no_docking():
     drive = charging(VirtualDocking(place(proof="charging", retries=0), STAGING, obstacles=[BEFORE]), True)
     result = drive.run()
@@ -253,7 +301,7 @@ def test_rover_undocks_from_contact_without_any_pose():
         place(), Pose(2.0, 1.0, 0.0), obstacles=[DOCK], see=lambda pose, now: None, undock=True
     )
     result = drive.run()
-    assert (result.dock.success, result.pose.placed) == (True, False)
+    assert (result.dock.success, result.pose.placed, result.verdict) == (True, False, "parked, uncertain")
     assert drive.off[0] == pytest.approx(-0.7, abs=0.05)
 
 

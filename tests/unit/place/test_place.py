@@ -5,14 +5,15 @@ import math
 import numpy as np
 import pytest
 from kit.virtual_docking import place
+from pydantic import ValidationError
 
 from deploy.drive.measurements import pose_reader
 from deploy.place.place import load_place
-from deploy.place.plan import approach, retreat, to_staging
+from deploy.place.plan import approach, in_the_way, retreat, to_staging
 from deploy.place.survey import blurred, complaint, survey
 from deploy.zenoh_client import with_covariance
 from rover_ncp.core.config import dump_yaml
-from rover_ncp.core.errors import FormatError, NoPose
+from rover_ncp.core.errors import FormatError, NoPose, UsageError
 from rover_ncp.core.geometry import ORIGIN, Pose, distance, wrap_angle
 from rover_ncp.course.feasibility import Cause, check_course
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX
@@ -55,6 +56,31 @@ def test_approach_ends_at_the_place_slowly_and_retreat_at_the_staging_pose(direc
 def test_slower_robot_gets_slower_ways():
     usual, slow = (to_staging(place(), STARTS[0], None, slower)[0] for slower in (1.0, 2.0))
     assert slow.reference.motion.max() == pytest.approx(0.5 * usual.reference.motion.max(), rel=0.05)
+
+
+def test_ways_of_a_very_slow_robot_are_courses_until_they_take_too_long():
+    way, _ = to_staging(place(), STARTS[0], None, 36.0)
+    assert 1000.0 < way.course.horizon_s < 1800.0
+    with pytest.raises(UsageError, match=r"bay: one way would take \d{4} s \(at most 3600 s\)"):
+        to_staging(place(), STARTS[0], None, 100.0)
+
+
+def test_obstacle_on_the_approach_is_named_and_the_dock_itself_is_not():
+    lane, dock = ({"x": x, "y": 1.0, "length": 0.1, "width": 0.6} for x in (1.75, 2.365))
+    where = place(obstacles=[dock, lane])
+    assert in_the_way(where, approach(where)).startswith("the approach touches obstacle 2, 0.6")
+    assert in_the_way(place(obstacles=[dock]), approach(where)) == ""
+    assert in_the_way(place(direction="backward", obstacles=[lane | {"x": 1.5}]), approach(BACKWARD)) == ""
+
+
+BACKWARD = place(direction="backward")
+
+
+def test_place_leaves_room_for_its_ways():
+    edge = {"x": 990.0, "y": -990.0, "theta": 0.0}
+    assert ends_at(approach(place(pose=edge, direction="backward")), Pose(**edge))
+    with pytest.raises(ValidationError, match="less than or equal to 990"):
+        place(pose=edge | {"x": 991.0})
 
 
 def test_obstacle_in_the_way_leads_to_a_detour_and_one_at_the_staging_pose_to_a_reason():

@@ -246,7 +246,6 @@ def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateStat
         leases=granted.number,
         lease_over=None,
         lease_over_detail="",
-        untagged_pauses=state.untagged_pauses and granted.secret is not None,
         target=None,
         no_command=Reason.SILENCE,
         minima=update_clock_offset(() if lease is None else state.minima, state.now, request.sent_ns),

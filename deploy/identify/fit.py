@@ -20,6 +20,8 @@ from rover_ncp.robot.profile import RoverProfile
 STANDING_M_S, STANDING_RAD_S = 0.004, 0.006
 STANDING_S = 0.35
 """A stand begins this long after the last motion, and lasts at least as long."""
+ROCKING_S = 0.35
+"""A shorter motion ends no stand."""
 STEP_M, STEP_RAD = 0.001, math.tau / 4096
 """Resolution of positions and headings."""
 MIN_NOISE_SAMPLES = 20
@@ -116,11 +118,17 @@ def _sure(key: str, found: _Value) -> bool:
 
 
 def _stands(log: MotionLog) -> list[tuple[float, float]]:
-    """Return the intervals (s) in which the rover stood, by odometry's speeds."""
+    """Return the intervals (s) in which the rover stood, by odometry's speeds.
+
+    Soft tyres rock for a moment after a turn, which ends no stand.
+    """
     t = log.odometry.t
     still = (np.abs(log.motion) < (STANDING_M_S, STANDING_RAD_S)).all(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
-    spans = [(t[a] + STANDING_S, t[b - 1]) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    begins, ends = t[edges[::2]], t[edges[1::2] - 1]
+    apart = begins[1:] - ends[:-1] > ROCKING_S
+    firsts, lasts = [*begins[:1], *begins[1:][apart]], [*ends[:-1][apart], *ends[-1:]]
+    spans = [(first + STANDING_S, last) for first, last in zip(firsts, lasts, strict=True)]
     return [(float(a), float(b)) for a, b in spans if b - a >= STANDING_S]
 
 

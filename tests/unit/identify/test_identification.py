@@ -77,6 +77,20 @@ def test_external_poses_show_the_errors_of_odometry():
     assert found.slip_s == pytest.approx(trials.slip[0], abs=0.15)
 
 
+def test_tyres_that_rock_after_a_motion_do_not_hide_how_a_robot_skids():
+    log, rocking = motion_log(drive("skid", outside=True)[0].messages), []
+    still = (np.abs(log.motion) < (0.004, 0.006)).all(axis=1)
+    motion, stands = log.motion.copy(), np.flatnonzero(np.diff(still.astype(int)) == 1) + 1
+    for begin in stands.tolist():
+        if still[begin : begin + 14].sum() == 14:
+            rocking += [begin + 6, begin + 12]
+    motion[rocking, 1] = 0.007
+    assert len(rocking) > 8
+    quiet, rocked = identify(log, "mock"), identify(log._replace(motion=motion), "mock")
+    assert rocked.rotation_center_m == pytest.approx(quiet.rotation_center_m, abs=0.005)
+    assert rocked.odometry_heading == pytest.approx(quiet.odometry_heading, abs=0.02)
+
+
 def test_external_poses_show_how_a_robot_skids():
     _, found, off, _ = drive("skid", outside=True)
     assert {"odometry_heading", "rotation_center_m", "alpha"} <= set(off)

@@ -2,7 +2,8 @@
 
 Rules of this file:
 
-1. It stays within a circle around its start. If the rover could leave the circle, the drive ends.
+1. It stays within a circle around its start. If the rover could leave the circle, or if odometry does not
+   show that it drives, the drive ends.
 2. It stops for the same reasons as a drive: `SafetyMonitor` checks before each command, and every exit
    releases the lease.
 3. Steps are whole mm/s and deg/s, which a Pioneer takes unchanged. Their duration is no whole number of
@@ -17,7 +18,7 @@ from typing import NamedTuple
 
 from deploy.drive.link import Link
 from deploy.drive.measurements import Measurements
-from deploy.drive.safety_monitor import SafetyMonitor
+from deploy.drive.safety_monitor import FOLLOWED_MIN, SafetyMonitor
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, compose, distance
 from rover_ncp.core.process import Clock
@@ -42,6 +43,8 @@ RAMP = Velocity(0.005, 0.02)
 RAMP_STEPS = 20
 LEVEL_S = 0.65
 """Time at each speed of a ramp, longer than a base's delay and acceleration."""
+LEAST_WAY_M = 0.1
+"""Of a straight step whose motion odometry must show; a turn may be within a dead band."""
 FOLLOWED = 0.5, 1.5
 """Reported speed over command of a robot that follows a command."""
 
@@ -88,7 +91,7 @@ def excite(
         monitor.granted()
         due = clock.monotonic()
         for step in chain(steps(robot), ramps(measurements)):
-            end = due + step.seconds
+            end, began = due + step.seconds, measurements.newest.sample.pose
             while due < end:
                 monitor.check()
                 _check_fence(measurements.newest.sample, start, fence_m)
@@ -96,6 +99,7 @@ def excite(
                 due = min(due + PERIOD_S, end)
                 while (left_s := due - clock.monotonic()) > 0.0:
                     measurements.odometry(left_s)
+            _check_response(step, distance(began, measurements.newest.sample.pose))
     finally:
         link.release()
 
@@ -115,6 +119,14 @@ def ramps(measurements: Measurements) -> Iterator[Step]:
             if newest is not None and follows(newest.sample.velocity[axis], velocity[axis]):
                 break
         yield Step(STANDSTILL, _AFTER_S)
+
+
+def _check_response(step: Step, driven_m: float) -> None:
+    """Raise SafetyStop when odometry hardly shows a straight step: the fence would not hold either."""
+    way_m = abs(step.velocity.v) * step.seconds
+    if way_m >= LEAST_WAY_M and driven_m < FOLLOWED_MIN * way_m:
+        words = f"by odometry the rover drove {driven_m:.3f} m where {way_m:.3f} m were commanded"
+        raise SafetyStop("no-response", words)
 
 
 def _check_fence(odometry: OdometrySample, start: Pose, fence_m: float) -> None:

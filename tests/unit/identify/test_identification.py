@@ -20,6 +20,7 @@ from rover_ncp.recording.recording import Recorded, RecordingWriter
 from rover_ncp.robot.description import load_description
 from rover_ncp.robot.profile import load_profile
 from rover_ncp.wire.messages import odometry, read_odometry, twist_stamped
+from sim.stack.virtual import VirtualLink
 from sim.world.randomization import load_randomization
 from sim.world.rover import toward
 
@@ -65,6 +66,19 @@ def test_odometry_that_reports_no_speed_or_far_too_little_gives_no_gain(share):
 
     found = identify(motion_log([weakened(each) for each in drive("full")[0].messages]), "mock")
     assert (found.gain_v, found.gain_omega) == (None, None)
+
+
+def test_drive_whose_odometry_shows_nothing_ends_after_its_first_step(monkeypatch):
+    class FrozenLink(VirtualLink):
+        def _receive(self, name, data):
+            if name == "odom":
+                data = odometry(Pose(0.0, 0.0, 0.0), Velocity(0.0, 0.0), read_odometry(data).stamp_ns)
+            super()._receive(name, data)
+
+    monkeypatch.setattr("kit.identified.VirtualLink", FrozenLink)
+    done = driven(robot(load_randomization("full"), SEED, 0), fence_m=0.3)
+    assert done.stopped_by == "no-response"
+    assert done.farthest_m < 0.4
 
 
 def test_external_poses_show_the_errors_of_odometry():

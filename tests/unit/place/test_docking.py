@@ -149,6 +149,16 @@ def test_base_that_does_not_tell_whether_it_charges_gets_one_try():
     assert (dock.at, drive.stands()) == ("staging pose", True)
 
 
+def test_report_of_a_charge_does_not_outlive_the_reports():
+    drive = VirtualDocking(place(proof="charging", retries=0), STAGING)
+    drive.link.change["battery_state"] = lambda data: (
+        battery_state(12.5, 1, charging=True) if drive.bridge.monotonic() - began_s < 5.0 else None
+    )
+    began_s = drive.bridge.monotonic()
+    dock = drive.run().dock
+    assert (dock.success, dock.error_code) == (False, DockError.FAILED_TO_CHARGE)
+
+
 def test_rover_backs_out_at_once_from_contact_far_from_the_place():
     since, way = Since(1.5), []
     drive = VirtualDocking(place(retries=0), STAGING)

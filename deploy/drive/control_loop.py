@@ -177,8 +177,7 @@ class Drive:
         self._publisher.start(record, start.sample.pose)
         self._predict_accuracy()
         if not self.config.dry_run:
-            self._link.request_motors(f"policy {self.config.policy}")
-            self.monitor.granted()
+            self._request_motors()
         self._enter(Phase.DRIVING)
 
     def _check_start(self, pose: Pose) -> None:
@@ -264,7 +263,10 @@ class Drive:
             self.monitor.check_command(tick.command, estimate.velocity)
             self._check_poses(estimate.velocity, now_ns)
             if self._touched and not controller.over:
-                self._request_motors_again()
+                try:
+                    self._request_motors()
+                except UnreachableError as error:  # the drive has begun, so it ends as one
+                    raise SafetyStop("lease", str(error)) from error
             if not (self._touched and controller.over):
                 sequence = self._link.command(tick.command)
         if not predicted:
@@ -287,12 +289,8 @@ class Drive:
             self.keeper.ticked(now_ns, predicted)
         self._publish_status()
 
-    def _request_motors_again(self) -> None:
-        """Request the lease that a contact ended. Raises SafetyStop when it is refused."""
-        try:
-            self._link.request_motors(f"policy {self.config.policy}")
-        except UnreachableError as error:  # the drive has begun, so it ends as one
-            raise SafetyStop("lease", str(error)) from error
+    def _request_motors(self) -> None:
+        self._link.request_motors(f"policy {self.config.policy}")
         self.monitor.granted()
 
     def _take(self, timeout_s: float) -> Measurement[OdometrySample] | None:

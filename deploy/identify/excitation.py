@@ -43,7 +43,7 @@ RAMP = Velocity(0.005, 0.02)
 RAMP_STEPS = 20
 LEVEL_S = 0.65
 """Time at each speed of a ramp, longer than a base's delay and acceleration."""
-LEAST_WAY_M = 0.1
+MIN_WAY_M = 0.1
 """Of a straight step whose motion odometry must show; a turn may be within a dead band."""
 FOLLOWED = 0.5, 1.5
 """Reported speed over command of a robot that follows a command."""
@@ -124,7 +124,7 @@ def ramps(measurements: Measurements) -> Iterator[Step]:
 def _check_response(step: Step, driven_m: float) -> None:
     """Raise SafetyStop when odometry hardly shows a straight step: the fence would not hold either."""
     way_m = abs(step.velocity.v) * step.seconds
-    if way_m >= LEAST_WAY_M and driven_m < FOLLOWED_MIN * way_m:
+    if way_m >= MIN_WAY_M and driven_m < FOLLOWED_MIN * way_m:
         words = f"by odometry the rover drove {driven_m:.3f} m where {way_m:.3f} m were commanded"
         raise SafetyStop("no-response", words)
 

@@ -30,7 +30,15 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import ConfigError, SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, near, wrap_angle
 from rover_ncp.course.course import TICK_S
-from rover_ncp.course.scoring import SURE, Failure, Parked, Verdict, pose_samples, probability_within
+from rover_ncp.course.scoring import (
+    SURE,
+    Failure,
+    Parked,
+    Verdict,
+    pose_error,
+    pose_samples,
+    probability_within,
+)
 from rover_ncp.course.slowdown import slowdown
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import RoverProfile
@@ -218,8 +226,9 @@ class Docking:
         verdict = leg.verdict()
         off = self.place.errors(pose)
         by_poses = self._by_poses(t, contact)
-        sure = self._contact_probability(t)
-        self._judged = _Judged(sure if proof is Proof.CONTACT else verdict.probability, off, by_poses)
+        sure = self._contact_probability(t) if proof is Proof.CONTACT else verdict.probability
+        assert sure is not None  # an estimate was judged
+        self._judged = _Judged(sure, off, by_poses)
         in_line = abs(off.lateral_m) <= self.place.position_m and abs(off.yaw_rad) <= self.place.heading_rad
         where = f"{off} of the place by the estimate"
         at_place = proof is Proof.CONTACT and in_line and abs(off.longitudinal_m) <= CONTACT_M
@@ -236,7 +245,7 @@ class Docking:
         elif proof is Proof.POSE and by_poses is not None and not self.place.allows(by_poses):
             why = f"{by_poses} of the place by the external poses alone, {where}"
         elif proof is Proof.POSE and verdict.words is not Parked.YES:
-            why = verdict.reason or f"within the tolerances with a probability of {verdict.probability:.0%}"
+            why = verdict.reason or f"within the tolerances with a probability of {sure:.0%}"
         elif proof is Proof.CHARGING and not charging:
             self.stage, self._charge_until = Stage.WAIT_FOR_CHARGE, t + CHARGE_S
             return
@@ -319,11 +328,11 @@ class Docking:
         assert self._estimate is not None  # the drive had a tick
         goal, pose = self.place.staging if self._undock else self.place.goal, self._estimate.pose
         error_m, error_rad = distance(pose, goal), abs(wrap_angle(pose.theta - goal.theta))
-        error, why = self._ending()
-        failure, sure = Failure.NONE if error is DockError.NONE else Failure.FAR, None
+        code, why = self._ending()
+        failure, sure = Failure.NONE if code is DockError.NONE else Failure.FAR, None
         if self._undock:
-            off = Pose(pose.x - goal.x, pose.y - goal.y, wrap_angle(pose.theta - goal.theta))
-            sure = probability_within(off, self._estimate.covariance[:3, :3], STAGED_M, STAGED_RAD)
+            error, covariance = pose_error(pose, goal), self._estimate.covariance[:3, :3]
+            sure = probability_within(error, covariance, STAGED_M, STAGED_RAD)
         return Verdict(failure is Failure.NONE, error_m, error_rad, why, failure, sure)
 
     def _ending(self) -> tuple[DockError, str]:
@@ -332,8 +341,8 @@ class Docking:
 
     def result(self, ending: str = "") -> DockResult:
         """Return the result; ``ending`` is why a drive ended that did not come to a judgement."""
-        error, why = self._ending()
-        success, at = error is DockError.NONE, "elsewhere"
+        code, why = self._ending()
+        success, at = code is DockError.NONE, "elsewhere"
         if success and not self._undock:
             at = "place"
         elif self._estimate is not None and self._stands_at_staging(self._estimate.pose):
@@ -342,7 +351,7 @@ class Docking:
             place=self.place.name,
             undock=self._undock,
             success=success,
-            error_code=error,
+            error_code=code,
             error_msg="" if success else why or ending or "the time is over",
             num_retries=max(self._tries - 1, 0),
             stage=self.stage,

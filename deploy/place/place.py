@@ -9,8 +9,8 @@ from pydantic import Field
 
 from deploy.place.outcome import PoseErrors
 from rover_ncp.core.config import StrictModel, load_yaml
-from rover_ncp.core.geometry import Pose, compose, near, relative
-from rover_ncp.course.course import Angle, Name, Obstacle
+from rover_ncp.core.geometry import Pose, compose, relative
+from rover_ncp.course.course import FAR_M, Angle, Name, Obstacle
 
 SUFFIXES = {".yaml", ".yml"}
 MAX_OBSTACLES = 100
@@ -29,7 +29,7 @@ class Proof(StrEnum):
     """The base reports that its battery is charging."""
 
 
-PlaceCoordinate = Annotated[float, Field(ge=-990.0, le=990.0)]
+PlaceCoordinate = Annotated[float, Field(ge=10.0 - FAR_M, le=FAR_M - 10.0)]
 """In m: 10 m less than `Coordinate`, for the ways there."""
 
 
@@ -101,7 +101,7 @@ class Place(StrictModel):
 
     def holds(self, pose: Pose) -> bool:
         """Whether a pose is within the tolerances."""
-        return near(pose, self.goal, self.position_m, self.heading_rad)
+        return self.allows(self.errors(pose))
 
     def allows(self, off: PoseErrors) -> bool:
         """Whether errors are within the tolerances."""

@@ -15,7 +15,7 @@ from deploy.place.place import CONTACT_M, Place, Proof
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose, compose, distance, wrap_angle
-from rover_ncp.course.course import MAX_CHECKPOINTS, TICK_S, Checkpoint, Course, ParkedRule
+from rover_ncp.course.course import MAX_CHECKPOINTS, MAX_HORIZON_S, TICK_S, Checkpoint, Course, ParkedRule
 from rover_ncp.course.feasibility import Problem, check_course, clearance_at
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX, Reference, drive_profile
 from rover_ncp.robot.description import RobotDescription, load_description
@@ -40,8 +40,6 @@ FAR_M = 3.0
 """Largest distance of a start from the staging pose."""
 SMALL_M, SMALL_RAD = 0.02, 0.03
 """Shorter pieces are left out: the approach corrects them."""
-MAX_WAY_S = 3600.0
-"""The limit of a course."""
 CHECKPOINT_TICKS = 10
 DETOURS_M = (0.5, 0.0), (1.0, 0.0), (0.0, 0.8), (0.0, -0.8), (0.8, 0.8), (0.8, -0.8)
 """Points of detours: how much farther out than the staging pose, and how far to its left."""
@@ -173,8 +171,8 @@ def _way(
         omega += [0.0] * len(along) + turning + rest
     reference = drive_profile(start, [-speed for speed in v] if backward else v, omega)
     ticks = reference.ticks
-    if ticks * TICK_S > MAX_WAY_S:
-        raise UsageError(f"{place.name}: one way would take {ticks * TICK_S:.0f} s (at most {MAX_WAY_S:g} s)")
+    if (seconds := ticks * TICK_S) > MAX_HORIZON_S:
+        raise UsageError(f"{place.name}: one way would take {seconds:.0f} s (at most {MAX_HORIZON_S:g} s)")
     at = [*range(0, ticks, max(CHECKPOINT_TICKS, math.ceil(ticks / (MAX_CHECKPOINTS - 1)))), ticks]
     points = tuple(Checkpoint(t=round(k * TICK_S, 1), **reference.tick(k)[0]._asdict()) for k in at)
     course = Course(

@@ -20,6 +20,7 @@ TICK_S = 0.1
 
 MAX_CHECKPOINTS = 1000
 """Limit of checkpoints, and of obstacles: planning a course takes longer with each."""
+MAX_HORIZON_S = 3600
 FAR_M = 1000.0
 """No rover gets farther within the longest horizon, an hour."""
 
@@ -76,7 +77,7 @@ class Course(StrictModel):
     name: Name
     description: str = ""
     start_signal_s: float = Field(ge=0, description="when the start signal goes from 0 to 1")
-    horizon_s: float = Field(gt=0, le=3600, description="how long the run lasts")
+    horizon_s: float = Field(gt=0, le=MAX_HORIZON_S, description="how long the run lasts")
     checkpoints: tuple[Checkpoint, ...] = Field(min_length=1, max_length=MAX_CHECKPOINTS)
     obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=MAX_CHECKPOINTS)
     parked: ParkedRule = ParkedRule()

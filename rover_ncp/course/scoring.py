@@ -105,9 +105,14 @@ def judge(
         reason = f"still moving: {moved:.3f} m and {turned:.3f} rad in the last {rule.still_s} s"
     probability = None
     if covariance is not None:
-        error = Pose(end.x - course.goal.x, end.y - course.goal.y, wrap_angle(end.theta - course.goal.theta))
+        error = pose_error(end, course.goal)
         probability = probability_within(error, covariance, rule.position_m, rule.heading_rad)
     return Verdict(not failure, error_m, error_rad, reason, failure, probability)
+
+
+def pose_error(pose: Pose, goal: Pose) -> Pose:
+    """Return a pose minus a goal, in the axes of their frame."""
+    return Pose(pose.x - goal.x, pose.y - goal.y, wrap_angle(pose.theta - goal.theta))
 
 
 def probability_within(

@@ -121,6 +121,10 @@ class Since:
             self.first_s = now
         return None if self.first_s is None else now - self.first_s
 
+    def briefly(self, pose, now):
+        """Whether it was there less than 0.3 s ago for the first time."""
+        return (s := self(pose, now)) is not None and s < 0.3
+
 
 def test_rover_that_stands_in_contact_with_its_dock_is_docked():
     drive = VirtualDocking(place(proof="contact", retries=0), Pose(2.0, 1.0, 0.0))
@@ -164,9 +168,8 @@ def test_rover_backs_out_at_once_from_contact_far_from_the_place():
     drive = VirtualDocking(place(retries=0), STAGING)
 
     def pressed(pose, now):
-        s = since(pose, now)
-        way.append((s, pose.x))
-        return s is not None and s < 0.3
+        way.append((since(pose, now), pose.x))
+        return since.briefly(pose, now)
 
     assert not bumped(drive, pressed).run().dock.success
     assert next(x for s, x in way if s is not None and s > 4.0) < 1.4
@@ -175,7 +178,7 @@ def test_rover_backs_out_at_once_from_contact_far_from_the_place():
 def test_stop_after_a_miss_is_told_as_the_reason():
     since = Since(1.5)
     drive = VirtualDocking(place(), STAGING)
-    bumped(drive, lambda pose, now: (s := since(pose, now)) is not None and s < 0.3)
+    bumped(drive, since.briefly)
     observe = drive.base.observe
 
     def stopped(now):
@@ -192,7 +195,7 @@ def test_stop_after_a_miss_is_told_as_the_reason():
 def test_lease_that_is_refused_after_contact_ends_the_drive_with_its_result(monkeypatch):
     since = Since(1.5)
     drive = VirtualDocking(place(), STAGING)
-    bumped(drive, lambda pose, now: (s := since(pose, now)) is not None and s < 0.3)
+    bumped(drive, since.briefly)
     request = drive.link.request_motors
 
     def once(name, unchecked=False):

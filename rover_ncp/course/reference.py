@@ -1,8 +1,9 @@
 """The moving reference of a course: pose and motion that a rover should have at each tick.
 
 The reference is a unicycle's drive, with v and ω linear between knots 0.5 s apart and within the motors'
-limits, that fits the checkpoints best (least squares) and ends on the goal. It is drivable by construction;
-its deviations from the checkpoints show how far the course is from drivable.
+limits, that fits the checkpoints best (least squares) and ends on the goal. It rests there, however late the
+goal is due. It is drivable by construction; its deviations from the checkpoints show how far the course is
+from drivable.
 """
 
 import math
@@ -37,6 +38,8 @@ _GOAL_WEIGHT = 20.0
 _BACKWARD_M = 0.02
 _MARGIN = 0.05
 """Distance of the fit's start from its bounds, as a share of them."""
+_LAST_WAY, _STOPPING_S = 2.0, 2.0
+"""The way to the goal takes at most so many times as long as at full speed, and this time to stop."""
 _SAME = 1e-6
 """Neighbours at most this far apart in m and rad are one pose, where the rover rests."""
 
@@ -208,11 +211,19 @@ class _Fit:
 
 
 def _moving(course: Course, knots: int) -> NDArray[np.bool_]:
-    """Return (knots,) where the course moves: not between equal neighbours, nor behind the last one."""
+    """Return (knots,) where the course moves: not between equal neighbours, nor when it can be at the goal.
+
+    A goal is often due at the horizon: a fit that may move until then turns slowly to and fro.
+    """
     times = TICK_S * KNOT_TICKS * np.arange(knots)
-    free = times < course.checkpoints[-1].t
+    *_, last = points = course.checkpoints
+    free = times < last.t
     free[0] = False
-    for a, b in pairwise(course.checkpoints):
+    for before in points[-2:-1]:
+        turn = abs(wrap_angle(last.theta - before.theta))
+        way_s = course.slower * max(distance(before.pose, last.pose) / V_MAX, turn / OMEGA_MAX)
+        free &= times <= before.t + _LAST_WAY * way_s + _STOPPING_S
+    for a, b in pairwise(points):
         if max(abs(p - q) for p, q in zip(a.pose, b.pose, strict=True)) < _SAME:
             free &= (times < a.t) | (times > b.t)
     return free

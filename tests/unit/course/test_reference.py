@@ -110,6 +110,23 @@ def test_a_course_that_stays_has_a_reference_that_stays():
     assert not reference.motion.any()
 
 
+def test_the_rover_rests_at_a_goal_that_is_due_long_after_it_can_be_there():
+    arc = [(t, math.sin(0.12 * t), 1 - math.cos(0.12 * t), 0.12 * t) for t in range(1, 10)]
+    x, y, theta = arc[-1][1:]
+    goal = x + 0.03 * math.cos(theta), y + 0.03 * math.sin(theta), theta
+    reference = plan_reference(course_of((0, 0, 0, 0), *arc, (20, *goal)))
+    require_drivable(reference)
+    resting = 10 * (9 + 3)  # 2 s to stop, and the last 3 cm
+    assert not reference.motion[resting:].any()
+    assert np.abs(reference.poses[resting] - goal).max() < 0.001
+
+
+def test_a_last_way_that_needs_its_time_gets_it():
+    speed = plan_reference(course_of((0, 0, 0, 0), (12, 0.9, 0.0, 0.0))).motion[:, 0]
+    assert speed[110] > 0.01
+    assert speed.max() < 0.85 * V_MAX  # and no hurry
+
+
 def test_headings_go_the_short_way_round():
     course = course_of((0, 0, 0, 3.1), (6, -0.4, -0.05, -3.1))
     reference = plan_reference(course)

@@ -43,6 +43,8 @@ RAMP = Velocity(0.005, 0.02)
 RAMP_STEPS = 20
 LEVEL_S = 0.65
 """Time at each speed of a ramp, longer than a base's delay and acceleration."""
+PATIENCE = 4
+"""The first speed is held up to so many times as long: soft tyres wind up before they turn the rover."""
 MIN_WAY_M = 0.1
 """Of a straight step whose motion odometry must show; a turn may be within a dead band."""
 FOLLOWED = 0.5, 1.5
@@ -112,7 +114,7 @@ def follows(reported: float, command: float) -> bool:
 def ramps(measurements: Measurements) -> Iterator[Step]:
     """Yield slow steps on each axis, each a little faster, until the robot follows one."""
     for axis, unit in enumerate((Velocity(RAMP.v, 0.0), Velocity(0.0, RAMP.omega))):
-        for number in range(1, RAMP_STEPS + 1):
+        for number in (*[1] * (PATIENCE - 1), *range(1, RAMP_STEPS + 1)):
             velocity = Velocity(number * unit.v, number * unit.omega)
             yield Step(velocity, LEVEL_S)
             newest = measurements.newest

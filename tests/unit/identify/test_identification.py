@@ -3,6 +3,7 @@
 import functools
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from kit.described import described
 from kit.identified import driven, errors, robot, truth
 
 from deploy.identify.axis_fit import OdometryErrors, identify_axis
-from deploy.identify.excitation import FENCE_M, steps
+from deploy.identify.excitation import FENCE_M, ramps, steps
 from deploy.identify.fit import dead_bands, identify
 from deploy.identify.motion_log import MotionLog, Track, motion_log
 from rover_ncp.cli import run
@@ -118,6 +119,22 @@ def test_ramps_show_the_dead_band_and_the_gains_beyond_it():
     assert (found.dead_band_v, found.dead_band_omega) == (0.03, pytest.approx(0.1, abs=0.02))
     assert abs(off["gain_v"].error) < 0.003
     assert abs(off["gain_omega"].error) < 0.01
+
+
+def test_soft_tyres_that_wind_up_before_they_turn_the_rover_are_no_dead_band():
+    """As MuJoCo's, which take a second at 0.02 rad/s."""
+    held_s, rate, t, sent, motion = 0.0, 0.0, [], [], []
+    newest = SimpleNamespace(sample=SimpleNamespace(velocity=Velocity(0.005, 0.0)))
+    for step in ramps(SimpleNamespace(newest=newest)):
+        for _ in range(13):
+            held_s = held_s + 0.05 if step.velocity.omega else 0.0
+            rate = step.velocity.omega if held_s > 1.0 else 0.0
+            t.append(0.05 * len(t))
+            sent.append(step.velocity)
+            motion.append((step.velocity.v, rate))
+        newest.sample.velocity = Velocity(step.velocity.v, rate)
+    t = np.array(t)
+    assert dead_bands(log_of(t, np.array(sent), t + 0.025, np.array(motion))) == (0.0, 0.0)
 
 
 def log_of(sent_s, sent, t, motion):

@@ -20,7 +20,7 @@ from deploy.drive.link import Link
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import FOLLOWED_MIN, SafetyMonitor
 from rover_ncp.core.errors import SafetyStop
-from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, compose, distance
+from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, compose, distance, relative
 from rover_ncp.core.process import Clock
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.messages import OdometrySample
@@ -45,8 +45,8 @@ LEVEL_S = 0.65
 """Time at each speed of a ramp, longer than a base's delay and acceleration."""
 PATIENCE = 4
 """The first speed is held up to so many times as long: soft tyres wind up before they turn the rover."""
-MIN_WAY_M = 0.1
-"""Of a straight step whose motion odometry must show; a turn may be within a dead band."""
+MIN_WAY_M, MIN_WAY_RAD = 0.1, 0.2
+"""Of steps that odometry must show: a straight one at least in part, as a turn may be within a dead band."""
 FOLLOWED = 0.5, 1.5
 """Reported speed over command of a robot that follows a command."""
 
@@ -101,7 +101,7 @@ def excite(
                 due = min(due + PERIOD_S, end)
                 while (left_s := due - clock.monotonic()) > 0.0:
                     measurements.odometry(left_s)
-            _check_response(step, distance(began, measurements.newest.sample.pose))
+            _check_response(step, relative(began, measurements.newest.sample.pose))
     finally:
         link.release()
 
@@ -123,12 +123,21 @@ def ramps(measurements: Measurements) -> Iterator[Step]:
         yield Step(STANDSTILL, _AFTER_S)
 
 
-def _check_response(step: Step, driven_m: float) -> None:
-    """Raise SafetyStop when odometry hardly shows a straight step: the fence would not hold either."""
-    way_m = abs(step.velocity.v) * step.seconds
+def _check_response(step: Step, moved: Pose) -> None:
+    """Raise SafetyStop when odometry hardly shows a straight step, or shows a step the other way round.
+
+    Without odometry the fence would not hold either.
+    """
+    (v, omega), seconds = step
+    way_m, way_rad = abs(v) * seconds, abs(omega) * seconds
+    driven_m, turned_rad = moved.x * math.copysign(1.0, v), moved.theta * math.copysign(1.0, omega)
     if way_m >= MIN_WAY_M and driven_m < FOLLOWED_MIN * way_m:
-        words = f"by odometry the rover drove {driven_m:.3f} m where {way_m:.3f} m were commanded"
-        raise SafetyStop("no-response", words)
+        words = f"drove {driven_m:.3f} m where {way_m:.3f} m were commanded"
+    elif way_rad >= MIN_WAY_RAD and turned_rad < -FOLLOWED_MIN * way_rad:
+        words = f"turned by {turned_rad:.3f} rad where {way_rad:.3f} rad were commanded"
+    else:
+        return
+    raise SafetyStop("no-response", f"by odometry the rover {words}")
 
 
 def _check_fence(odometry: OdometrySample, start: Pose, fence_m: float) -> None:

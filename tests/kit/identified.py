@@ -47,7 +47,7 @@ class Driven(NamedTuple):
 
     messages: list[Recorded]
     farthest_m: float
-    stopped_by: str | None
+    stopped: SafetyStop | None
     base: Firmware
 
 
@@ -75,14 +75,14 @@ def driven(trials: Trials, *, outside: bool = False, fence_m: float = FENCE_M, s
     measurements = Measurements(link)
     monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
     monitor.wait()
-    stopped_by = None
+    stopped = None
     try:
         excite(link, measurements, monitor, fence_m, bridge)
     except SafetyStop as stop:
-        stopped_by = stop.rule
+        stopped = stop
     messages = [*received]
     bridge.sleep(2.0)
-    return Driven(messages, farthest_m, stopped_by, base)
+    return Driven(messages, farthest_m, stopped, base)
 
 
 def truth(ranges: Randomization, trials: Trials) -> dict[str, float]:

@@ -69,17 +69,30 @@ def test_odometry_that_reports_no_speed_or_far_too_little_gives_no_gain(share):
     assert (found.gain_v, found.gain_omega) == (None, None)
 
 
-def test_drive_whose_odometry_shows_nothing_ends_after_its_first_step(monkeypatch):
-    class FrozenLink(VirtualLink):
+@pytest.mark.parametrize(
+    ("signs", "words"),
+    [
+        ((0, 0, 0), "drove 0.000 m where 0.319 m were commanded"),
+        ((-1, 1, -1), "drove -0.2"),
+        ((1, -1, -1), "turned by -0.3"),
+    ],
+    ids=["frozen", "backward", "mirrored"],
+)
+def test_odometry_that_does_not_show_the_steps_ends_the_drive(signs, words, monkeypatch):
+    class FaultyLink(VirtualLink):
         def _receive(self, name, data):
             if name == "odom":
-                data = odometry(Pose(0.0, 0.0, 0.0), Velocity(0.0, 0.0), read_odometry(data).stamp_ns)
+                seen = read_odometry(data)
+                pose = Pose(*(sign * value for sign, value in zip(signs, seen.pose, strict=True)))
+                velocity = Velocity(signs[0] * seen.velocity.v, signs[2] * seen.velocity.omega)
+                data = odometry(pose, velocity, seen.stamp_ns)
             super()._receive(name, data)
 
-    monkeypatch.setattr("kit.identified.VirtualLink", FrozenLink)
-    done = driven(robot(load_randomization("full"), SEED, 0), fence_m=0.3)
-    assert done.stopped_by == "no-response"
-    assert done.farthest_m < 0.4
+    monkeypatch.setattr("kit.identified.VirtualLink", FaultyLink)
+    done = driven(robot(load_randomization("full"), SEED, 0))
+    assert done.stopped.rule == "no-response"
+    assert words in str(done.stopped)
+    assert done.farthest_m < 0.5
 
 
 def test_external_poses_show_the_errors_of_odometry():
@@ -343,14 +356,14 @@ def test_a_record_that_says_nothing_is_refused():
 
 def test_the_steps_stay_within_their_fence_and_give_the_motors_back():
     done, *_ = drive("harsh", outside=True)
-    assert done.stopped_by is None
+    assert done.stopped is None
     assert 0.3 < done.farthest_m < FENCE_M
     assert (done.base.drive.enabled, done.base.drive.rover.moving) == (False, False)
 
 
 def test_a_rover_that_would_leave_the_fence_is_stopped_before_it_does():
     done = driven(robot(load_randomization("full"), SEED, 1), fence_m=0.25)
-    assert done.stopped_by == "geofence"
+    assert done.stopped.rule == "geofence"
     assert done.farthest_m < 0.27  # a decimetre a second of odometry, 3 % off, and its noise
     assert (done.base.drive.enabled, done.base.drive.rover.moving) == (False, False)
 

@@ -40,6 +40,8 @@ from deploy.estimator.measurements import (
     irregular_covariance,
     normalised_square,
     residual,
+    stands,
+    still_limits,
 )
 from deploy.estimator.motion import (
     BIAS,
@@ -68,10 +70,6 @@ GAP_S = 10.0
 """After a longer gap any odometry would fit, so none is accepted."""
 WAITING_MAX = 100
 """Maximum number of poses that wait for odometry."""
-REST_M_S, REST_RAD_S = 0.0005, 0.001
-"""Slower motion counts as none: less than half a step of a Pioneer's rounding."""
-STILL_SIGMAS = 5.0
-"""Limit for no motion between two samples, in standard deviations of odometry's noise."""
 IRREGULAR_S = 10.0
 """Time for which speeds do not count after one that contradicted its pose."""
 TURN_S = 0.08
@@ -124,9 +122,7 @@ class History:
         P[POSE, POSE] = covariance
         deviations = [s.position_m, s.position_m, s.heading_rad, s.speed_m_s, s.turn_rad_s]
         self._odometry_covariance = np.diag(np.square(deviations))
-        default = EstimatorSettings()
-        noisier = np.square(deviations[3:]) - np.square([default.speed_m_s, default.turn_rad_s])
-        self._rest = np.array([REST_M_S, REST_RAD_S]) + STILL_SIGMAS * np.sqrt(np.maximum(noisier, 0.0))
+        self._still = still_limits(settings)
         z = np.array([*own, 0.0, 0.0])
         self._entries = [_Entry(t, True, Odometry(z), x, P)]
         self._valid = 1
@@ -134,9 +130,8 @@ class History:
         self._waiting: list[tuple[float, PoseMeasurement]] = []
         self._last = t, z
         """Time and numbers of the newest odometry."""
-        self._disturbance = Disturbance(
-            np.diag(np.square([s.disturbance_m, s.disturbance_m, s.disturbance_rad]))
-        )
+        push = np.square([s.disturbance_m, s.disturbance_m, s.disturbance_rad])
+        self._disturbance = Disturbance(np.diag(push))
         self._irregular_until = -math.inf
         """Until when the speeds of odometry do not count, s."""
         self._disturbed = False
@@ -252,11 +247,7 @@ class History:
 
     def _stands(self, z: Array) -> bool:
         """Return whether a sample and the one before report no motion, and the same place."""
-        before = self._last[1]
-        limits = STILL_SIGMAS * math.sqrt(2.0) * np.sqrt(np.diag(self._odometry_covariance)[:3])
-        moved = np.abs(residual(z[:3], before[:3]))
-        still = np.abs([z[3:], before[3:]]).max(axis=0) < self._rest
-        return bool(still.all() and (moved < limits).all())
+        return stands(self._last[1], z, self._still)
 
     def _insert(self, t: float, measured: PoseMeasurement) -> Outcome:
         place = bisect_right(self._entries, t, key=lambda entry: entry.t)

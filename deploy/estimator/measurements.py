@@ -7,12 +7,18 @@ from typing import NamedTuple
 import numpy as np
 
 from deploy.estimator.motion import BIAS, GAIN, SIZE, THETA, TURN, Array
+from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.geometry import wrap_angle
 
 STAMP_STD_S = 0.02
 """Standard deviation of the stamps of irregular odometry: robots report poses of other moments than these."""
 COARSE_STD_RAD = 0.0018
 """Standard deviation of a heading in steps of 0.35°, which some robots send."""
+
+REST_M_S, REST_RAD_S = 0.0005, 0.001
+"""Slower motion counts as none: less than half a step of a Pioneer's rounding."""
+STILL_SIGMAS = 5.0
+"""Limit for no motion between two samples, in standard deviations of odometry's noise."""
 
 
 class Outcome(Enum):
@@ -101,6 +107,42 @@ def normalised_square(innovation: Array, covariance: Array) -> float:
     with np.errstate(over="ignore", invalid="ignore"):
         white = np.linalg.solve(np.linalg.cholesky(covariance), innovation)
         return float(white @ white)
+
+
+class StillLimits(NamedTuple):
+    """Limits of motion for a rover that stands: change of x, y (m) and θ (rad), v in m/s, ω in rad/s."""
+
+    position_m: float
+    heading_rad: float
+    v: float
+    omega: float
+
+
+def still_limits(settings: EstimatorSettings) -> StillLimits:
+    """Return the limits by the noise of odometry; the usual noise of its speeds is below them."""
+    s, usual = settings, EstimatorSettings()
+    change = STILL_SIGMAS * math.sqrt(2.0)
+    v = math.sqrt(max(s.speed_m_s**2 - usual.speed_m_s**2, 0.0))
+    omega = math.sqrt(max(s.turn_rad_s**2 - usual.turn_rad_s**2, 0.0))
+    return StillLimits(
+        change * s.position_m,
+        change * s.heading_rad,
+        REST_M_S + STILL_SIGMAS * v,
+        REST_RAD_S + STILL_SIGMAS * omega,
+    )
+
+
+def stands(before: Array, after: Array, limits: StillLimits) -> bool:
+    """Return whether two samples of odometry (5,) report no motion, and the same place."""
+    # In plain floats: numpy takes ten times as long, which each command would wait for.
+    x_0, y_0, theta_0, v_0, omega_0 = before.tolist()
+    x_1, y_1, theta_1, v_1, omega_1 = after.tolist()
+    return (
+        max(abs(x_1 - x_0), abs(y_1 - y_0)) < limits.position_m
+        and abs(wrap_angle(theta_1 - theta_0)) < limits.heading_rad
+        and max(abs(v_0), abs(v_1)) < limits.v
+        and max(abs(omega_0), abs(omega_1)) < limits.omega
+    )
 
 
 def irregular_covariance(covariance: Array, v: float, omega: float) -> Array:

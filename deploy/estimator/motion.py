@@ -37,6 +37,9 @@ XY, DOWNHILL = slice(X, Y + 1), slice(DOWN_X, DOWN_Y + 1)
 
 Array = NDArray[np.float64]
 
+_UNIT = np.eye(SIZE)
+_OWN_DIAGONAL = 2 * (range(OWN_X, OWN_THETA + 1),)
+
 STANDING_SHARE = 0.01
 """Process noise of odometry's own pose while the rover stands, as a share of that on the way."""
 
@@ -94,11 +97,12 @@ def true_motion(x: Array, settings: EstimatorSettings) -> tuple[float, float, fl
 
 def standing(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) -> Step:
     """Return the step of a rover that stands for ``dt`` s; a ``new_turn`` begins at 0."""
-    moved, jacobian, covariance = x.copy(), np.eye(SIZE), np.zeros((SIZE, SIZE))
+    moved, jacobian, covariance = x.copy(), _UNIT.copy(), np.zeros((SIZE, SIZE))
     for row in (V, OMEGA, TURN) if new_turn else (V, OMEGA):
         moved[row] = jacobian[row, row] = 0.0
-    covariance[OWN, OWN] = STANDING_SHARE * settings.slip * dt * np.eye(3)
-    covariance[POSE, POSE] = dt * np.diag(np.square([settings.creep_m, settings.creep_m, settings.creep_rad]))
+    covariance[_OWN_DIAGONAL] = STANDING_SHARE * settings.slip * dt
+    covariance[X, X] = covariance[Y, Y] = dt * (settings.creep_m * settings.creep_m)
+    covariance[THETA, THETA] = dt * (settings.creep_rad * settings.creep_rad)
     covariance[TURN, TURN] = covariance[TURN, THETA] = covariance[THETA, TURN] = covariance[THETA, THETA]
     covariance[BIAS, BIAS] = settings.gyro_bias_walk_rad_s**2 * dt
     return Step(moved, jacobian, covariance)
@@ -109,7 +113,7 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     s = settings
     v, omega = float(x[V]), float(x[OMEGA])
     ahead, left, turn = (rate * dt for rate in true_motion(x, s))
-    moved, jacobian = x.copy(), np.eye(SIZE)
+    moved, jacobian = x.copy(), _UNIT.copy()
     if new_turn:
         moved[TURN] = jacobian[TURN, TURN] = 0.0
     # Columns: the derivatives of all poses by distance and turn of the encoders, and by the gyro's turn.

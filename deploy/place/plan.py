@@ -100,11 +100,12 @@ def retreat(place: Place, slower: float = 1.0, out_m: float = 0.0) -> Way:
 def in_the_way(place: Place, way: Way, robot: RobotDescription | None = None) -> str:
     """Return which of the place's obstacles an approach touches before the place, in words; "" if none."""
     robot = load_description(DEFAULT_ROBOT) if robot is None else robot
-    for point in way.course.checkpoints:
+    for tick in range(way.reference.ticks + 1):
+        pose, _ = way.reference.tick(tick)
         # What it touches at its place may be the dock.
-        out_m = place.out_m(point.pose)
+        out_m = place.out_m(pose)
         for number, obstacle in enumerate(place.obstacles, 1):
-            if out_m > CONTACT_M and clearance_at(point.pose, [obstacle], robot) == 0.0:
+            if out_m > CONTACT_M and clearance_at(pose, [obstacle], robot) == 0.0:
                 return f"the approach touches obstacle {number}, {out_m:.2f} m before {place.name}"
     return ""
 

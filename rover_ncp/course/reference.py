@@ -156,7 +156,7 @@ class _Fit:
         self.start = points[0].pose if points[0].t == 0 else Pose(0.0, 0.0, 0.0)
         self._points = [(0.0, self.start), *((point.t, point.pose) for point in points if point.t > 0)]
         self.knots = -(-course.ticks // KNOT_TICKS) + 1
-        self.free = _moving(course, self.knots)
+        self.free = _moving(self._points, self.knots, course.slower)
         headings = np.unwrap([self.start.theta, *(point.theta for point in points)])[1:]
         self._targets = np.array([[point.x for point in points], [point.y for point in points], headings])
         at_goal = np.abs(self._targets - self._targets[:, -1:]).max(axis=0) < _SAME
@@ -210,22 +210,22 @@ class _Fit:
         return np.vstack(rows)
 
 
-def _moving(course: Course, knots: int) -> NDArray[np.bool_]:
-    """Return (knots,) where the course moves: not between equal neighbours, nor when it can be at the goal.
+def _moving(points: Sequence[tuple[float, Pose]], knots: int, slower: float) -> NDArray[np.bool_]:
+    """Return (knots,) where the reference moves: not between equal points, nor when it can be at the goal.
 
-    A goal is often due at the horizon: a fit that may move until then turns slowly to and fro.
+    A goal is often due at the horizon: a fit that may move until then turns slowly to and fro. ``points`` are
+    the start and the checkpoints after it, each with its deadline.
     """
-    times = TICK_S * KNOT_TICKS * np.arange(knots)
-    *_, last = points = course.checkpoints
-    free = times < last.t
+    times, (due, goal) = TICK_S * KNOT_TICKS * np.arange(knots), points[-1]
+    free = times < due
     free[0] = False
-    for before in points[-2:-1]:
-        turn = abs(wrap_angle(last.theta - before.theta))
-        way_s = course.slower * max(distance(before.pose, last.pose) / V_MAX, turn / OMEGA_MAX)
-        free &= times <= before.t + _LAST_WAY * way_s + _STOPPING_S
-    for a, b in pairwise(points):
-        if max(abs(p - q) for p, q in zip(a.pose, b.pose, strict=True)) < _SAME:
-            free &= (times < a.t) | (times > b.t)
+    for begin, before in points[-2:-1]:
+        turn = abs(wrap_angle(goal.theta - before.theta))
+        way_s = slower * max(distance(before, goal) / V_MAX, turn / OMEGA_MAX)
+        free &= times <= begin + _LAST_WAY * way_s + _STOPPING_S
+    for (begin, a), (end, b) in pairwise(points):
+        if max(abs(p - q) for p, q in zip(a, b, strict=True)) < _SAME:
+            free &= (times < begin) | (times > end)
     return free
 
 

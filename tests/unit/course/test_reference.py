@@ -121,6 +121,13 @@ def test_the_rover_rests_at_a_goal_that_is_due_long_after_it_can_be_there():
     assert np.abs(reference.poses[resting] - goal).max() < 0.001
 
 
+def test_a_goal_alone_that_is_due_late_is_reached_early():
+    reference = plan_reference(course_of((20, 0.3, 0.0, 0.0)))
+    require_drivable(reference)
+    assert not reference.motion[60:].any()
+    assert reference.poses[60, 0] == pytest.approx(0.3, abs=0.001)
+
+
 def test_a_last_way_that_needs_its_time_gets_it():
     speed = plan_reference(course_of((0, 0, 0, 0), (12, 0.9, 0.0, 0.0))).motion[:, 0]
     assert speed[110] > 0.01

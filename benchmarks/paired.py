@@ -2,11 +2,12 @@
 
     python -m benchmarks.paired FIRST SECOND --body mujoco --randomize slope --trials 300 --seed 1
 
-prints one JSON object. The options, --sensors too, are those of ``rover-ncp eval --stack``.
+prints one JSON object. The other options are those of ``rover-ncp eval --stack``.
 """
 
 import argparse
 import json
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,11 +15,13 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from rover_ncp.course.course import load_course
+from rover_ncp.robot.description import load_description
 from sim.evaluate.commands import Sensors
+from sim.evaluate.evaluate import fitted_courses
 from sim.learn.engine.driver import load_driver
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
-from sim.world.randomization import load_randomization
+from sim.world.described import ranges_for
 
 
 class Paired(NamedTuple):
@@ -50,22 +53,28 @@ def main() -> None:
     """Compare from the command line."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     options.add_argument("drivers", nargs=2)
-    options.add_argument("--randomize", required=True)
+    options.add_argument("--randomize")
     options.add_argument("--trials", type=int, required=True)
     options.add_argument("--seed", type=int, required=True)
     options.add_argument("--body", type=Body, choices=list(Body), default=Body.PYMUNK)
     options.add_argument("--sensors", choices=list(Sensors), default=Sensors.ENCODERS)
+    options.add_argument("--course", default="parking")
+    options.add_argument("--profile", type=Path)
+    options.add_argument("--model")
     given = options.parse_args()
-    ranges = load_randomization(given.randomize, given.body)
+    robot = None if given.model is None else load_description(given.model)
+    ranges = ranges_for(given.randomize, given.profile, given.body, robot)
+    courses, _ = fitted_courses([load_course(given.course)], robot)
 
     def run(name: str) -> NDArray[np.bool_]:
         stack = Stack(
             load_driver(name),
-            (load_course("parking"),),
+            tuple(courses),
             ranges,
             given.seed,
             gyro=given.sensors in {Sensors.GYRO, Sensors.BOTH},
             camera=given.sensors in {Sensors.CAMERA, Sensors.BOTH},
+            robot=robot,
         )
         return np.array([trial.parked for trial in drive_all(stack, given.trials, None)])
 

@@ -16,7 +16,7 @@ from scipy.stats import binomtest
 
 from rover_ncp.course.course import load_course
 from rover_ncp.robot.description import load_description
-from sim.evaluate.commands import Sensors
+from sim.evaluate.commands import Sensors, driver_sensors
 from sim.evaluate.evaluate import fitted_courses
 from sim.learn.engine.driver import load_driver
 from sim.stack.trials import Stack, drive_all
@@ -57,7 +57,7 @@ def main() -> None:
     options.add_argument("--trials", type=int, required=True)
     options.add_argument("--seed", type=int, required=True)
     options.add_argument("--body", type=Body, choices=list(Body), default=Body.PYMUNK)
-    options.add_argument("--sensors", choices=list(Sensors), default=Sensors.ENCODERS)
+    options.add_argument("--sensors", type=Sensors, choices=list(Sensors))
     options.add_argument("--course", default="parking")
     options.add_argument("--profile", type=Path)
     options.add_argument("--model")
@@ -65,17 +65,10 @@ def main() -> None:
     robot = None if given.model is None else load_description(given.model)
     ranges = ranges_for(given.randomize, given.profile, given.body, robot)
     courses, _ = fitted_courses([load_course(given.course)], robot)
+    gyro, camera = driver_sensors(given.sensors, robot)
 
     def run(name: str) -> NDArray[np.bool_]:
-        stack = Stack(
-            load_driver(name),
-            tuple(courses),
-            ranges,
-            given.seed,
-            gyro=given.sensors in {Sensors.GYRO, Sensors.BOTH},
-            camera=given.sensors in {Sensors.CAMERA, Sensors.BOTH},
-            robot=robot,
-        )
+        stack = Stack(load_driver(name), tuple(courses), ranges, given.seed, gyro, camera, robot=robot)
         return np.array([trial.parked for trial in drive_all(stack, given.trials, None)])
 
     runs = [run(name) for name in given.drivers]

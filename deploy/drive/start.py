@@ -13,7 +13,7 @@ from deploy.drive.link import Link
 from deploy.drive.measurements import Measurement, Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.estimator.estimator import completed
-from deploy.estimator.measurements import STILL_SIGMAS
+from deploy.estimator.measurements import still_limits
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import AnotherDriver, NoPose, SafetyStop
 from rover_ncp.core.geometry import ORIGIN, Pose, near, wrap_angle
@@ -31,9 +31,9 @@ class StartDetector:
         """Odometry of the rover at one place, from the first sample there."""
         self._poses: list[Measurement[PoseSample]] = []
         """Usable external poses of the time in which the rover must stand, in the order of measurement."""
-        sigmas = STILL_SIGMAS * math.sqrt(2.0)
-        self._still_m = max(config.still_m, sigmas * config.estimator.position_m)
-        self._still_rad = max(config.still_rad, sigmas * config.estimator.heading_rad)
+        noise = still_limits(config.estimator)
+        self._still_m = max(config.still_m, noise.position_m)
+        self._still_rad = max(config.still_rad, noise.heading_rad)
 
     def wait(self, monitor: SafetyMonitor) -> Measurement[OdometrySample]:
         """Return the odometry at the start. Raises SafetyStop, NoPose, AnotherDriver, KeyboardInterrupt."""

@@ -119,11 +119,11 @@ class StillLimits(NamedTuple):
 
 
 def still_limits(settings: EstimatorSettings) -> StillLimits:
-    """Return the limits by the noise of odometry; the usual noise of its speeds is below them."""
-    s, usual = settings, EstimatorSettings()
+    """Return the limits by the noise of odometry; the default noise of its speeds is below them."""
+    s, default = settings, EstimatorSettings()
     change = STILL_SIGMAS * math.sqrt(2.0)
-    v = math.sqrt(max(s.speed_m_s**2 - usual.speed_m_s**2, 0.0))
-    omega = math.sqrt(max(s.turn_rad_s**2 - usual.turn_rad_s**2, 0.0))
+    v = math.sqrt(max(s.speed_m_s**2 - default.speed_m_s**2, 0.0))
+    omega = math.sqrt(max(s.turn_rad_s**2 - default.turn_rad_s**2, 0.0))
     return StillLimits(
         change * s.position_m,
         change * s.heading_rad,

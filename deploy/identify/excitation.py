@@ -114,7 +114,7 @@ def follows(reported: float, command: float) -> bool:
 def ramps(measurements: Measurements) -> Iterator[Step]:
     """Yield slow steps on each axis, each a little faster, until the robot follows one."""
     for axis, unit in enumerate((Velocity(RAMP.v, 0.0), Velocity(0.0, RAMP.omega))):
-        for number in (*[1] * (PATIENCE - 1), *range(1, RAMP_STEPS + 1)):
+        for number in [1] * PATIENCE + [*range(2, RAMP_STEPS + 1)]:
             velocity = Velocity(number * unit.v, number * unit.omega)
             yield Step(velocity, LEVEL_S)
             newest = measurements.newest

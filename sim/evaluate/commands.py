@@ -268,7 +268,7 @@ def _drive_trials(options: EvalOptions) -> int:
     ranges = ranges_for(options.randomization, options.profile, options.body, robot)
     trials, driver = options.trials or 1, load_driver(options.policy)
     if options.stack:
-        gyro, camera = _sensors(options.sensors, robot)
+        gyro, camera = driver_sensors(options.sensors, robot)
         stack = Stack(driver, tuple(courses), ranges, seed, gyro, camera, options.identify, robot)
         found, in_stack = evaluate_stack(stack, trials, options.processes, output)
     else:
@@ -303,7 +303,7 @@ def _dock(options: EvalOptions, name: str) -> int:
     reject("does not go with --to", **given, random_courses=options.random_courses)
     robot = None if options.model is None else load_description(options.model)
     ranges = ranges_for(options.randomization, None, options.body, robot)
-    gyro, _ = _sensors(options.sensors or (None if robot else Sensors.GYRO), robot)
+    gyro, _ = driver_sensors(options.sensors or (None if robot else Sensors.GYRO), robot)
     place, output = load_place(name), Output(options.json)
     localiser = TagLocaliser
     if options.images:
@@ -327,7 +327,7 @@ def _dock(options: EvalOptions, name: str) -> int:
     return 1 if found.trials == 1 and found.success_rate < 1 else 0
 
 
-def _sensors(sensors: Sensors | None, robot: "RobotDescription | None") -> tuple[bool, bool]:
+def driver_sensors(sensors: Sensors | None, robot: "RobotDescription | None") -> tuple[bool, bool]:
     """Return whether the driver has a gyro, and a camera. Raises UsageError."""
     if sensors is None:
         return robot is not None and robot.gyro is not None, False

@@ -93,6 +93,11 @@ def wilson(hits: int, of: int) -> tuple[float, float]:
     return float(interval.low), float(interval.high)
 
 
+def even_odds(hits: int, of: int) -> float:
+    """Return p of the sign test: a rate this far from one half by chance."""
+    return float(stats.binomtest(hits, of).pvalue)
+
+
 def fisher(hits: int, of: int, their_hits: int, their_of: int) -> Estimate:
     """Return the difference of two rates, by Fisher's test.
 

@@ -148,7 +148,7 @@ def test_sign_has_a_verdict_only_where_all_readings_agree(store, monkeypatch):
     sign = {"source": "AVA", "destination": "RGT", "expected": "positive"}
     assert verdict(store, "sign", **sign).verdict is Verdict.REPRODUCED
     found = verdict(store, "sign", **sign)
-    assert (found.verdict, found.why) == (Verdict.INCONCLUSIVE, "fewer than 5 have a sign")
+    assert (found.verdict, found.why) == (Verdict.INCONCLUSIVE, "fewer than 5 are clear")
 
 
 def test_report_of_an_empty_folder_says_that_nothing_is_tested(store):

@@ -114,9 +114,12 @@ class Evaluator:
     """Scores parameter vectors of one agent by episodes of a benchmark. One thread at a time."""
 
     def __init__(
-        self, task: Benchmark, agent: Policy | Net, *, for_search: bool = False, warm_up: int = 0
+        self, task: Benchmark, agent: Policy | Net, *, for_search: bool = False, warm_up: int | None = None
     ) -> None:
-        self.task, self.agent, self.steps, self._warm_up = task, agent, 0, warm_up
+        """``warm_up`` is the task's for a circuit and 0 for a network unless it is given."""
+        self.task, self.agent, self.steps = task, agent, 0
+        own = task.warm_up if isinstance(agent, Policy) else 0
+        self._warm_up = own if warm_up is None else warm_up
         self.enough = task.success
         self._plants, self._pool = make_plants(task, for_search=for_search)
         if isinstance(agent, Policy):
@@ -129,7 +132,7 @@ class Evaluator:
 
     def of(self, agent: Policy) -> Self:
         """Return the same episodes for another agent with the task's inputs and outputs."""
-        return type(self)(self.task, agent)
+        return type(self)(self.task, agent, warm_up=self._warm_up)
 
     def starts(self, seeds: Seeds) -> FloatArray:
         """Return the first states (n, S) that the environment's ``reset(seed)`` gives for seeds (n,)."""
@@ -161,6 +164,9 @@ class Evaluator:
         runner, plants = Runner(self.agent), self._plants
         seen = np.zeros((self._shape[0], plants.state.shape[1]))
         reset_plant(plants, 0, self.starts(np.array([seed], np.uint64))[0])
+        observe(plants, 0, seen)
+        for _ in range(self._warm_up):
+            runner.tick(seen[:, 0])
         rows: list[tuple[FloatArray, FloatArray, float]] = []
         terminated = False
         while not terminated and len(rows) < self.task.horizon:

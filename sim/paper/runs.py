@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import as_completed
 from dataclasses import replace
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -55,27 +56,24 @@ def train_run(name: RunName, state: Path | None = None) -> Result:
     task = find_task(name.task)
     agent: Policy | Net | None = None
     settings: dict[str, Any]
-    libraries: list[str] = []
+    made = _made_with(task, name.agent)  # before the search: files may change while it lasts
     if name.agent in GRADIENTS:
         from sim.paper.search.gradients import train_actor  # needs the extra gradients
 
         assert isinstance(task, Benchmark)
         checkpoint = Checkpoint(None, {})
         found, settings = train_actor(task, name.agent, name.seed)
-        libraries = ["stable-baselines3", "torch"]
     else:
         agent = build_agent(task, name.agent, name.seed)
         budget = budget_for(task, name.budget, name.agent)
         settings = vars(budget)
-        checkpoint = Checkpoint(state, settings)
+        checkpoint = Checkpoint(state, {**settings, **made})
         found = run_search(task, agent, name.seed, budget, checkpoint)
-    if isinstance(task, Benchmark):
-        libraries += ["gymnasium", "mujoco"] if task.model else ["gymnasium"]
     wall_s, cpu_s = checkpoint.times()
     return Result(
         name=name,
         settings=settings,
-        made_with=made_with() | {library: metadata.version(library) for library in libraries},
+        made_with=made,
         wall_s=wall_s,
         cpu_s=cpu_s,
         evaluations=found.evaluations,
@@ -84,6 +82,19 @@ def train_run(name: RunName, state: Path | None = None) -> Result:
         parameters=Packed.of(found.vector),
         **score(task, agent, found.vector, name.seed, settings.get("warm_up", 0)).model_dump(),
     )
+
+
+@cache
+def _source() -> dict[str, str]:
+    """Return what made the runs of this process, which loads its code once."""
+    return made_with()
+
+
+def _made_with(task: Task, agent: str) -> dict[str, str]:
+    libraries = ["stable-baselines3", "torch"] if agent in GRADIENTS else []
+    if isinstance(task, Benchmark):
+        libraries += ["gymnasium", "mujoco"] if task.model else ["gymnasium"]
+    return _source() | {library: metadata.version(library) for library in libraries}
 
 
 def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int, warm_up: int) -> Score:

@@ -22,12 +22,13 @@ FAILURES_TO_WIDEN = 51
 
 
 class KindRule(NamedTuple):
-    """The cap's range and the noise's range of one kind."""
+    """The cap's range and the noise's range of one kind, and its first cap, 0 = the least."""
 
     least: int
     most: int
     low: float
     high: float
+    first: int = 0
 
 
 _WEIGHTS = KindRule(4, 12, 0.01, 0.4)
@@ -87,10 +88,10 @@ class Published(RandomSearch[Caps]):
         self._width = np.array([rule.high - rule.low for rule in rules])
 
     def first_adaptation(self, layout: ParameterLayout) -> Caps:
-        """Return the least caps."""
+        """Return the first caps."""
         rules = [self.rules[block.kind] for block in layout.blocks]
-        least = tuple(rule.least for rule in rules)
-        return self.caps(least, tuple(rule.most for rule in rules), least)
+        first = tuple(rule.first or rule.least for rule in rules)
+        return self.caps(tuple(rule.least for rule in rules), tuple(rule.most for rule in rules), first)
 
     def propose(self, adaptation: Caps, generator: np.random.Generator) -> Vector:
         """Draw the numbers of changes, the deviations, the entries and the noise, in this order."""

@@ -37,6 +37,8 @@ class MujocoPool:
         path = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets" / file
         self.model = mujoco.MjModel.from_xml_path(str(path))
         self.model.opt.timestep = step_s
+        # Or an unstable simulation would begin again at rest, and its return would look like any other.
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.data = [mujoco.MjData(self.model) for _ in range(count)]
         self.lanes = MujocoLanes(
             step=_address("mj_step"),

@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.learn.search.base import Vector
+from sim.learn.search.base import Vector, draw_seeds
 from sim.paper.search.loop import Found
 from sim.paper.tasks import Benchmark
 
@@ -20,6 +20,8 @@ Training = tuple[int, int, dict[str, Any]]
 """Steps in all, environments side by side, and options that differ from the library's defaults."""
 
 CELLS = 11
+_TRAINING = 2
+"""Stream of random numbers, beside those of ``loop.py`` and ``runs.py``."""
 # stable_baselines3.common.vec_env.VecNormalize
 _VARIANCE_EPSILON, _CLIP = 1e-8, 10.0
 _BY_STATE = {"use_sde": True, "sde_sample_freq": 16}
@@ -37,6 +39,8 @@ class WithBonus(gymnasium.Wrapper[Any, Any, Any, Any]):
     def __init__(self, task: Benchmark) -> None:
         super().__init__(gymnasium.make(task.environment, disable_env_checker=True))
         self._bonus = task.bonus
+        shape: Any = self.env.action_space.shape
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, shape)  # Roboschool's pendulum ends there too
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step."""
@@ -85,10 +89,12 @@ def train_actor(task: Benchmark, agent: str, seed: int) -> tuple[Found, dict[str
     worlds = DummyVecEnv([lambda: WithBonus(task)] * environments)
     world = VecNormalize(worlds, gamma=options.get("gamma", 0.99))
     algorithm = {"ppo": PPO, "a2c": A2C}[agent]
+    # Environment i gets the seed plus i, so that seeds of 0, 1, 2 would share most environments.
+    spread = int(draw_seeds(seed, (_TRAINING,), 1)[0] % 2**31)
     network = {"net_arch": [CELLS], "activation_fn": torch.nn.Tanh}
     if "use_sde" in options:
         network |= {"log_std_init": 0.0, "ortho_init": False}
-    model = algorithm("MlpPolicy", world, seed=seed, device="cpu", policy_kwargs=network, **options)
+    model = algorithm("MlpPolicy", world, seed=spread, device="cpu", policy_kwargs=network, **options)
     model.learn(steps)
     seen: Any = world.obs_rms
     layers = (model.policy.mlp_extractor.policy_net[0], model.policy.action_net)

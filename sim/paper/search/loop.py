@@ -119,6 +119,7 @@ class Checkpoint:
     """The saved state of an unfinished run, or none; it holds all that a continued run depends on."""
 
     def __init__(self, path: Path | None, settings: dict[str, Any]) -> None:
+        """``settings`` are the run's, with the commit and the libraries: other ones refuse its state."""
         self._path = path
         self._owner = f"{path and path.name}\n{json.dumps(settings)}"
         self._began = np.array([time.monotonic(), time.process_time()])
@@ -158,7 +159,7 @@ def run_search(task: Task, agent: Policy | Net, seed: int, budget: Budget, check
         assert isinstance(agent, Policy)
         estimator = ParkingEvaluator(task, agent)
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_SEARCH,))))
-    first = agent.parameters() if isinstance(agent, Policy) else agent.start(generator)
+    first = agent.parameters() if isinstance(agent, Policy) else np.zeros(agent.layout().size)
     search = SEARCHES[budget.strategy].begin(agent.layout(), first, generator)
     curve: list[Point] = []
     ahead = _MIN_AHEAD

@@ -4,8 +4,9 @@
 are drawn ahead, as if those before them had failed (``sim/learn/search/random_search.py``).
 
 The published code has a search for each task. On parking, which has no chance, it is that of
-``sim/learn/search/published.py``; the others also estimate the incumbent anew, which counts as an iteration.
-Cart-pole has no published code and gets the pendulum's. MLP and LSTM have a search of their own.
+``sim/learn/search/published.py``; the others also estimate the incumbent anew. MLP and LSTM have a search of
+their own. That of cart-pole is in an older commit of the published code (529dae8), where an estimate counts
+as an iteration.
 """
 
 import math
@@ -28,20 +29,36 @@ _CAR_RULES: Mapping[ParameterKind, KindRule] = {
     **RULES,
     ParameterKind.WEIGHT: KindRule(6, _CAR_WEIGHTS, 0.01, 0.8),
     ParameterKind.SIGMA: KindRule(5, 12, 0.01, 0.08),
-    ParameterKind.LEAK_POTENTIAL: KindRule(4, 8, 0.1, 3.0),
+    ParameterKind.LEAK_POTENTIAL: KindRule(4, 8, 0.1, 3.0, first=5),
     ParameterKind.LEAK: KindRule(4, 8, 0.05, 0.8),
     ParameterKind.CAPACITANCE: KindRule(4, 7, 0.01, 0.3),
+}
+_CART_RULES: Mapping[ParameterKind, KindRule] = {
+    **RULES,
+    ParameterKind.WEIGHT: KindRule(5, 12, 0.03, 0.3, first=4),
+    ParameterKind.LEAK_POTENTIAL: KindRule(3, 8, 0.1, 2.0, first=2),
+    ParameterKind.LEAK: KindRule(2, 6, 0.02, 0.2),
 }
 _LAYERS = (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER)
 _MIN_AMPLITUDE, _MAX_AMPLITUDE = 0.01, 1.0
 """Of a network's noise."""
 
 
+@dataclass(frozen=True)
 class EstimateCaps(Caps):
-    """Caps that grow when the incumbent was estimated anew, after 51 failures in a row."""
+    """Caps that grow when 51 failures in a row make a new estimate of the incumbent due."""
+
+    due: bool = False
+    iterations: int = 0
+
+    def after_success(self) -> Self:
+        return replace(super().after_success(), due=False, iterations=self.iterations + 1)
 
     def after_failure(self) -> Self:
-        return type(self)(self.least, self.most, self.caps, self.failures + 1)
+        if self.failures + 1 < FAILURES_TO_WIDEN:
+            counts = self.failures + 1, False, self.iterations + 1
+            return type(self)(self.least, self.most, self.caps, *counts)
+        return replace(self.widened(), due=True, iterations=self.iterations + 1)
 
 
 class CarCaps(EstimateCaps):
@@ -55,7 +72,21 @@ class CarCaps(EstimateCaps):
         )
 
 
-class PublishedOnBenchmarks(Published):
+class _Estimating(RandomSearch[Any]):
+    """A search whose adaptation says when an estimate of the incumbent is ``due``; it takes no iteration."""
+
+    @property
+    def iterations(self) -> int:
+        return int(self.adaptation.iterations)
+
+    def wants_estimate(self, adaptation: Any) -> bool:
+        return bool(adaptation.due)
+
+    def after_estimate(self, adaptation: Any) -> Any:
+        return replace(adaptation, due=False)
+
+
+class PublishedOnBenchmarks(_Estimating, Published):
     """The published search of pendulum and half-cheetah.
 
     The layers of a half-cheetah's circuit are drawn at random, and every entry of them changes each time.
@@ -75,18 +106,22 @@ class PublishedOnBenchmarks(Published):
         vector[self._layered] = self.incumbent[self._layered] + generator.standard_normal(len(self._layered))
         return self.clip(vector)
 
-    def wants_estimate(self, adaptation: Caps) -> bool:
-        return adaptation.failures == FAILURES_TO_WIDEN
-
-    def after_estimate(self, adaptation: Caps) -> Caps:
-        return adaptation.widened()
-
 
 class PublishedOnMountainCar(PublishedOnBenchmarks):
     """The published search of mountain car, with larger changes and more of them."""
 
     rules: ClassVar[Mapping[ParameterKind, KindRule]] = _CAR_RULES
     caps: ClassVar[type[Caps]] = CarCaps
+
+
+class PublishedOnCartPole(PublishedOnBenchmarks):
+    """The published search of cart-pole, whose estimates take an iteration each."""
+
+    rules: ClassVar[Mapping[ParameterKind, KindRule]] = _CART_RULES
+
+    @property
+    def iterations(self) -> int:
+        return max(self.evaluations - 1, 0)
 
 
 @dataclass(frozen=True)
@@ -100,22 +135,18 @@ class Sigma:
     iterations: int = 0
 
     def after_success(self) -> Self:
-        return type(self)(self.sigma * ALPHA, 1, ESTIMATE_AFTER < 1, self.iterations + 1)
+        return type(self)(self.sigma * ALPHA, 1, False, self.iterations + 1)
 
     def after_failure(self) -> Self:
         return type(self)(self.sigma / ALPHA, self.i + 1, self.i + 1 > ESTIMATE_AFTER, self.iterations + 1)
 
 
-class Printed(RandomSearch[Sigma]):
+class Printed(_Estimating):
     """Algorithm 1 as printed: sigma without limits, an exact start, estimates that take no iteration."""
 
     @staticmethod
     def first(layout: ParameterLayout, defaults: Vector, generator: np.random.Generator) -> Vector:
         return defaults
-
-    @property
-    def iterations(self) -> int:
-        return self.adaptation.iterations
 
     def first_adaptation(self, layout: ParameterLayout) -> Sigma:
         return Sigma()
@@ -124,30 +155,27 @@ class Printed(RandomSearch[Sigma]):
         noise = adaptation.sigma * (self.upper - self.lower) * generator.standard_normal(len(self.upper))
         return self.clip(self.incumbent + noise)
 
-    def wants_estimate(self, adaptation: Sigma) -> bool:
-        return adaptation.due
-
-    def after_estimate(self, adaptation: Sigma) -> Sigma:
-        return replace(adaptation, due=False)
-
 
 @dataclass(frozen=True)
 class Amplitude:
-    """The amplitude of a network's noise, and the failures since it last grew."""
+    """The amplitude of a network's noise; 51 failures in a row make it grow, and an estimate due."""
 
     amplitude: float = _MIN_AMPLITUDE
     failures: int = 0
+    due: bool = False
+    iterations: int = 0
 
     def after_success(self) -> Self:
-        return type(self)(max(self.amplitude / 2.0, _MIN_AMPLITUDE))
+        return type(self)(max(self.amplitude / 2.0, _MIN_AMPLITUDE), iterations=self.iterations + 1)
 
     def after_failure(self) -> Self:
         if self.failures + 1 < FAILURES_TO_WIDEN:
-            return type(self)(self.amplitude, self.failures + 1)
-        return type(self)(min(self.amplitude * 5.0, _MAX_AMPLITUDE))
+            return type(self)(self.amplitude, self.failures + 1, False, self.iterations + 1)
+        grown = min(self.amplitude * 5.0, _MAX_AMPLITUDE)
+        return type(self)(grown, due=True, iterations=self.iterations + 1)
 
 
-class PublishedOnNetworks(RandomSearch[Amplitude]):
+class PublishedOnNetworks(_Estimating):
     """The published search of MLP and LSTM: noise of one amplitude on all weights, which have no bounds."""
 
     def __init__(self, layout: ParameterLayout, start: Vector, generator: np.random.Generator) -> None:
@@ -169,6 +197,7 @@ SEARCHES: Mapping[str, type[RandomSearch[Any]]] = {
     "published-parking": Published,
     "published-benchmarks": PublishedOnBenchmarks,
     "published-mountain-car": PublishedOnMountainCar,
+    "published-cart-pole": PublishedOnCartPole,
     "published-network": PublishedOnNetworks,
     "algorithm1": Printed,
 }

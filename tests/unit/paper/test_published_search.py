@@ -12,7 +12,6 @@ from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.core.errors import FileError
 from sim.learn.search.algorithm1 import ALPHA, ESTIMATE_AFTER, START_SCALE
 from sim.learn.search.base import draw_seeds
-from sim.learn.search.random_search import _START_NOISE
 from sim.paper import BudgetName
 from sim.paper.agents import build_agent
 from sim.paper.evaluator import Evaluator
@@ -43,7 +42,7 @@ def fast(strategy, agent, returns, iterations, ahead=7):
     while found.iterations < iterations or found.wants_estimate(found.adaptation):
         vectors = found.ask(max(min(ahead, iterations - found.iterations), 1))
         found.tell(returns(found.evaluations, vectors))
-        states[found.iterations] = found.incumbent, found.value  # Algorithm 1's estimate takes no iteration
+        states[found.iterations] = found.incumbent, found.value  # most estimates take no iteration
     return states
 
 
@@ -56,24 +55,20 @@ def literal(strategy, agent, evaluate, iterations):
     if strategy == "algorithm1":
         numbers = START_SCALE, ALPHA, ESTIMATE_AFTER
         return reference.algorithm1(evaluate, *bounds, rng, iterations, *numbers)
-    rules = SEARCHES[strategy].rules
-    kinds = [
-        reference.Kind(block.slice, *_START_NOISE[block.kind], *rule[:2], rule[2:])
-        for block in layout.blocks
-        for rule in [rules[block.kind]]
-    ]
-    weights = [block.kind for block in layout.blocks].index(ParameterKind.WEIGHT)
+    table = {"published-mountain-car": reference.MOUNTAIN_CAR, "published-cart-pole": reference.CART_POLE}
+    kinds = [table.get(strategy, reference.PENDULUM)[block.kind] for block in layout.blocks]
     slices = [block.slice for block in layout.blocks if block.kind in LAYERS]
-    layers = [index for each in slices for index in range(layout.size)[each]]
+    assert layout.blocks[0].kind is ParameterKind.WEIGHT
     return reference.published_circuit_search(
         evaluate,
         *bounds,
+        [block.slice for block in layout.blocks],
         kinds,
         rng,
         iterations,
-        estimates_again=strategy != "published-parking",
-        falls_back={weights: (16, 12)} if strategy == "published-mountain-car" else None,
-        layers=layers,
+        estimates={"published-parking": None, "published-cart-pole": "own"}.get(strategy, "in"),
+        falls_back=(16, 12) if strategy == "published-mountain-car" else None,
+        layers=[index for each in slices for index in range(layout.size)[each]],
     )
 
 
@@ -95,6 +90,7 @@ CELLS = [
     ("published-benchmarks", "pendulum", "circuit"),
     ("published-benchmarks", "half-cheetah", "circuit"),
     ("published-mountain-car", "mountain-car", "circuit"),
+    ("published-cart-pole", "cart-pole", "circuit"),
     ("published-network", "mountain-car", "lstm"),
 ]
 
@@ -112,6 +108,7 @@ def test_fast_search_makes_the_decisions_of_the_reference_on_recorded_returns(st
     [
         ("published-parking", "parking"),
         ("published-mountain-car", "mountain-car"),
+        ("published-cart-pole", "cart-pole"),
         ("algorithm1", "cart-pole"),
     ],
 )
@@ -204,10 +201,23 @@ def test_warm_up_tick_changes_an_episode_but_not_its_length():
     assert cold[:, 1].tolist() != warm[:, 1].tolist()
 
 
-def test_unstable_simulation_is_never_the_best():
-    task = TASKS["cart-pole"]
-    agent = build_agent(task, "mlp", 0)
+def test_play_has_the_warm_up_of_the_scored_episodes():
+    task = TASKS["pendulum"]
+    agent = build_agent(task, "circuit", 0)
+    found = Evaluator(task, agent)
+    scored = found.run(agent.parameters()[None], np.array([3], np.uint64))
+    assert found.play(3).rewards.sum() == pytest.approx(scored[0, :2].sum(), abs=1e-9)
+    cold = Evaluator(task, agent, warm_up=0).run(agent.parameters()[None], np.array([3], np.uint64))
+    assert cold[0, 1] != scored[0, 1]
+
+
+def test_unstable_simulation_is_never_the_best(monkeypatch):
+    task = TASKS["half-cheetah"]
+    agent = build_agent(task, "circuit", 0)
     place = Evaluator(task, agent)
-    place._kernel = lambda *_: np.array([[math.nan, 0.0, 3.0], [5.0, 0.0, 5.0]])
-    found = place.run(np.zeros((2, agent.layout().size)), np.arange(2, dtype=np.uint64))
-    assert found[:, 0].tolist() == [-1e6, 5.0]
+    starts = place.starts(np.arange(2, dtype=np.uint64))
+    starts[0, -1] = 1e11
+    monkeypatch.setattr(place, "starts", lambda seeds: starts)
+    found = place.run(np.tile(agent.parameters(), (2, 1)), np.arange(2, dtype=np.uint64))
+    assert found[0, :2].tolist() == [-1e6, 0.0]
+    assert found[1, 0] > -1e5

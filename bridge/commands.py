@@ -92,7 +92,7 @@ def bridge(
     ready when it prints "ready zenoh=... base=..."; Ctrl-C or SIGTERM stops the rover and ends it.
 
         rover-ncp bridge --base serial//dev/ttyUSB0 --limits limits.yaml
-        rover-ncp bridge --base ros2/tcp/127.0.0.1 --model turtlebot4
+        rover-ncp bridge --base ros2/tcp/ROBOT --model turtlebot4 --listen tcp/127.0.0.1:7449
     """
     from bridge.bases import choose_base, gate_limits, open_base
     from bridge.inbox import Inbox

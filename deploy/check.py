@@ -37,8 +37,8 @@ ATTEMPTS = 2
 """A second attempt, because a stall of this computer is no fault of the robot."""
 RATE_SHARE, MAX_HZ = 0.8, 50.0
 """Share of a described rate; a bridge passes on 50 reports a second at most."""
-BATTERY_V, BATTERY_WAIT_S = 11.5, 2.0
-"""The base's own alarm level (Pioneer manual); below it a drive may end in the middle."""
+BATTERY_SHARE, BATTERY_WAIT_S = 11.5 / 11.0, 2.0
+"""Of the voltage at which the gate stops, so that a drive does not end in the middle; a Pioneer's alarm level."""
 STOP_S = 0.5
 """The first safety requirement; braking and the time to the next report come on top."""
 BRAKING_S, REPORT_S = 0.15 + V_M_S / 0.3, 0.1
@@ -49,6 +49,7 @@ MEASURING_S, POLL_S = 8.0, 0.2
 SCALE = 0.15
 """How far the distance by the pose and the distance by the speed may differ, as a share."""
 STANDING = 0.01
+_NO_REPLY = "the bridge does not report its base"
 MAX_BAND = Velocity(0.05, 0.26)
 """Largest dead bands of simulated robots that parked in 9 of 10 trials; with 0.06 and 0.28 it was 6 of 10."""
 UNKNOWN_BAND = Velocity(0.02, 0.06)
@@ -167,14 +168,14 @@ class Preflight:
 
     def _check_battery(self) -> tuple[bool, str]:
         base = self._link.about_base()
-        minimum = BATTERY_V
-        if base is not None and base.state is not TimeoutState.PUBLISHED:  # a ROS 2 robot
-            minimum = base.battery_min_v or 0.0
+        if base is None:
+            return False, _NO_REPLY
+        minimum = BATTERY_SHARE * (base.battery_min_v or 0.0)
         self._until(lambda: math.isfinite(self._battery.voltage), BATTERY_WAIT_S)
         volts = self._battery.voltage
         if volts <= 0.0:  # as to the gate
             return True, "the base reports no voltage"
-        return volts >= minimum, f"{volts:.1f} V (at least {minimum} V)"
+        return volts >= minimum, f"{volts:.1f} V (at least {minimum:.1f} V)"
 
     def _check_holds(self) -> tuple[bool, str]:
         gate = self._link.gate
@@ -247,9 +248,9 @@ class Preflight:
         """Test the base's own stop: the bridge sends it nothing, as if the bridge had died."""
         base = self._link.about_base()
         if base is None:
-            return False, "the bridge does not report its base"
+            return False, _NO_REPLY
         if base.state is TimeoutState.PUBLISHED:
-            return True, f"if the bridge dies, the base halts after {base.timeout_s:g} s by its manual"
+            return True, f"if the bridge dies, the base halts after {base.timeout_s:g} s, as it states"
         for _ in range(MEASURE_TRIES):
             self._link.request_motors("check", unchecked=True)
             self._move(Velocity(V_M_S, 0.0))

@@ -3,14 +3,17 @@
 from collections.abc import Sequence
 from typing import Protocol
 
-from bridge.base import BaseEvent, BaseTimeout, Failed, LinkHealth, Ready, Setpoint
+from bridge.base import BaseEvent, BaseTimeout, Failed, LinkHealth, Notice, Ready, Setpoint
 from bridge.pioneer.base_connection import Broken, Opened, Received
 from bridge.pioneer.session import BaudChanged, Session, SessionEvent
 from rover_ncp.core.geometry import STANDSTILL
 from rover_ncp.wire.protocol import TimeoutState
 
 WATCHDOG_S = 2.0
-"""The firmware's watchdog (Pioneer 3 operations manual)."""
+"""The firmware's watchdog as delivered (Pioneer 3 operations manual), and the longest one that is driven.
+
+A lost base has halted after this time (``states.py``), before the bridge sends to it again.
+"""
 
 
 class Connection(Protocol):
@@ -68,10 +71,14 @@ class ArcosBase:
 
     @property
     def base_timeout(self) -> BaseTimeout:
-        return BaseTimeout(TimeoutState.PUBLISHED, WATCHDOG_S)
+        watchdog_s = self._session.watchdog_s
+        if watchdog_s is None or 0.0 < watchdog_s <= WATCHDOG_S:
+            return BaseTimeout(TimeoutState.PUBLISHED, watchdog_s or WATCHDOG_S)
+        words = f"the base's watchdog is {watchdog_s:g} s; set WatchDog in its FLASH to 1 to 2000 ms"
+        return BaseTimeout(TimeoutState.UNKNOWN, None, words)
 
     def measure_base_timeout(self, now: float) -> str:
-        return "the manual of a Pioneer gives its timeout"
+        return self.base_timeout.refusal or "the base reports its timeout"
 
     def close(self, now: float) -> None:
         self._session.close(now)
@@ -94,6 +101,8 @@ class ArcosBase:
                 case Ready():
                     self._was_ready, self._reopening = True, False
                     passed.append(event)
+                    if refusal := self.base_timeout.refusal:
+                        passed.append(Notice(refusal))
                 case _:
                     passed.append(event)
         self._connection.write(self._session.data_to_send())

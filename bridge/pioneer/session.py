@@ -147,6 +147,11 @@ class Session:
         """Set the speeds that the next tick sends; zero unless the motors were requested."""
         self._setpoints.set_motion(velocity)
 
+    @property
+    def watchdog_s(self) -> float | None:
+        """Time after which the base halts without packets, by its configuration; None before that arrives."""
+        return None if self._config is None else self._config.watchdog / 1000.0
+
     # Only a ready base gets requests: nothing moves before the first packet from the base.
 
     def enable(self, on: bool) -> None:

@@ -227,7 +227,7 @@ class TimeoutState(StrEnum):
     """Knowledge of the base's timeout, after which it halts without commands."""
 
     PUBLISHED = "published"
-    """The base's manual gives it, and nothing has to be measured."""
+    """The base's configuration or manual gives it, and nothing has to be measured."""
     UNKNOWN = "unknown"
     RUNNING = "running"
     MEASURED = "measured"

@@ -2,6 +2,7 @@
 
 import math
 import time
+from dataclasses import replace
 from datetime import date
 from types import SimpleNamespace
 
@@ -20,6 +21,7 @@ from rover_ncp.robot.description import DeadBand, load_description
 from rover_ncp.wire.protocol import BaseReply, GateStatus
 from sim.base.faults import Faults, parse_fault
 from sim.base.firmware import Firmware
+from sim.base.models import config_of
 from sim.base.ros2_robot import Ros2Robot
 from sim.stack.virtual import VirtualBridge
 from sim.world.described import described_rover
@@ -79,7 +81,8 @@ def test_a_move_is_tried_once_more_when_the_gate_seemed_to_accept_nothing(monkey
 def test_voltage_of_zero_is_not_known_as_to_the_gate(volts, ok, words):
     battery = Battery()
     battery.voltage = volts
-    link = SimpleNamespace(about_base=lambda: None)
+    reply = BaseReply(model="mine", battery_min_v=11.0, state="published", timeout_s=2.0)
+    link = SimpleNamespace(about_base=lambda: reply)
     preflight = Preflight(link, None, SimpleNamespace(until=lambda *_: None), battery)
     preflight._until = lambda condition, timeout_s: condition()
     found, detail = preflight._check_battery()
@@ -120,12 +123,12 @@ def test_a_robot_may_brake_as_slowly_as_its_description_says(monkeypatch, decel,
     assert found is ok, words
 
 
-def check(*faults, limits=None, while_turning="", model=None, robot="p3at-sh"):
+def check(*faults, limits=None, while_turning="", model=None, robot="p3at-sh", config=None):
     """Check a robot on the virtual clock; return the findings, the link and the rover."""
     robot = load_description(robot) if isinstance(robot, str) else robot
     rover = PymunkRover(described_rover(robot, motors=True), Ground(()))
     if robot.arcos:
-        base = Firmware(robot, rover, faults=Faults([parse_fault(fault) for fault in faults]))
+        base = Firmware(robot, rover, faults=Faults([parse_fault(fault) for fault in faults]), config=config)
     else:
         base = Ros2Robot(robot, rover)
     bridge, battery = VirtualBridge(base, limits), Battery()
@@ -150,6 +153,10 @@ def assert_stopped(link, rover):
     link.bridge.sleep(0.5)
     assert max(map(abs, rover.velocity)) < 1e-3
     assert link.gate.lease == 0
+
+
+def with_watchdog(ms):
+    return replace(config_of(load_description("p3at-sh")), watchdog=ms)
 
 
 NAMES = ["odometry", "battery", "stop", "motors", "forward", "left", "slow", "silence", "bridge"]
@@ -179,6 +186,7 @@ def test_robot_that_is_well_passes_all_checks_and_stands(robot):
         ({"faults": ["bumper@0.5"]}, "forward", "the gate stopped the robot: bumper"),
         ({"while_turning": "bumper@0-5"}, "left", "the gate stopped the robot: bumper"),
         ({"limits": Limits(v_max=0.03)}, "forward", "the gate limited commands: speed"),
+        ({"config": with_watchdog(5000)}, "bridge", "the base's watchdog is 5 s; set WatchDog in its FLASH"),
     ],
 )
 def test_robot_that_is_not_well_fails_the_check_that_finds_it(options, name, words):
@@ -219,3 +227,18 @@ def test_rare_odometry_is_listened_to_once_more(reports, ok):
     found, words = Preflight(None, measurements, monitor, Battery())._check_odometry()
     assert found is ok
     assert words == f"{reports[-1] / 2:.1f} reports a second (at least 8)"
+
+
+@pytest.mark.parametrize(("watchdog_ms", "refused"), [(200, False), (2000, False), (2500, True), (0, True)])
+def test_a_pioneer_that_would_drive_on_for_longer_than_two_seconds_is_not_driven(watchdog_ms, refused):
+    robot = load_description("p3at-sh")
+    base = Firmware(robot, PymunkRover(described_rover(robot), Ground(())), config=with_watchdog(watchdog_ms))
+    bridge = VirtualBridge(base)
+    bridge.sleep(3.0)
+    link = ChangedLink(bridge, lambda *_: None)
+    if refused:
+        with pytest.raises(SafetyStop, match="set WatchDog in its FLASH"):
+            link.request_motors("driver")
+    else:
+        link.request_motors("driver")
+    assert (link.gate.lease == 0) is refused

@@ -120,6 +120,8 @@ class LinkHealth(NamedTuple):
 
     damaged: bool
     counters: Mapping[str, int]
+    silent: tuple[str, ...] = ()
+    """What should report hazards and has not reported anything."""
 
 
 class Base(Protocol):

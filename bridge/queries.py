@@ -134,6 +134,7 @@ class Answers:
             state=known.state,
             timeout_s=known.timeout_s,
             reason=reason,
+            silent=self._base.health().silent,
         )
 
     def _measure(self, query: Query, request: BaseRequest, now: float, gate: GateState) -> str:

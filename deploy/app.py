@@ -62,8 +62,7 @@ def run(
         publisher = Publisher(link, recorder.put, policy.circuit.neurons)
         drive = Drive(link, controller, publisher, config, lambda: interrupts.raised, period_s=period_s)
         drive.wait()
-        if config.described is not None:
-            output.say(link.other_model(config.described))
+        output.say(link.other_model(config.described))
         recorder.open(files)
         with output.live(lambda: drive.progress):
             try:

@@ -38,7 +38,7 @@ ATTEMPTS = 2
 RATE_SHARE, MAX_HZ = 0.8, 50.0
 """Share of a described rate; a bridge passes on 50 reports a second at most."""
 BATTERY_SHARE, BATTERY_WAIT_S = 11.5 / 11.0, 2.0
-"""Of the voltage at which the gate stops, so that a drive does not end in the middle; a Pioneer's alarm level."""
+"""Of the voltage at which the gate stops, so that a drive ends before it; a Pioneer's alarm level."""
 STOP_S = 0.5
 """The first safety requirement; braking and the time to the next report come on top."""
 BRAKING_S, REPORT_S = 0.15 + V_M_S / 0.3, 0.1
@@ -178,7 +178,10 @@ class Preflight:
         return volts >= minimum, f"{volts:.1f} V (at least {minimum:.1f} V)"
 
     def _check_holds(self) -> tuple[bool, str]:
-        gate = self._link.gate
+        base, gate = self._link.about_base(), self._link.gate
+        if base is not None and base.silent:
+            words = f"no message has come on {' and '.join(base.silent)}: what it reports would stop nothing"
+            return False, words
         holder = gate.driver_name or ("a driver without a name" if gate.lease else gate.held)
         return not holder, f"held by {holder}" if holder else "nothing holds the rover"
 
@@ -250,7 +253,7 @@ class Preflight:
         if base is None:
             return False, _NO_REPLY
         if base.state is TimeoutState.PUBLISHED:
-            return True, f"if the bridge dies, the base halts after {base.timeout_s:g} s, as it states"
+            return True, f"if the bridge dies, the base halts after {base.timeout_s:g} s, as it says itself"
         for _ in range(MEASURE_TRIES):
             self._link.request_motors("check", unchecked=True)
             self._move(Velocity(V_M_S, 0.0))

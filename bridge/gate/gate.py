@@ -154,7 +154,7 @@ def _hold_reason(state: GateState, limits: Limits) -> Reason | None:
     elif state.now > state.target_until_s:
         reason = Reason.SILENCE
     elif limits.fence is not None and leaves(
-        limits.fence, base, target, state.now - state.base_s, limits.brake
+        limits.fence, base, target, state.now - state.base_s + base.age_s, limits.brake
     ):
         reason = Reason.GEOFENCE
     elif limits.sonar_stop_m is not None and not clear(base, target.v, limits.sonar_stop_m):

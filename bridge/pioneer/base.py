@@ -3,7 +3,16 @@
 from collections.abc import Sequence
 from typing import Protocol
 
-from bridge.base import BaseEvent, BaseTimeout, Failed, LinkHealth, Notice, Ready, Setpoint
+from bridge.base import (
+    BaseEvent,
+    BaseTimeout,
+    Failed,
+    LinkHealth,
+    Lost,
+    Notice,
+    Ready,
+    Setpoint,
+)
 from bridge.pioneer.base_connection import Broken, Opened, Received
 from bridge.pioneer.session import BaudChanged, Session, SessionEvent
 from rover_ncp.core.geometry import STANDSTILL
@@ -36,6 +45,7 @@ class ArcosBase:
         self._connection, self._session = connection, session
         self._last = Setpoint(STANDSTILL, motors=False, emergency=False)
         self._was_ready = self._reopening = False
+        self._refusal = ""
 
     def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:
         events: list[SessionEvent] = []
@@ -101,9 +111,13 @@ class ArcosBase:
                 case Ready():
                     self._was_ready, self._reopening = True, False
                     passed.append(event)
-                    if refusal := self.base_timeout.refusal:
-                        passed.append(Notice(refusal))
                 case _:
                     passed.append(event)
         self._connection.write(self._session.data_to_send())
+        # The configuration may arrive late: then it ends the lease that was granted before.
+        refusal, known = self.base_timeout.refusal, self._refusal
+        if self._was_ready and refusal != known:
+            self._refusal = refusal
+            passed += [Notice(refusal)] if refusal else []
+            passed += [Lost(refusal)] if refusal and self._last.motors else []
         return passed

@@ -146,6 +146,9 @@ class Ros2Base:
         self._alone_since_s: float | None = None
         self._battery, self._battery_s = _NO_BATTERY, -math.inf
         self._stop_pressed, self._hazards = False, frozenset[int]()
+        self._unheard = {topic for topic in (self._topics.stop, self._topics.hazards) if topic is not None}
+        self._unreadable: dict[str, str] = {}
+        """Topics of hazards on which no message came; those whose last one cannot be read, and why not."""
         self._turns = GyroTurns()
         self._room = ScanRoom(description) if self._topics.scan is not None else None
         self._timeout = TimeoutRecord(description.measured_base_timeout_s, unsafe)
@@ -197,8 +200,9 @@ class Ros2Base:
         self._odometer.reset()
 
     def health(self) -> LinkHealth:
-        counters = self._odometer.counters
-        return LinkHealth(counters["unreadable"] > 0, counters | {"imu left out": self._turns.left_out})
+        counters = self._odometer.counters | {"imu left out": self._turns.left_out}
+        silent = tuple(self._line.topic(topic) for topic in sorted(self._unheard))
+        return LinkHealth(counters["unreadable"] > 0, counters, silent)
 
     @property
     def note(self) -> str:
@@ -243,10 +247,8 @@ class Ros2Base:
                 self._turns.take(message.payload, now)
             elif topic == self._topics.scan and self._room is not None:
                 self._room.take(message.payload, now)
-            elif topic == self._topics.stop:
-                self._stop_pressed = bool(decode(BOOL, message.payload).data)
-            elif topic == self._topics.hazards:
-                self._hazards = read_hazards(message.payload)
+            elif topic in {self._topics.stop, self._topics.hazards}:
+                self._hazard(topic, message.payload)
             elif topic == self._topics.battery_state:
                 battery = read_battery(message.payload)
                 if math.isfinite(battery.voltage):
@@ -254,6 +256,19 @@ class Ros2Base:
         except FormatError:
             self._odometer.counters["unreadable"] += 1
         return []
+
+    def _hazard(self, topic: str, payload: bytes) -> None:
+        """Take a stop or hazards. Raises FormatError; then the base is not ready until one can be read."""
+        self._unheard.discard(topic)
+        try:
+            if topic == self._topics.stop:
+                self._stop_pressed = bool(decode(BOOL, payload).data)
+            else:
+                self._hazards = read_hazards(payload)
+        except FormatError as error:
+            self._unreadable[topic] = str(error)
+            raise
+        self._unreadable.pop(topic, None)
 
     def _report(self, moved: Moved, now: float) -> list[BaseEvent]:
         v, omega = moved.velocity
@@ -341,8 +356,11 @@ class Ros2Base:
             self._contradictions[f"two publishers on {where}{named}"] = now
         recent = {reason: at for reason, at in self._contradictions.items() if now - at < CLEAR_S}
         self._contradictions = recent
-        if recent:
-            return next(iter(recent))
+        unreadable = [
+            f"{self._line.topic(each)} cannot be read: {why}" for each, why in self._unreadable.items()
+        ]
+        if recent or unreadable:
+            return [*recent, *unreadable][0]
         if not self._ready:
             return self._other_type() if self._odometer.enough(now) else self._no_odometry(where, now)
         if self._odometer.restarts != self._known_restarts:

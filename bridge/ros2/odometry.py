@@ -84,12 +84,11 @@ class RosOdometer:
             self._sources[source] = arrived_s
             if len(self._sources) > 2:
                 del self._sources[next(iter(self._sources))]
-        wanted = self._topics.odom_frame, self._topics.base_frame
-        frames = tuple(frame.rpartition("/")[2] for frame in (sample.frame, sample.child))
-        if frames != wanted:
+        expected = self._topics.odom_frame, self._topics.base_frame
+        if _last_parts(sample.frame, sample.child) != _last_parts(*expected):
             self.problem = (
                 f"odometry is of {sample.frame or '(none)'} → {sample.child or '(none)'}, expected "
-                f"{wanted[0]} → {wanted[1]}: set topics.odom_frame and topics.base_frame in the description"
+                f"{' → '.join(expected)}: set topics.odom_frame and topics.base_frame in the description"
             )
             return None
         if not all(map(math.isfinite, (*sample.pose, *sample.velocity))):
@@ -215,3 +214,8 @@ class RosOdometer:
         self._origin = None
         self._spread.clear()
         self._seen.clear()
+
+
+def _last_parts(*frames: str) -> tuple[str, ...]:
+    """Return frames without what stands before the last slash, by which robots of a fleet differ."""
+    return tuple(frame.rpartition("/")[2] for frame in frames)

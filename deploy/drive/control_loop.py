@@ -93,8 +93,8 @@ class Drive:
         self.monitor = SafetyMonitor(link, self.measurements, interrupted, config, clock)
         self.placed = False
         """Whether external poses gave the start pose."""
-        self._poses_used, self._posed_ns = 0, 0
-        """External poses that the filter accepted, and when that number grew or the rover last stood."""
+        self._poses_used, self._blind_ns, self._looked_ns = 0, 0, 0
+        """External poses that the filter accepted, the motion since the last one, and the last look at it."""
         self._warned = ""
         self.keeper = RateKeeper(self._period_ns, 0)
         self.phase = Phase.WAITING
@@ -248,7 +248,8 @@ class Drive:
                 if last:
                     return
             newest = self._take((keeper.deadline_ns - self._clock.monotonic_ns()) / NS_PER_S) or newest
-            self._check()
+            if not self.controller.over:  # nothing takes back what is decided
+                self._check()
 
     def _tick(self, newest: Measurement[OdometrySample], now_ns: int, predicted: bool, last: bool) -> None:
         controller, t = self.controller, self._start.seconds_to(now_ns)
@@ -315,8 +316,12 @@ class Drive:
         try:
             self.monitor.check()
         except SafetyStop as stop:
-            # The gate has stopped the rover. A docking decides in its next tick what that contact was.
-            if stop.rule not in CONTACTS or self._docking is None or not self._docking.expects_contact:
+            # The gate has stopped the rover. A docking decides in its next tick what that contact was, unless
+            # the other end was touched: no dock is there.
+            docking = self._docking
+            if stop.rule not in CONTACTS or docking is None or not docking.expects_contact:
+                raise
+            if self.monitor.bumped(1 - docking.leading_end):
                 raise
             self._touched = True
         estimator = self.controller.estimator
@@ -326,7 +331,7 @@ class Drive:
     def _evidence(self, docking: Docking, now_ns: int) -> Evidence:
         """Give a docking what the base reports beside its motion, and return it for the record."""
         # What is pressed when the lease is granted does not end it.
-        touched = self._touched or (self.estimate is None and self._link.pressed)
+        touched = self._touched or (self.estimate is None and self._link.pressed[docking.leading_end])
         evidence = Evidence(touched, self._link.charging(now_ns))
         docking.note(evidence)
         return evidence
@@ -335,9 +340,12 @@ class Drive:
         """Raise SafetyStop if external poses are required and none is used while the rover moves."""
         used, config = self.controller.estimator.poses[Outcome.ACCEPTED], self.config
         stands = abs(velocity.v) < STANDING.v and abs(velocity.omega) < STANDING.omega
-        if used != self._poses_used or stands:
-            self._poses_used, self._posed_ns = used, now_ns
-        elif config.pose == "required" and now_ns - self._posed_ns > config.pose_age_s * NS_PER_S:
+        if used != self._poses_used:
+            self._poses_used, self._blind_ns = used, 0
+        elif not stands:
+            self._blind_ns += now_ns - (self._looked_ns or now_ns)
+        self._looked_ns = now_ns
+        if config.pose == "required" and self._blind_ns > config.pose_age_s * NS_PER_S:
             words = f"the rover has moved for {config.pose_age_s:g} s without an external pose that fits"
             raise SafetyStop("pose-age", words)
 

@@ -111,10 +111,10 @@ class Link(ABC):
         self.odometry, self.gyro, self.poses = Inbox[Arrival](1), Inbox[Arrival](), Inbox[Arrival]()
         self.gate = GateStatus()
         """The newest gate status."""
-        self.bumped = 0
-        """Number of messages that reported a pressed bumper."""
-        self.pressed = False
-        """Whether a bumper is pressed, by the newest of them."""
+        self.bumped = 0, 0
+        """Number of messages that reported a pressed front or rear bumper."""
+        self.pressed = False, False
+        """Whether they are pressed, by the newest message."""
         self.lease = DriverLease()
         self._charging: tuple[bool | None, int] = None, 0
         """The newest report whether the battery charges, and the moment of its arrival."""
@@ -136,8 +136,8 @@ class Link(ABC):
                     self._charging = read_battery(arrival.data).charging, arrival.arrival_ns
             case "bumpers":
                 with contextlib.suppress(FormatError):
-                    self.pressed = read_bumpers(arrival.data)
-                    self.bumped += self.pressed
+                    front, rear = self.pressed = read_bumpers(arrival.data)
+                    self.bumped = self.bumped[0] + front, self.bumped[1] + rear
 
     @abstractmethod
     def authorised(self) -> bool:

@@ -59,7 +59,7 @@ class SafetyMonitor:
         self._interrupted, self._clock = interrupted, clock
         self._timeouts = timeouts or Timeouts()
         self._granted_ns: int | None = None
-        self._granted_gate, self._granted_bumped = GateStatus(), 0
+        self._granted_gate, self._granted_bumped = GateStatus(), (0, 0)
         self.contact = ""
         """The contact that the base reported since the lease was granted, in words."""
         self._confirmed: int | None = None
@@ -106,6 +106,10 @@ class SafetyMonitor:
         self._granted_ns = self._checked_ns = self._clock.monotonic_ns()
         self._granted_gate, self._granted_bumped = self._link.gate, self._link.bumped
 
+    def bumped(self, end: int) -> bool:
+        """Return whether the bumper of an end (0 front, 1 rear) was pressed since the lease was granted."""
+        return self._link.bumped[end] > self._granted_bumped[end]
+
     def check(self) -> None:
         """Check bridge, age of odometry and lease. Raises SafetyStop or KeyboardInterrupt."""
         if self._interrupted():
@@ -136,7 +140,7 @@ class SafetyMonitor:
         gate, lease, now_ns = self._link.gate, self._link.lease, self._clock.monotonic_ns()
         if gate.lease == lease.number:
             self._confirmed = lease.number
-            bumped = REASONS["bumper"] if self._link.bumped > self._granted_bumped else ""
+            bumped = REASONS["bumper"] if self.bumped(0) or self.bumped(1) else ""
             self.contact = self.contact or gate.contact_since(self._granted_gate) or bumped
         elif self._confirmed == lease.number:
             raise revoked(gate)

@@ -21,6 +21,7 @@ from rover_ncp.core.errors import (
     OtherVersion,
     SafetyStop,
 )
+from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.recording.recording import Recorded, header_stamp_ns
 from rover_ncp.robot.description import RobotDescription
@@ -169,14 +170,18 @@ class ZenohLink(Link, ZenohClient):
                 return parse_json(BaseReply, answer)
         return None
 
-    def other_model(self, robot: RobotDescription) -> str:
-        """Return a warning if the bridge drives another model of robot; "" if not, or if it names none."""
-        base = self.about_base()
-        if base is None or base.model in {"", robot.name}:
+    def other_model(self, robot: RobotDescription | None) -> str:
+        """Return a warning if the bridge drives another model than the driver's; "" if not, or not known.
+
+        A driver without a description assumes the default robot.
+        """
+        base, name = self.about_base(), robot.name if robot else DEFAULT_ROBOT
+        if base is None or base.model in {"", name}:
             return ""
+        assumed = "" if robot else ", the default"
         return (
-            f"warning: the bridge at {self.robot} drives {base.model}, but --model is {robot.name}: "
-            "its limits and errors may differ"
+            f"warning: the bridge at {self.robot} drives {base.model}, but --model is {name}{assumed}: "
+            "its outline, limits and errors may differ"
         )
 
     def release(self) -> None:

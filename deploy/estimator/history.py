@@ -159,13 +159,16 @@ class History:
             return Applied(Outcome.OUT_OF_ORDER)
         if t > self.t + GAP_S:
             return Applied(Outcome.OUTLIER)
-        fits = self._predicted(z, t)[0] <= self._settings.gate
+        stood = self._stands(z)
+        fits = self._predicted(z, t, stood)[0] <= self._settings.gate
+        if stood and not fits:  # declared noise may hide a slow motion
+            stood, fits = False, self._predicted(z, t, False)[0] <= self._settings.gate
         irregular = not (fits and self._settings.uses_speeds and t > self._irregular_until)
         if irregular and not self._pose_fits(z):
             return Applied(Outcome.OUTLIER)
         if not fits:
             self._irregular_until = t + IRREGULAR_S
-        stood, turn, turn_outcome = self._stands(z), None, None
+        turn, turn_outcome = None, None
         self._correct_by_odometry(z, stood, irregular)
         turned, seconds = angle.rad - before.rad, angle.t - before.t
         # Without a reading the gyro says nothing: a turn would only confirm what is assumed.
@@ -194,13 +197,13 @@ class History:
         """Return −2 log likelihood, but for a constant, of odometry measured at ``t``."""
         if not self.t <= t <= self.t + GAP_S:
             return math.inf
-        nis, covariance = self._predicted(z, t)
+        nis, covariance = self._predicted(z, t, self._stands(z))
         return nis + float(np.linalg.slogdet(covariance)[1])
 
-    def _predicted(self, z: Array, t: float) -> tuple[float, Array]:
+    def _predicted(self, z: Array, t: float, stood: bool) -> tuple[float, Array]:
         """Predict the filter to ``t``; return the NIS of odometry there, and its covariance (5, 5)."""
         self._apply_again(len(self._entries))
-        self._predict(self._entries[-1], t, self._stands(z))
+        self._predict(self._entries[-1], t, stood)
         covariance = self._ekf.P[REPORTED, REPORTED] + self._odometry_covariance
         return normalised_square(residual(z, self._ekf.x[REPORTED]), covariance), covariance
 

@@ -96,9 +96,10 @@ def identify_robot(
         output.say(f"driving for {seconds:.0f} s within {fence_m} m of here; Ctrl-C stops the rover")
         monitor.wait()  # what took long since the first wait is not odometry's age
         excite(link, measurements, monitor, fence_m, robot=robot)
-    if recorder.failure:
+    code = _write_profile(received, address.robot, out, output, robot)
+    if recorder.failure:  # the profile is not lost with it
         raise FileError(f"the recording failed: {recorder.failure}")
-    return _write_profile(received, address.robot, out, output, robot)
+    return code
 
 
 def _write_profile(

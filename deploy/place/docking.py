@@ -52,8 +52,8 @@ CHARGER_M, CHARGER_RAD = 0.10, math.radians(10.0)
 """How far from the place a charge counts: farther away it is that of another charger."""
 CONTACT_S = 0.5
 """External poses of so long before contact count for its place; the rover has moved 2 cm meanwhile."""
-CHARGE_S = 10.0
-"""How long a docked rover waits for the charge."""
+CHARGE_S = 25.0
+"""How long a docked rover waits for the charge, which some robots report each 10 s or later."""
 MIN_POSES = 3
 """External poses that a median needs."""
 KEPT_POSES = 300
@@ -164,6 +164,11 @@ class Docking:
         """Whether contact ends a try, and not the drive."""
         waits = self.stage is Stage.WAIT_FOR_CHARGE  # in the dock a bumper may open and close again
         return waits or (self.stage is Stage.CONTROLLING and not self._undock)
+
+    @property
+    def leading_end(self) -> int:
+        """The end of the rover that touches the dock: 0 is the front, 1 the rear."""
+        return int(self.place.backward)
 
     @property
     def words(self) -> str:

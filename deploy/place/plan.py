@@ -129,7 +129,7 @@ def to_staging(
             pieces = list(_pieces([start, *via, place.staging], backward))
             ways.append(_way(place, "staging", start, pieces, backward=backward, slower=slower))
     for way in sorted(ways, key=lambda each: each.course.horizon_s):
-        found = check_course(way.course, robot, way.reference)
+        found = check_course(way.course, robot, way.reference, clearance=False)
         if found.drivable:
             return way, ()
         problems = problems or found.problems

@@ -262,7 +262,7 @@ class Timeline:
 
     def _read_bumpers(self, message: Recorded) -> None:
         if self.ticks and self.gate is not None and self.gate.lease:
-            self.touched |= read_bumpers(message.data)
+            self.touched |= any(read_bumpers(message.data))
 
     def _read_battery(self, message: Recorded) -> None:
         self.voltages.append(float(decode(message.type, message.data).voltage))

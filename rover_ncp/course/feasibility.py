@@ -106,21 +106,26 @@ class CourseResult(ResultModel):
 
 
 def check_course(
-    course: Course, robot: RobotDescription | None = None, reference: Reference | None = None
+    course: Course,
+    robot: RobotDescription | None = None,
+    reference: Reference | None = None,
+    *,
+    clearance: bool = True,
 ) -> Drivability:
     """Check a course for the outline of ``robot``; None is a Pioneer 3-AT.
 
-    Its ``reference`` is planned, from the origin, or given, from where the rover stands.
+    Its ``reference`` is planned, from the origin, or given, from where the rover stands. The ``clearance``
+    takes most of the time and does not decide.
     """
     robot = load_description(DEFAULT_ROBOT) if robot is None else robot
     problems = _start(course) if reference is None else []
     reference = plan_reference(course) if reference is None else reference
     found = tuple(deviations(course, reference))
     problems += [*_missed(course, found), *_rest(course, reference)]
-    clearance, touching = _clearance(course, reference, robot)
+    least, touching = _clearance(course, reference, robot, clearance)
     problems += touching
     problems.sort(key=lambda problem: (problem.t, problem.checkpoint))
-    return Drivability(reference, found, tuple(problems), clearance)
+    return Drivability(reference, found, tuple(problems), least)
 
 
 def clearance_at(pose: Pose, obstacles: Iterable[Obstacle], robot: RobotDescription) -> float:
@@ -192,9 +197,9 @@ def _rest(course: Course, reference: Reference) -> list[Problem]:
 
 
 def _clearance(
-    course: Course, reference: Reference, robot: RobotDescription
+    course: Course, reference: Reference, robot: RobotDescription, measure: bool
 ) -> tuple[float | None, list[Problem]]:
-    """Return the least clearance, and the first touch of each obstacle."""
+    """Return the least clearance if it is to be measured, and the first touch of each obstacle."""
     if not course.obstacles:
         return None, []
     least, problems = math.inf, []
@@ -206,7 +211,7 @@ def _clearance(
         away = np.hypot(*(reference.poses[:, :2] - [obstacle.x, obstacle.y]).T)
         # No gap is smaller than this: most poses are too far away to matter.
         bounds = away - reach - 0.5 * math.hypot(obstacle.length, obstacle.width)
-        for k in np.argsort(bounds).tolist():
+        for k in np.argsort(bounds).tolist() if measure else ():
             if bounds[k] >= least:
                 break
             least = min(least, _gap(_placed(rover, poses[k]), corners))
@@ -219,7 +224,7 @@ def _clearance(
             )
             detail = f"the rover ({size}) touches obstacle {which} at {t:.1f} s"
             problems.append(Problem(number, course.checkpoints[number - 1].t, Cause.OBSTACLE, detail))
-    return max(least, 0.0), problems
+    return max(least, 0.0) if measure else None, problems
 
 
 def _outline(robot: RobotDescription) -> FloatArray:

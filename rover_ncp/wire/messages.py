@@ -28,6 +28,7 @@ TWIST_STAMPED = "geometry_msgs/msg/TwistStamped"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 STRING = "std_msgs/msg/String"
+_BYTES = "std_msgs/msg/UInt8MultiArray"
 FLOATS = "std_msgs/msg/Float64MultiArray"
 IMU = "sensor_msgs/msg/Imu"
 BATTERY_STATE = "sensor_msgs/msg/BatteryState"
@@ -254,8 +255,8 @@ def imu(rate: float, variance: float, stamp_ns: int) -> bytes:
 
 def read_imu(data: bytes) -> TurnSample:
     """Read the rate of turn of an Imu. Raises FormatError."""
-    message = decode(IMU, data)
-    return TurnSample(read_stamp_ns(message.header), message.angular_velocity.z)
+    imu = decode(IMU, data)
+    return TurnSample(read_stamp_ns(imu.header), imu.angular_velocity.z)
 
 
 def battery_state(voltage: float, stamp_ns: int, charging: bool | None = None) -> bytes:
@@ -275,15 +276,14 @@ def battery_state(voltage: float, stamp_ns: int, charging: bool | None = None) -
 def read_battery(data: bytes) -> BatterySample:
     """Read a BatteryState. Raises FormatError."""
     message = decode(BATTERY_STATE, data)
-    # POWER_SUPPLY_STATUS: 0 unknown, 1 charging, 2 discharging, 3 not charging, 4 full (charger or not).
-    status = message.power_supply_status
+    status = message.power_supply_status  # 0 unknown, 2 discharging, 3 not charging, 4 full (charger or not)
     return BatterySample(float(message.voltage), None if status in {0, 4} else status == 1)
 
 
 def hazards(kinds: Sequence[int], stamp_ns: int) -> bytes:
     """Return a HazardDetectionVector."""
-    header = header_of(stamp_ns, BASE_FRAME)
-    return encode(HAZARDS, header=header, detections=[{"header": header, "type": kind} for kind in kinds])
+    head = header_of(stamp_ns, BASE_FRAME)
+    return encode(HAZARDS, header=head, detections=[{"header": head, "type": kind} for kind in kinds])
 
 
 def read_hazards(data: bytes) -> frozenset[int]:
@@ -309,13 +309,13 @@ def point_cloud(points: Sequence[tuple[float, float, float]], stamp_ns: int) -> 
 
 def bumpers(front: int, rear: int) -> bytes:
     """Return the bumper bits as two bytes, front and rear; bit 0 is the first segment, 1 = pressed."""
-    data = np.array([front, rear], np.uint8)
-    return encode("std_msgs/msg/UInt8MultiArray", layout=_layout("front,rear", 2), data=data)
+    return encode(_BYTES, layout=_layout("front,rear", 2), data=np.array([front, rear], np.uint8))
 
 
-def read_bumpers(data: bytes) -> bool:
-    """Return whether a segment of any bumper is pressed. Raises FormatError."""
-    return any(decode("std_msgs/msg/UInt8MultiArray", data).data.tolist())
+def read_bumpers(data: bytes) -> tuple[bool, bool]:
+    """Return whether the front bumper is pressed, and the rear one. Raises FormatError."""
+    pressed = decode(_BYTES, data).data > 0
+    return bool(pressed[:1].any()), bool(pressed[1:].any())
 
 
 def diagnostics(items: Sequence[Diagnostic], stamp_ns: int, hardware_id: str = "") -> bytes:

@@ -238,7 +238,8 @@ class TimeoutState(StrEnum):
 class BaseReply(StrictModel):
     """The base's model, the lowest voltage of its battery, and its timeout in s; None = not known.
 
-    ``reason`` is why a measurement was refused, "" if it was not.
+    ``reason`` is why a measurement was refused, "" if it was not. ``silent`` names what should report hazards
+    and has not reported anything.
     """
 
     model: str
@@ -246,6 +247,7 @@ class BaseReply(StrictModel):
     state: TimeoutState
     timeout_s: float | None = None
     reason: str = ""
+    silent: tuple[str, ...] = ()
 
 
 REASONS = {

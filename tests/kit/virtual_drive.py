@@ -92,6 +92,9 @@ class ChangedLink(VirtualLink):
         self.after, self.harm = 6, lambda: None
         self.released_ns, self.requests = None, 0
 
+    def other_model(self, robot):
+        return ""
+
     def put(self, name, data):
         """Deliver a message, as a peer does that is not the bridge."""
         wall_ns = self.bridge.time_ns()

@@ -109,6 +109,7 @@ def test_another_model_is_a_warning_to_a_driver_and_a_finding_of_check(rig, run_
     with ZenohLink(BridgeAddress(rig.robot), lambda message: None) as link:
         assert "drives p3at-sh, but --model is turtlebot4" in link.other_model(load_description("turtlebot4"))
         assert link.other_model(load_description("p3at-sh")) == ""
+        assert link.other_model(None) == ""  # the default robot
     code, fields = run_json(f"check --robot {rig.robot} --on-blocks --model turtlebot4")
     (finding,) = fields["findings"]
     assert (code, finding["name"], finding["ok"]) == (1, "model", False)

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from bridge.base import BaseReport
 from bridge.gate.limits import Fence, Limits
 from bridge.gate.motion import leaves
+from bridge.gate.state import Reason
 from rover_ncp.core.geometry import STANDSTILL, Velocity
 
 LANE = Fence(x_min=-9.0, x_max=9.0, y_min=-1.0, y_max=1.0)
@@ -75,6 +76,15 @@ def test_fastest_reported_turn_counts():
 def test_age_of_the_report_counts():
     assert not held(BaseReport(x=1.87), Velocity(0.1, 0.0), age_s=0.7)
     assert held(BaseReport(x=1.89), Velocity(0.1, 0.0), age_s=0.7)
+
+
+@pytest.mark.parametrize(("age_s", "reason"), [(0.0, None), (0.2, Reason.GEOFENCE)])
+def test_how_late_a_report_arrived_counts(age_s, reason):
+    gate = Gate(FENCED).driving()
+    gate.place(
+        0.02, BaseReport(x=1.95, v=0.1, age_s=age_s)
+    )  # at 0.1 m/s it needs 0.05 m within 0.3 s of reaction
+    assert gate.drive(0.02, Velocity(0.05, 0.0)).held is reason
 
 
 @pytest.mark.parametrize("value", [1e308, -1e308])

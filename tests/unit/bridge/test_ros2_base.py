@@ -32,6 +32,15 @@ def test_it_is_ready_when_odometry_arrives_evenly(world, prefix):
     assert world.events == [Ready("turtlebot3-burger on tcp/robot:7447", BURGER)]
 
 
+def test_a_description_may_have_the_frames_as_the_robot_sends_them():
+    topics = BURGER.topics.model_copy(
+        update={"odom_frame": "robot1/odom", "base_frame": "robot1/base_footprint"}
+    )
+    world = World(BURGER.model_copy(update={"topics": topics}))
+    world.run(2.0, frames=("robot1/odom", "robot1/base_footprint"))
+    assert [type(event) for event in world.events] == [Ready]
+
+
 def test_the_pose_begins_at_zero_wherever_the_robot_is():
     world = World()
     world.x = 5.0
@@ -126,6 +135,23 @@ def test_gyro_battery_stop_button_and_hazards_are_passed_on(pressed):
     assert (report.stop_pressed, report.stalled[0], any(report.bumpers)) == (pressed,) * 3
     assert world.turns[-1].rate == pytest.approx(0.2)
     assert (report.battery_v, report.charging) == (pytest.approx(11.5), True)
+
+
+def test_a_stop_button_that_is_silent_is_named_and_one_that_cannot_be_read_ends_the_drive():
+    topics = BURGER.topics.model_copy(update={"stop": "stop", "hazards": "hazard_detection"})
+    world = World(BURGER.model_copy(update={"topics": topics}))
+    world.run(2.0)
+    assert world.base.health().silent == (world.line.topic("hazard_detection"), world.line.topic("stop"))
+    world.hear("stop", encode(BOOL, data=False))
+    assert world.base.health().silent == (world.line.topic("hazard_detection"),)
+    world.hear("hazard_detection", hazards((1, 3), 0)[:-3])
+    world.run(0.1)
+    assert isinstance(world.events[-1], Lost)
+    assert world.events[-1].reason.startswith(f"{world.line.topic('hazard_detection')} cannot be read: ")
+    world.hear("hazard_detection", hazards((), 0))
+    world.run(2.0)
+    assert isinstance(world.events[-1], Recovered)
+    assert world.base.health().silent == ()
 
 
 @pytest.mark.parametrize(("status", "charging"), [(0, None), (1, True), (2, False), (3, False), (4, None)])

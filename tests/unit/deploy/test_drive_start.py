@@ -249,7 +249,7 @@ def test_an_uncertain_verdict_says_what_would_help_and_fails_only_where_certaint
 
 def test_a_rover_that_stands_needs_no_further_poses():
     waits = NEAR.model_copy(update={"start_signal_s": 2.0})
-    virtual = posed(policy=load_policy("course"), course=waits, pose_age_s=0.9)
+    virtual = posed(policy=load_policy("course"), course=waits, pose_age_s=1.6)  # of 2 s it rests 0.5 s
     virtual.link.after, virtual.link.harm = 1, virtual.link.change.clear
     result = virtual.run()
     assert (result.stopped_by, result.ticks) == (None, waits.ticks)
@@ -323,3 +323,10 @@ def test_rover_with_an_external_start_pose_parks_on_the_true_pose(tmp_path):
     assert distance(end, course.goal) < course.parked.position_m / 2 < distance(start, ORIGIN)
     assert abs(wrap_angle(end.theta - course.goal.theta)) < course.parked.heading_rad
     assert replay(virtual.path).difference is None
+
+
+def test_motion_without_poses_adds_up_over_rests():
+    waits = NEAR.model_copy(update={"start_signal_s": 2.0})
+    virtual = posed(policy=load_policy("course"), course=waits, pose_age_s=0.7)
+    virtual.link.after, virtual.link.harm = 1, virtual.link.change.clear
+    assert virtual.run().stopped_by == "pose-age"

@@ -229,6 +229,16 @@ def test_rare_odometry_is_listened_to_once_more(reports, ok):
     assert words == f"{reports[-1] / 2:.1f} reports a second (at least 8)"
 
 
+def test_a_robot_whose_hazards_are_silent_fails_the_check(monkeypatch):
+    robot, emit = described("turtlebot4", topics={"stop": "stop_button"}), Ros2Robot._emit
+    monkeypatch.setattr(
+        Ros2Robot, "_emit", lambda self, topic, *a: topic == "stop_button" or emit(self, topic, *a)
+    )
+    findings, _, _ = check(robot=robot)
+    assert (findings[-1].name, findings[-1].ok) == ("stop", False)
+    assert "no message has come on stop_button" in findings[-1].detail
+
+
 @pytest.mark.parametrize(("watchdog_ms", "refused"), [(200, False), (2000, False), (2500, True), (0, True)])
 def test_a_pioneer_that_would_drive_on_for_longer_than_two_seconds_is_not_driven(watchdog_ms, refused):
     robot = load_description("p3at-sh")

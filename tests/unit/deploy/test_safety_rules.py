@@ -26,7 +26,7 @@ class Drive:
     def __init__(self):
         self.now_ns, self.sleeps, self.signal = BEGIN_NS, [], False
         self.link = SimpleNamespace(
-            robot="tcp/x", where=" (namespace y)", bridge_alive=True, authorised=lambda: True, bumped=0
+            robot="tcp/x", where=" (namespace y)", bridge_alive=True, authorised=lambda: True, bumped=(0, 0)
         )
         self.link.gate, self.link.lease = GateStatus(), DriverLease()
         self.newest = SimpleNamespace(ref=SimpleNamespace(measured_ns=BEGIN_NS))
@@ -202,10 +202,10 @@ def test_a_revoked_lease_names_who_revoked_it(status, words):
 
 def test_the_first_contact_since_the_grant_is_kept():
     drive = Drive()
-    drive.link.bumped, drive.link.gate = 3, GateStatus(stops={"stall": 1})
+    drive.link.bumped, drive.link.gate = (3, 0), GateStatus(stops={"stall": 1})
     drive.granted(lease=7, stops={"stall": 1}).check()
     assert drive.monitor.contact == ""
-    drive.link.bumped = 4
+    drive.link.bumped = 3, 1
     drive.check()
     assert drive.monitor.contact == "a bumper is pressed"
     drive.link.gate = GateStatus(lease=7, held="stall")

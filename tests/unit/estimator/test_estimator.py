@@ -170,6 +170,18 @@ def test_declared_noise_does_not_move_a_standing_rover(speed_noise):
         assert estimator.at(tick * DT).pose == pytest.approx((1.0, 2.0, 0.5), abs=1e-9)
 
 
+@pytest.mark.parametrize(("noise_m", "noise_m_s", "v"), [(0.002, 0.01, 0.04), (0.001, 0.005, 0.02)])
+def test_declared_noise_does_not_hide_that_a_rover_creeps(noise_m, noise_m_s, v):
+    robot = described("husky-a200", odometry={"noise_m": noise_m, "noise_m_s": noise_m_s})
+    rng, estimator, dt = np.random.default_rng(4), Estimator(settings_for(None, robot)), 0.05
+    estimator.start(Pose(0.0, 0.0, 0.0), 0.0, Pose(0.0, 0.0, 0.0))
+    for tick in range(1, 400):
+        reported = Pose(v * tick * dt + noise_m * rng.normal(), noise_m * rng.normal(), 0.0)
+        estimator.odometry(reported, Velocity(v + noise_m_s * rng.normal(), 0.0), tick * dt)
+        assert not estimator.fault
+    assert estimator.at(400 * dt).pose.x == pytest.approx(v * 400 * dt, rel=0.05)
+
+
 def test_past_estimate_is_that_of_its_moment():
     estimator, x, then = started(), 0.0, {}
     for tick in range(1, 31):

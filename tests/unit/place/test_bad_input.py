@@ -132,7 +132,7 @@ CASES = {
     ),
     "the dock was moved 10 cm nearer": Case("contact ", place={"proof": "contact"}, obstacles=(dock(-0.1),)),
     "no charge flows": Case(
-        "no charge within 10 s", error=DockError.FAILED_TO_CHARGE, place={"proof": "charging"}, charge=False
+        "no charge within 25 s", error=DockError.FAILED_TO_CHARGE, place={"proof": "charging"}, charge=False
     ),
 }
 

@@ -15,7 +15,7 @@ from deploy.view.trace import synapse_currents
 from rover_ncp.core.errors import NoBridge
 from rover_ncp.core.geometry import ORIGIN, Pose, distance
 from rover_ncp.course.course import Obstacle
-from rover_ncp.wire.messages import battery_state, odometry, read_odometry
+from rover_ncp.wire.messages import battery_state, bumpers, odometry, read_bumpers, read_odometry
 
 DOCK = Obstacle(x=2.365, y=1.0, length=0.1, width=0.6)
 """A wall that the front of a Pioneer 3-AT reaches at the place."""
@@ -130,6 +130,15 @@ def test_rover_that_stands_in_contact_with_its_dock_is_docked():
     drive = VirtualDocking(place(proof="contact", retries=0), Pose(2.0, 1.0, 0.0))
     dock = bumped(drive, lambda pose, now: pose.x > 1.995).run().dock
     assert (dock.success, dock.at, drove_m(drive)) == (True, "place", 0.0)
+
+
+@pytest.mark.parametrize("proof", ["contact", "pose"])
+def test_contact_of_the_other_end_is_no_dock(proof):
+    since = Since(1.95)
+    drive = VirtualDocking(place(proof=proof, retries=0), STAGING)
+    drive.link.change["bumpers"] = lambda data: bumpers(*reversed(read_bumpers(data)))
+    result = bumped(drive, since.briefly).run()
+    assert (result.exit_code, result.stopped_by, result.dock.success) == (4, "bumper", False)
 
 
 def test_bumper_that_opens_and_closes_in_the_dock_does_not_end_the_wait_for_the_charge(tmp_path):

@@ -24,7 +24,9 @@ Tasks = Annotated[list[str] | None, typer.Option(help="Only this task; may be re
 Agents = Annotated[
     list[str] | None, typer.Option(help="Only this agent; may be repeated.", show_default="all")
 ]
-Seeds = Annotated[list[int] | None, typer.Option(help="Only this seed; may be repeated.", show_default="all")]
+Seeds = Annotated[
+    list[int] | None, typer.Option(min=0, help="Only this seed; may be repeated.", show_default="all")
+]
 Results = Annotated[Path, typer.Option(help="Folder of the runs.")]
 RESULTS = Path("results")
 
@@ -65,7 +67,8 @@ def run_experiments(
     """Make the runs that do not exist yet.
 
     A run is one line of RESULTS/BUDGET/TASK.jsonl: settings, versions, learning curve, trained parameters.
-    An interrupted search continues from its last checkpoint when the command is repeated.
+    An interrupted search continues from its last checkpoint when the command is repeated, by the same commit;
+    not on a cluster.
 
         rover-ncp paper run --task parking
         rover-ncp paper run --task mountain-car --agent circuit --seed 3 --again

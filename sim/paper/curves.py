@@ -54,7 +54,7 @@ def curves_png(store: ResultStore) -> bytes:
 def average(runs: Sequence[Result]) -> tuple[Any, Any, Any]:
     """Return iterations (n,), and mean and standard deviation (n,) of the estimates of all runs."""
     curves = [np.array([(point[0], point[2]) for point in run.curve], np.float64) for run in runs]
-    marks = np.geomspace(1.0, max(2, *(run.evaluations - 1 for run in runs)), _POINTS)
+    marks = np.geomspace(1.0, max(2, *(run.settings["iterations"] for run in runs)), _POINTS)
     # Before a run's first estimate, that one counts.
     rows = [
         curve[np.maximum(np.searchsorted(curve[:, 0], marks, side="right") - 1, 0), 1] for curve in curves

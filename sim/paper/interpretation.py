@@ -17,9 +17,8 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.course.course import load_course
 from sim.learn.engine.rollout import Rollout, rollout
 from sim.paper.agents import build_agent
-from sim.paper.evaluator import Evaluator
 from sim.paper.results import Result, ResultStore
-from sim.paper.tasks import Benchmark, find_task
+from sim.paper.tasks import find_task
 
 FloatArray = NDArray[np.float64]
 
@@ -77,15 +76,12 @@ def clear_signs(found: Iterable[Counter[Sign]]) -> list[Sign]:
     return [sign for sign in signs if sign is not Sign.NONE]
 
 
-def time_constants(store: ResultStore, task: str) -> dict[str, tuple[float, float]]:
-    """Return the time constants in s of the best circuit over one episode, by neuron; empty without a run."""
-    result = best_circuit(store, task)
+def time_constants(store: ResultStore) -> dict[str, tuple[float, float]]:
+    """Return the time constants in s of the best parking circuit over its drive, by neuron."""
+    result = best_circuit(store, "parking")
     if result is None:
         return {}
-    policy, found = trained(result), find_task(task)
-    if isinstance(found, Benchmark):
-        potentials = Evaluator(found, policy).play(0).potentials
-    else:
-        potentials = rollout(policy, load_course("parking")).potentials
+    policy = trained(result)
+    potentials = rollout(policy, load_course("parking")).potentials
     ranges = time_constant_ranges(policy.circuit, potentials, policy.sensing.neurons)
     return {each.neuron: (each.lowest_s, each.highest_s) for each in ranges}

@@ -90,7 +90,7 @@ def summary_of(file: ClaimsFile, judged: Sequence[Judged]) -> str:
 def _in_short(claim: Judged) -> str:
     figure, theirs = claim.figure.partition(" [")[0], claim.against.partition(": ")[2]
     against = f" against {theirs}" if theirs else ""
-    return f"{claim.words} ({figure}{against})" if figure else claim.words
+    return f"{claim.words} ({figure}{against})" if figure and "→" not in claim.words else claim.words
 
 
 def answers(file: ClaimsFile, judged: Sequence[Judged]) -> str:
@@ -158,18 +158,18 @@ def iqm_table(store: ResultStore, budgets: Sequence[BudgetName]) -> str:
 
 def sign_table(store: ResultStore, file: ClaimsFile) -> str:
     """Return, for each pair, the circuits in which all readings of Definition 1 give one sign."""
-    rows: list[Row] = [("pair", "paper", "circuits with a clear sign")]
+    rows: list[Row] = [("pair", "circuits with a clear sign")]
     for claim in file.of("sign"):
         pair = claim.arguments["source"], claim.arguments["destination"]
         found = [readings(policy, drive, *pair) for policy, drive in drives(store)]
         clear = _counts(Counter(clear_signs(found))) or "none"
-        rows.append((" → ".join(pair), claim.arguments["expected"], f"{clear} of {len(found)}"))
+        rows.append((" → ".join(pair), f"{clear} of {len(found)}"))
     return markdown(rows)
 
 
 def time_constant_table(store: ResultStore, file: ClaimsFile) -> str:
     """Return the time constants of the best parking circuit beside the paper's."""
-    ours = time_constants(store, "parking")
+    ours = time_constants(store)
     [claim] = [claim for claim in file.claims if claim.name == "time-constants"]
     rows: list[Row] = [("neuron", "ours", "paper")]
     for neuron, (low, high) in claim.arguments["ranges"].items():

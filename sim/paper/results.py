@@ -4,14 +4,14 @@ import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FileError
-from rover_ncp.core.files import read_text, require_writable
+from rover_ncp.core.files import read_text
 from sim.learn.search.base import Vector
 from sim.paper import BudgetName
 
@@ -34,13 +34,18 @@ class Packed(StrictModel):
     shape: tuple[int, ...]
     float64: str
 
+    @model_validator(mode="after")
+    def _can_be_unpacked(self) -> Self:
+        self.array()
+        return self
+
     @classmethod
     def of(cls, array: Vector) -> "Packed":
         """Pack an array."""
         return cls(shape=array.shape, float64=array.astype("<f8").tobytes().hex())
 
     def array(self) -> Vector:
-        """Return the array. Raises ValueError where shape and digits do not fit."""
+        """Return the array."""
         return np.frombuffer(bytes.fromhex(self.float64), "<f8").astype(np.float64).reshape(self.shape)
 
 
@@ -65,17 +70,15 @@ class Result(RunSummary):
     """A finished run."""
 
     model_config = ConfigDict(extra="ignore")
-    """Lines of older versions say why a run ended."""
+    """Lines of other versions may say more."""
 
     name: RunName
     settings: dict[str, Any]
     made_with: dict[str, str]
     wall_s: float
     evaluations: int
-    curve: tuple[tuple[int | None, int | None, float], ...]
-    """Changes of the incumbent's estimate: (iterations, environment steps, estimate); None: not recorded."""
-    thinned: bool = False
-    """Whether points of the curve are missing."""
+    curve: tuple[tuple[int, int, float], ...]
+    """Changes of the incumbent's estimate: (iterations, environment steps, estimate); of PPO and A2C none."""
     parameters: Packed
     """The trained vector (P,)."""
 
@@ -84,12 +87,9 @@ class Result(RunSummary):
         """The score alone."""
         return Score(**self.model_dump(include=set(Score.model_fields)))
 
-    def value_after(self, iterations: int) -> float | None:
-        """Return the incumbent's estimate after so many iterations; None if the curve does not contain it."""
-        if self.thinned:
-            return None
-        reached = [value for count, _, value in self.curve if count is not None and count <= iterations]
-        return reached[-1] if reached else None
+    def value_after(self, iterations: int) -> float:
+        """Return the incumbent's estimate after so many iterations of a search."""
+        return [value for count, _, value in self.curve if count <= iterations][-1]
 
 
 class MadeRun(RunName, RunSummary):
@@ -160,14 +160,19 @@ class ResultStore:
                     yield from self._runs(path).values()
 
     def save(self, result: Result) -> None:
-        """Append a result to its file. Raises FileError."""
+        """Append a result to its file, after a line that was cut off too. Raises FileError."""
         path = self.path(result.name.task, result.name.budget)
-        require_writable(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(result.model_dump(), allow_nan=False) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
+        line = json.dumps(result.model_dump(), allow_nan=False) + "\n"
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open("a+b") as file:
+                if file.seek(0, os.SEEK_END) and file.seek(-1, os.SEEK_END) and file.read(1) != b"\n":
+                    line = f"\n{line}"
+                file.write(line.encode())
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise FileError(f"{path}: cannot be written: {error.strerror}") from error
         self._read.pop(path, None)
 
     def _runs(self, path: Path) -> dict[tuple[str, int], Result]:
@@ -183,5 +188,7 @@ def _load(path: Path) -> dict[tuple[str, int], Result]:
             result = Result.model_validate(json.loads(line))
         except (ValueError, ValidationError) as error:
             raise FileError(f"{path}: line {number} is damaged or is no run; delete the line") from error
+        if (result.name.budget, result.name.task) != (path.parent.name, path.stem):
+            raise FileError(f"{path}: line {number} is the run {result.name}, which belongs to another file")
         found[result.name.agent, result.name.seed] = result
     return found

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.errors import RoverNcpError
 from sim.learn.cluster import DaskCluster
 from sim.learn.engine.networks import Net
 from sim.learn.record import made_with
@@ -31,6 +32,7 @@ _EPISODES = 100
 _NETWORK_SETTINGS = (10, 5, "published-network", 20_000)
 """Rollouts, worst rollouts and iterations of the published search of MLP and LSTM."""
 _QUICK_ITERATIONS = 30
+_source = cache(made_with)  # a process loads its code once
 TOLERANCE = 1e-9
 """Difference in a return that another machine may make. A half-cheetah's contacts amplify a last bit, so its
 replay is compared by its verdict."""
@@ -82,12 +84,6 @@ def train_run(name: RunName, state: Path | None = None) -> Result:
         parameters=Packed.of(found.vector),
         **score(task, agent, found.vector, name.seed, settings.get("warm_up", 0)).model_dump(),
     )
-
-
-@cache
-def _source() -> dict[str, str]:
-    """Return what made the runs of this process, which loads its code once."""
-    return made_with()
 
 
 def _made_with(task: Task, agent: str) -> dict[str, str]:
@@ -154,8 +150,8 @@ def make_runs(
 ) -> None:
     """Make runs, as many at once as there are processes, or on a Dask cluster; save each as it ends.
 
-    After an interruption, a search continues from its last checkpoint when it is requested again. Raises
-    UsageError before the first run begins, and WorkerDied.
+    After an interruption, a search continues from its last checkpoint when it is requested again, except on a
+    cluster. Raises UsageError before the first run begins; after the others, the error of a run; WorkerDied.
     """
     _require(names)
     count = min(processes or available_processes(), len(names))
@@ -166,11 +162,18 @@ def make_runs(
         runs = [
             workers.submit(train_run, name, None if cluster else store.checkpoint(name)) for name in names
         ]
+        errors: list[RoverNcpError] = []
         for run in as_completed(runs):
-            result = run.result()
+            try:
+                result = run.result()
+            except RoverNcpError as error:  # the others go on
+                errors.append(error)
+                continue
             store.save(result)
             store.checkpoint(result.name).unlink(missing_ok=True)
             on_result(result)
+        if errors:
+            raise errors[0]
 
 
 def _require(names: Sequence[RunName]) -> None:

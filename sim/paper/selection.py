@@ -29,7 +29,7 @@ class Group(NamedTuple):
         """Return the group's runs, or those of the seeds given."""
         return [
             RunName(task=self.task, agent=self.agent, seed=seed, budget=self.budget)
-            for seed in seeds or range(self.runs)
+            for seed in dict.fromkeys(seeds or range(self.runs))
         ]
 
 
@@ -72,6 +72,6 @@ def select(
     groups.sort(key=lambda group: AGENTS.index(group.agent))
     if not groups:
         raise UsageError(
-            f"the budget {budget} has no such runs; rover-ncp paper report lists those of each budget"
+            f"the budget {budget} has no such runs; rover-ncp paper report --long lists those of each budget"
         )
     return [name for group in groups for name in group.names(seeds)]

@@ -95,7 +95,7 @@ def wilson(hits: int, of: int) -> tuple[float, float]:
 
 def even_odds(hits: int, of: int) -> float:
     """Return p of the sign test: a rate this far from one half by chance."""
-    return float(stats.binomtest(hits, of).pvalue)
+    return float(stats.binomtest(hits, of).pvalue) if of else 1.0
 
 
 def fisher(hits: int, of: int, their_hits: int, their_of: int) -> Estimate:

@@ -10,7 +10,7 @@ def result(task, agent, seed, mean, success=True, budget=BudgetName.PUBLISHED, *
     """Return a finished run with a return."""
     values = {
         "name": RunName(task=task, agent=agent, seed=seed, budget=budget),
-        "settings": {},
+        "settings": {"iterations": 50},
         "made_with": {"commit": "0123456789"},
         "wall_s": 2.0,
         "cpu_s": 1.0,

@@ -105,11 +105,11 @@ def test_a_stored_parking_circuit_is_explained_as_a_drive(monkeypatch):
 def test_the_paper_circuit_is_explained_in_words(monkeypatch):
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr("sim.explain.task.EPISODES", 2)
-    found = api.explain_task(None, "mountain-car")
+    found = api.explain_task(None, "cart-pole")
     text = markdown(found)
-    assert "`rover-ncp explain --task mountain-car --out FOLDER`" in text
+    assert "`rover-ncp explain --task cart-pole --out FOLDER`" in text
     assert "Action positive" in text
-    assert re.search(r"\[(position|velocity) [<>] 0\]", text)
+    assert re.search(r"\[(angle|rate) [<>] 0\]", text)
     shown = page(found)
     assert 'id="path-plot"' not in shown
     assert '"outputs":[["output0","action"]]' in shown

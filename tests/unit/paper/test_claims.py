@@ -80,9 +80,6 @@ def test_rate_within_some_iterations_is_read_from_the_curve(store):
     found = verdict(store, "rate", task="parking", hits=12, of=12, within=30)
     assert (found.verdict, found.figure[:7]) == (Verdict.DIFFERS, "0 of 10")
     assert verdict(store, "rate", task="parking", hits=12, of=12, within=40).figure[:8] == "10 of 10"
-    fill(store, "parking", "circuit", [-0.05] * 10, thinned=True)
-    found = verdict(store, "rate", task="parking", hits=12, of=12, within=40)
-    assert (found.verdict, found.why) == (Verdict.NOT_TESTED, "the curves are not complete")
 
 
 def test_value_is_equal_within_the_margin_or_differs(store):
@@ -148,7 +145,31 @@ def test_sign_has_a_verdict_only_where_all_readings_agree(store, monkeypatch):
     sign = {"source": "AVA", "destination": "RGT", "expected": "positive"}
     assert verdict(store, "sign", **sign).verdict is Verdict.REPRODUCED
     found = verdict(store, "sign", **sign)
-    assert (found.verdict, found.why) == (Verdict.INCONCLUSIVE, "fewer than 5 are clear")
+    assert (found.verdict, found.figure, found.why) == (
+        Verdict.INCONCLUSIVE,
+        "0 of 0, 8 unclear",
+        "p = 1, n = 0",
+    )
+
+
+@pytest.mark.parametrize(
+    ("positive", "antagonistic", "expected"),
+    [
+        (5, 0, Verdict.INCONCLUSIVE),
+        (6, 0, Verdict.REPRODUCED),
+        (0, 6, Verdict.DIFFERS),
+        (7, 1, Verdict.INCONCLUSIVE),
+    ],
+)
+def test_sign_is_decided_by_the_sign_test_over_clear_circuits(
+    store, monkeypatch, positive, antagonistic, expected
+):
+    clear = [{Sign.POSITIVE: 12}] * positive + [{Sign.ANTAGONISTIC: 12}] * antagonistic
+    signs = iter([*clear, {Sign.NONE: 12}])
+    monkeypatch.setattr(claims, "drives", lambda _: [(None, None)] * (len(clear) + 1))
+    monkeypatch.setattr(claims, "readings", lambda *_: next(signs))
+    found = verdict(store, "sign", source="AVA", destination="RGT", expected="positive")
+    assert found.verdict is expected
 
 
 def test_report_of_an_empty_folder_says_that_nothing_is_tested(store):

@@ -34,7 +34,7 @@ def test_last_line_of_a_name_counts(tmp_path):
     assert again.find(result("cart-pole", "mlp", 3, 0.0).name) == result("cart-pole", "mlp", 3, 2.0)
 
 
-def test_line_of_an_older_version_is_read(tmp_path):
+def test_line_of_another_version_is_read(tmp_path):
     store, saved = ResultStore(tmp_path), result("parking", "circuit", 0, -0.05)
     settings = {"rollouts": 1, "evaluations": 20_000, "starts": 1, "warm_up": 0, "prunes": False}
     store.save(saved.model_copy(update={"settings": settings}))
@@ -53,11 +53,45 @@ def test_damaged_line_is_named(tmp_path):
         ResultStore(tmp_path).find(saved.name)
 
 
+def test_run_after_a_line_that_was_cut_off_is_whole(tmp_path):
+    store = ResultStore(tmp_path)
+    store.save(result("cart-pole", "mlp", 0, 1.0))
+    path = store.path("cart-pole", BudgetName.PUBLISHED)
+    path.write_text(path.read_text() + '{"name": ')
+    store.save(result("cart-pole", "mlp", 1, 2.0))
+    lines = path.read_text().splitlines()
+    assert [len(lines), lines[1]] == [3, '{"name": ']
+    path.write_text(f"{lines[0]}\n{lines[2]}\n")
+    assert [run.mean for run in ResultStore(tmp_path).results("cart-pole", "mlp")] == [1.0, 2.0]
+
+
+@pytest.mark.parametrize(("task", "budget"), [("parking", "published"), ("cart-pole", "algorithm1")])
+def test_run_in_another_file_than_its_own_is_refused(tmp_path, task, budget):
+    store = ResultStore(tmp_path)
+    saved = result("cart-pole", "mlp", 0, 1.0)
+    store.save(saved)
+    path = store.path(task, budget)
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(store.path("cart-pole", BudgetName.PUBLISHED).read_text())
+    with pytest.raises(FileError, match=f"line 1 is the run {saved.name}"):
+        ResultStore(tmp_path).results(task, "mlp", budget)
+
+
+@pytest.mark.parametrize("changes", [{"float64": "zz"}, {"shape": [77]}])
+def test_parameters_that_cannot_be_unpacked_are_a_damaged_line(tmp_path, changes):
+    store, saved = ResultStore(tmp_path), result("cart-pole", "mlp", 0, 1.0)
+    store.save(saved)
+    path = store.path("cart-pole", BudgetName.PUBLISHED)
+    data = json.loads(path.read_text())
+    data["parameters"] |= changes
+    path.write_text(json.dumps(data) + "\n")
+    with pytest.raises(FileError, match="line 1 is damaged"):
+        ResultStore(tmp_path).find(saved.name)
+
+
 def test_values_come_from_complete_curves():
     found = result("cart-pole", "mlp", 0, 480.0, curve=((0, 10, 20.0), (7, 90, 480.0)))
     assert [found.value_after(count) for count in (0, 6, 7)] == [20.0, 20.0, 480.0]
-    assert found.model_copy(update={"thinned": True}).value_after(7) is None
-    assert found.model_copy(update={"curve": ((None, 10, 20.0),)}).value_after(9) is None
 
 
 def test_replay_may_differ_by_a_billionth_but_not_in_its_verdict():

@@ -121,11 +121,22 @@ def test_two_robots_that_publish_one_odometry_stop_the_rover(tmp_path):
         run.bridge.wait_for_line("the base is lost: two publishers on odom", 10.0)
 
 
-def test_check_measures_the_timeout_of_a_robot(tmp_path):
-    with RosRun(tmp_path, robot=["--rate", "40"]) as run:
-        about = ["--robot", run.robot, "--on-blocks", "--model", "turtlebot4"]
+@pytest.mark.parametrize(
+    ("hazards", "code", "name", "words"),
+    [
+        ("null", 0, "bridge", "measured_base_timeout_s: 0."),
+        ("hazard_detection", 1, "stop", "no message has come on hazard_detection"),  # it does not send them
+    ],
+)
+def test_check_measures_the_timeout_of_a_robot_whose_hazards_are_not_silent(
+    hazards, code, name, words, tmp_path
+):
+    model = tmp_path / "mine.yaml"
+    model.write_text(f"name: mine\nbased_on: turtlebot4\ntopics: {{hazards: {hazards}}}\n")
+    with RosRun(tmp_path, model=str(model), robot=["--rate", "40"]) as run:
+        about = ["--robot", run.robot, "--on-blocks", "--model", str(model)]
         with Process("check", about, tmp_path) as check:
             done = check.wait(60.0)
         findings = {finding["name"]: finding for finding in done.result["findings"]}
-        assert done.code == 0, findings
-        assert "measured_base_timeout_s: 0." in findings["bridge"]["detail"]
+        assert done.code == code, findings
+        assert words in findings[name]["detail"]

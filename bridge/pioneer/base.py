@@ -115,9 +115,11 @@ class ArcosBase:
                     passed.append(event)
         self._connection.write(self._session.data_to_send())
         # The configuration may arrive late: then it ends the lease that was granted before.
-        refusal, known = self.base_timeout.refusal, self._refusal
-        if self._was_ready and refusal != known:
+        refusal = self.base_timeout.refusal
+        if self._was_ready and refusal not in {"", self._refusal}:
+            passed.append(Notice(refusal))
+            if self._last.motors:
+                passed.append(Lost(refusal))
+        if self._was_ready:
             self._refusal = refusal
-            passed += [Notice(refusal)] if refusal else []
-            passed += [Lost(refusal)] if refusal and self._last.motors else []
         return passed

@@ -181,7 +181,7 @@ def value(
         mean_text(mean, std),
         verdict if comparable else Verdict.NOT_TESTED,
         f"n = {ours.runs} and {of}",
-        found.p,
+        found.p if comparable else None,
     )
 
 

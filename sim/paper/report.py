@@ -78,19 +78,20 @@ def long_report(store: ResultStore, judged: Sequence[Judged]) -> str:
 def summary_of(file: ClaimsFile, judged: Sequence[Judged]) -> str:
     """Return the claims that answer the page's questions, in words, by verdict."""
     answering = {name for names in file.questions.values() for name in names}
+    signs = {claim.name for claim in file.of("sign")}  # their figures need the table's head
     lines = []
     for verdict, head in _HEADS.items():
         shown = [claim for claim in judged if claim.verdict is verdict and claim.name in answering]
         others = sum(claim.verdict is verdict for claim in judged) - len(shown)
-        words = "; ".join(map(_in_short, shown)) or "none"
+        words = "; ".join(c.words if c.name in signs else _with_figure(c) for c in shown) or "none"
         lines.append(f"- **{head.capitalize()}** ({len(shown)}; in `--long` {others} more): {words}.")
     return "\n".join(lines)
 
 
-def _in_short(claim: Judged) -> str:
+def _with_figure(claim: Judged) -> str:
     figure, theirs = claim.figure.partition(" [")[0], claim.against.partition(": ")[2]
     against = f" against {theirs}" if theirs else ""
-    return f"{claim.words} ({figure}{against})" if figure and "→" not in claim.words else claim.words
+    return f"{claim.words} ({figure}{against})" if figure else claim.words
 
 
 def answers(file: ClaimsFile, judged: Sequence[Judged]) -> str:

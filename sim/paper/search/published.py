@@ -118,10 +118,7 @@ class PublishedOnCartPole(PublishedOnBenchmarks):
     """The published search of cart-pole, whose estimates take an iteration each."""
 
     rules: ClassVar[Mapping[ParameterKind, KindRule]] = _CART_RULES
-
-    @property
-    def iterations(self) -> int:
-        return max(self.evaluations - 1, 0)
+    iterations = RandomSearch.iterations
 
 
 @dataclass(frozen=True)

@@ -114,12 +114,11 @@ class ArcosBase:
                 case _:
                     passed.append(event)
         self._connection.write(self._session.data_to_send())
-        # The configuration may arrive late: then it ends the lease that was granted before.
         refusal = self.base_timeout.refusal
         if self._was_ready and refusal not in {"", self._refusal}:
-            passed.append(Notice(refusal))
-            if self._last.motors:
-                passed.append(Lost(refusal))
+            # A configuration that arrives late ends a lease that was granted before, also in this very turn.
+            begins = any(isinstance(event, Ready) for event in passed)
+            passed.append(Notice(refusal) if begins else Lost(refusal))
         if self._was_ready:
             self._refusal = refusal
         return passed

@@ -11,12 +11,15 @@ from kit.described import described
 from kit.virtual_drive import ChangedLink
 
 from bridge.gate.limits import Limits
+from bridge.pioneer.base_connection import Received
+from bridge.pioneer.framing import encode_frame
 from deploy.check import Battery, Preflight
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.signed_lease import NOT_ACCEPTED
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import SafetyStop
+from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import DeadBand, load_description
 from rover_ncp.wire.protocol import BaseReply, GateStatus
 from sim.base.faults import Faults, parse_fault
@@ -252,3 +255,19 @@ def test_a_pioneer_that_would_drive_on_for_longer_than_two_seconds_is_not_driven
     else:
         link.request_motors("driver")
     assert (link.gate.lease == 0) is refused
+
+
+def test_a_configuration_that_arrives_late_ends_the_lease_of_a_pioneer_that_must_not_be_driven():
+    robot = load_description("p3at-sh")
+    base = Firmware(robot, PymunkRover(described_rover(robot), Ground(())))
+    bridge = VirtualBridge(base)
+    bridge.sleep(3.0)
+    link = ChangedLink(bridge, lambda *_: None)
+    link.request_motors("driver")
+    late = with_watchdog(5000).encode()
+    bridge.connection.arrivals.append(Received(encode_frame(late.kind, late.payload)))
+    link.command(Velocity(0.1, 0.0))
+    bridge.sleep(0.3)
+    assert link.gate.lease == 0
+    with pytest.raises(SafetyStop, match="set WatchDog in its FLASH"):
+        link.request_motors("driver")

@@ -67,7 +67,7 @@ from rover_ncp.core.geometry import Pose, wrap_angle
 PUSH_POSES = 3
 """Poses that show a push of a rover that stands. Two of a camera that lags can agree by chance."""
 GAP_S = 10.0
-"""After a longer gap any odometry would fit, so none is accepted."""
+"""After a longer gap any motion would fit, so only odometry of a rover that stands is accepted."""
 WAITING_MAX = 100
 """Maximum number of poses that wait for odometry."""
 IRREGULAR_S = 10.0
@@ -157,10 +157,10 @@ class History:
             self._turn_began = began, angle, 0.0
         if t < self.t:
             return Applied(Outcome.OUT_OF_ORDER)
-        if t > self.t + GAP_S:
-            return Applied(Outcome.OUTLIER)
         stood = self._stands(z)
         fits = self._predicted(z, t, stood)[0] <= self._settings.gate
+        if t > self.t + GAP_S and not (stood and fits):
+            return Applied(Outcome.OUTLIER)
         if stood and not fits:  # declared noise may hide a slow motion
             stood, fits = False, self._predicted(z, t, False)[0] <= self._settings.gate
         irregular = not (fits and self._settings.uses_speeds and t > self._irregular_until)

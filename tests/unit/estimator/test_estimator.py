@@ -182,6 +182,25 @@ def test_declared_noise_does_not_hide_that_a_rover_creeps(noise_m, noise_m_s, v)
     assert estimator.at(400 * dt).pose.x == pytest.approx(v * 400 * dt, rel=0.05)
 
 
+@pytest.mark.parametrize("gap_s", [9.0, 11.0, 60.0])
+@pytest.mark.parametrize("noise_m", [0.0, 0.005])
+def test_a_rover_that_stands_may_wait_for_long_before_its_first_odometry(gap_s, noise_m):
+    """A long way is planned, and its accuracy predicted, between the start and the first sample."""
+    robot = described("husky-a200", odometry={"noise_m": noise_m})
+    estimator = Estimator(settings_for(None, robot))
+    estimator.start(Pose(0.0, 0.0, 0.0), 0.0, Pose(3.0, 0.0, 0.5))
+    assert estimator.odometry(Pose(3.0, 0.0, 0.5), STANDSTILL, gap_s) is Outcome.ACCEPTED
+    assert estimator.odometry(Pose(3.01, 0.005, 0.5), Velocity(0.1, 0.0), gap_s + 0.1) is Outcome.ACCEPTED
+    assert distance(estimator.at(gap_s + 0.1).pose, Pose(0.0, 0.0, 0.0)) < 0.02
+
+
+@pytest.mark.parametrize("away_m, v", [(0.3, 0.0), (0.05, 0.1)])
+def test_odometry_that_moved_in_a_long_gap_is_not_used(away_m, v):
+    estimator = Estimator()
+    estimator.start(Pose(0.0, 0.0, 0.0), 0.0, Pose(3.0, 0.0, 0.0))
+    assert estimator.odometry(Pose(3.0 + away_m, 0.0, 0.0), Velocity(v, 0.0), 11.0) is Outcome.OUTLIER
+
+
 def test_past_estimate_is_that_of_its_moment():
     estimator, x, then = started(), 0.0, {}
     for tick in range(1, 31):

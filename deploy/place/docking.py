@@ -36,7 +36,6 @@ from rover_ncp.course.scoring import (
     Parked,
     Verdict,
     pose_error,
-    pose_samples,
     probability_within,
 )
 from rover_ncp.course.slowdown import slowdown
@@ -52,6 +51,8 @@ CHARGER_M, CHARGER_RAD = 0.10, math.radians(10.0)
 """How far from the place a charge counts: farther away it is that of another charger."""
 CONTACT_S = 0.5
 """External poses of so long before contact count for its place; the rover has moved 2 cm meanwhile."""
+BOUNCE_S = 2.0
+"""How long after a miss a bumper may open and close while the rover backs out; it can only drive away."""
 CHARGE_S = 25.0
 """How long a docked rover waits for the charge, which some robots report each 10 s or later."""
 MIN_POSES = 3
@@ -110,8 +111,8 @@ class Docking:
         )
         self._leg(staging, self._retreat.way)  # compiles now, before the rover waits for it
         self._now: _Leg = self._retreat
-        self._began = 0
-        """Tick of the present leg's begin."""
+        self._began = self._index = 0
+        """Tick of the present leg's begin, and the present tick."""
         self.stage, self.over = Stage.NONE, False
         self._tries = self._stagings = 0
         self._gives_up = False
@@ -162,6 +163,8 @@ class Docking:
     @property
     def expects_contact(self) -> bool:
         """Whether contact ends a try, and not the drive."""
+        if self.stage is Stage.RETRY:
+            return self._index - self._began <= BOUNCE_S / TICK_S
         waits = self.stage is Stage.WAIT_FOR_CHARGE  # in the dock a bumper may open and close again
         return waits or (self.stage is Stage.CONTROLLING and not self._undock)
 
@@ -188,7 +191,7 @@ class Docking:
 
     def record_estimate(self, index: int, t: float) -> Estimate:
         """Return the estimate at time ``t``."""
-        self._estimate = self.estimator.at(t)
+        self._index, self._estimate = index, self.estimator.at(t)
         return self._estimate
 
     def _advance(self, index: int, t: float, estimate: Estimate) -> None:
@@ -225,13 +228,15 @@ class Docking:
 
     def _judge(self, index: int, t: float, contact: bool, charging: bool | None) -> None:
         """Judge the end of an approach."""
-        leg = self._approach.controller
+        leg, estimate = self._approach.controller, self.estimator.at(t)
         leg.record_estimate(index - self._began, t)
-        pose, proof = self.estimator.at(t).pose, self.place.proof
+        pose, proof = estimate.pose, self.place.proof
         verdict = leg.verdict()
         off = self.place.errors(pose)
         by_poses = self._by_poses(t, contact)
-        sure = self._contact_probability(t) if proof is Proof.CONTACT else verdict.probability
+        sure = verdict.probability
+        if proof is Proof.CONTACT:
+            sure = self.place.contact_probability(pose, estimate.covariance[:3, :3])
         assert sure is not None  # an estimate was judged
         self._judged = _Judged(sure, off, by_poses)
         in_line = abs(off.lateral_m) <= self.place.position_m and abs(off.yaw_rad) <= self.place.heading_rad
@@ -258,16 +263,6 @@ class Docking:
             self._missed(index, pose, DockError.FAILED_TO_CONTROL, why)
         else:
             self._end(DockError.NONE)
-
-    def _contact_probability(self, t: float) -> float:
-        """Return the probability that a contact is at the place, and the rover in line with it."""
-        estimate, place = self.estimator.at(t), self.place
-        turn, off = np.eye(3), place.errors(estimate.pose)
-        cos, sin = math.cos(place.goal.theta), math.sin(place.goal.theta)
-        turn[:2, :2] = [[cos, sin], [-sin, cos]]
-        mean = Pose(off.longitudinal_m, off.lateral_m, off.yaw_rad)
-        errors = np.abs(pose_samples(mean, turn @ estimate.covariance[:3, :3] @ turn.T))
-        return float(np.mean((errors <= (CONTACT_M, place.position_m, place.heading_rad)).all(axis=1)))
 
     def _missed(self, index: int, pose: Pose, error: DockError, why: str) -> None:
         """Go back to the staging pose."""

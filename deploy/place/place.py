@@ -5,12 +5,15 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from deploy.place.outcome import PoseErrors
 from rover_ncp.core.config import StrictModel, load_yaml
 from rover_ncp.core.geometry import Pose, compose, relative
 from rover_ncp.course.course import FAR_M, Angle, Name, Obstacle
+from rover_ncp.course.scoring import pose_samples
 
 SUFFIXES = {".yaml", ".yml"}
 MAX_OBSTACLES = 100
@@ -107,6 +110,15 @@ class Place(StrictModel):
         """Whether errors are within the tolerances."""
         away = math.hypot(off.longitudinal_m, off.lateral_m)
         return away <= self.position_m and abs(off.yaw_rad) <= self.heading_rad
+
+    def contact_probability(self, pose: Pose, covariance: NDArray[np.float64]) -> float:
+        """Return the probability that contact at a pose of ``covariance`` (3, 3) is at the place, in line."""
+        turn, off, theta = np.eye(3), self.errors(pose), self.goal.theta
+        cos, sin = math.cos(theta), math.sin(theta)
+        turn[:2, :2] = [[cos, sin], [-sin, cos]]
+        mean = Pose(off.longitudinal_m, off.lateral_m, off.yaw_rad)
+        errors = np.abs(pose_samples(mean, turn @ covariance @ turn.T))
+        return float(np.mean((errors <= (CONTACT_M, self.position_m, self.heading_rad)).all(axis=1)))
 
 
 def place_path(name: str) -> Path:

@@ -172,16 +172,26 @@ def test_report_of_a_charge_does_not_outlive_the_reports():
     assert (dock.success, dock.error_code) == (False, DockError.FAILED_TO_CHARGE)
 
 
-def test_rover_backs_out_at_once_from_contact_far_from_the_place():
+@pytest.mark.parametrize("bounces", [(), ((0.5, 0.7),), ((0.4, 0.5), (0.8, 1.0))])
+def test_rover_backs_out_at_once_from_contact_far_from_the_place(bounces):
     since, way = Since(1.5), []
     drive = VirtualDocking(place(retries=0), STAGING)
 
     def pressed(pose, now):
         way.append((since(pose, now), pose.x))
-        return since.briefly(pose, now)
+        return any(begin <= (way[-1][0] or 0.0) < end for begin, end in ((0.001, 0.3), *bounces))
 
-    assert not bumped(drive, pressed).run().dock.success
+    result = bumped(drive, pressed).run()
+    assert (result.exit_code, result.dock.error_code) == (1, DockError.FAILED_TO_CONTROL)
     assert next(x for s, x in way if s is not None and s > 4.0) < 1.4
+
+
+def test_contact_long_after_a_miss_ends_the_drive():
+    since = Since(1.5)
+    drive = VirtualDocking(place(retries=0), STAGING)
+    drive = bumped(drive, lambda pose, now: (s := since(pose, now)) is not None and not 0.3 <= s < 3.5)
+    result = drive.run()
+    assert (result.exit_code, result.stopped_by) == (4, "bumper")
 
 
 def test_stop_after_a_miss_is_told_as_the_reason():

@@ -22,7 +22,7 @@ ABOUT = {
         "Longer courses and starts farther from the course park less often. It drives by the pose that it "
         "gets: with encoders alone on a skid-steered base, its error is the error at the goal. It "
         "does not sense obstacles. No real robot has been measured. "
-        "[More conditions](../sim_to_real.md#another-physics).",
+        "[More conditions](../sim_to_real.md#results).",
     ),
     "dock": About(
         "The last 0.6 m of a docking, within 2 cm and 2°: what `deploy --to` drives from the staging pose.",

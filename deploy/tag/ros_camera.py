@@ -1,6 +1,7 @@
 """A camera of a ROS 2 robot: images, camera_info and tf_static from the robot's Zenoh router."""
 
 import contextlib
+import re
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -106,14 +107,23 @@ def ros_camera_file(source: str) -> CameraFile:
             if infos:
                 transforms = [each.payload.to_bytes() for each in statics]
                 try:
-                    return camera_file_of(infos[-1].payload.to_bytes(), transforms)
+                    return camera_file_of(
+                        infos[-1].payload.to_bytes(), transforms, rectified=is_rectified(where.topic)
+                    )
                 except FormatError as error:
                     missing = str(error)
     raise UsageError(f"camera {source}: {missing}; give --camera-file, with what is missing")
 
 
-def camera_file_of(info: bytes, statics: Sequence[bytes]) -> CameraFile:
+def is_rectified(topic: str) -> bool:
+    """Whether a topic's images are rectified, by its name: ``image_rect`` is image_proc's."""
+    return re.search(r"(^|[/_])rect(_|/|$)", topic) is not None
+
+
+def camera_file_of(info: bytes, statics: Sequence[bytes], *, rectified: bool = False) -> CameraFile:
     """Return a camera from its CameraInfo and the transforms of tf_static.
+
+    A ``rectified`` image has the matrix P, no distortion, and axes that R turns (sensor_msgs/CameraInfo).
 
     Raises FormatError if they are no messages of these types, or lead from the base to no camera, and
     ConfigError for intrinsics that cannot be used.
@@ -122,8 +132,12 @@ def camera_file_of(info: bytes, statics: Sequence[bytes]) -> CameraFile:
     for data in statics:
         frames.take(data)
     size, model = (int(message.width), int(message.height)), str(message.distortion_model)
-    intrinsics = camera_info(size, message.k.tolist(), model, message.d.tolist(), "camera_info")
+    k, d, turn = message.k, message.d, np.eye(3)
+    if rectified:
+        k, d = message.p.reshape(3, 4)[:, :3].ravel(), d[:0]
+        turn = message.r.reshape(3, 3) if message.r.any() else turn
+    intrinsics = camera_info(size, k.tolist(), model, d.tolist(), "camera_info")
     pose = frames.pose(BASE_FRAME, message.header.frame_id.lstrip("/"))
-    turns = Rotation.from_matrix(pose[:3, :3] @ OPTICAL.T).as_euler("ZYX")
+    turns = Rotation.from_matrix(pose[:3, :3] @ turn.T @ OPTICAL.T).as_euler("ZYX")
     mount = dict(zip(MOUNT_FIELDS, [*pose[:3, 3].tolist(), *turns.tolist()], strict=True))
     return validated({"intrinsics": intrinsics, "mount": mount}, CameraFile, "tf_static")

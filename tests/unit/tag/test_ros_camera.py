@@ -4,12 +4,15 @@ import math
 import struct
 import zlib
 
+import cv2
 import numpy as np
 import pytest
-from kit.tags import CAMERA, INFO, LENS, MAST, PICTURE, image, transform
+from kit.tags import CAMERA, HEADER, INFO, LENS, MAST, PICTURE, image, transform
+from scipy.spatial.transform import Rotation
 
+from deploy.tag.locate import OPTICAL
 from deploy.tag.relay import TransformPoses
-from deploy.tag.ros_camera import COMPRESSED, IMAGE, camera_file_of, read_image
+from deploy.tag.ros_camera import CAMERA_INFO, COMPRESSED, IMAGE, camera_file_of, is_rectified, read_image
 from deploy.tag.ros_source import RosSource
 from rover_ncp.core.errors import ConfigError, FormatError, UsageError
 from rover_ncp.wire.cdr import encode
@@ -75,6 +78,39 @@ def test_camera_of_ros_has_its_intrinsics_and_its_mount_by_the_frames_up_to_the_
     found = camera_file_of(INFO, [MAST, LENS])
     assert found.intrinsics == PICTURE
     assert found.mount.model_dump() == pytest.approx(CAMERA.mount.model_dump())
+
+
+@pytest.mark.parametrize(
+    ("topic", "rectified"),
+    [
+        ("camera/image_rect", True),
+        ("image_rect_color/compressed", True),
+        ("camera/rect/image", True),
+        ("image_raw", False),
+        ("direct/rectangle/image", False),
+    ],
+)
+def test_name_of_a_topic_tells_whether_its_images_are_rectified(topic, rectified):
+    assert is_rectified(topic) is rectified
+
+
+def test_rectified_image_shows_the_points_where_its_camera_is():
+    """The same points, raw and rectified (OpenCV), give the same directions from the base."""
+    size, turn = (640, 480), Rotation.from_euler("yx", (0.1, 0.05))
+    k, d = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), np.array([-0.3, 0.1, 0.001, 0.002, 0.0])
+    new, _ = cv2.getOptimalNewCameraMatrix(k, d, size, 0.5)
+    pixels = np.array([[[100.0, 90]], [[320, 240]], [[500, 400]]])
+    moved = cv2.undistortPoints(pixels, k, d, R=turn.as_matrix(), P=new)
+    about = {"header": HEADER, "width": size[0], "height": size[1], "distortion_model": "plumb_bob"}
+    p = np.hstack([new, [[7.0], [0], [0]]])
+    info = encode(CAMERA_INFO, **about, d=d, k=k.ravel(), r=turn.as_matrix().ravel(), p=p.ravel())
+    ways = []
+    for points, rectified in ((pixels, False), (moved, True)):
+        found = camera_file_of(info, [MAST, LENS], rectified=rectified)
+        flat = cv2.undistortPoints(points, found.intrinsics.matrix, np.array(found.intrinsics.distortion))
+        ahead = cv2.convertPointsToHomogeneous(flat)[:, 0] @ (found.mount.rotation @ OPTICAL).T
+        ways.append(ahead / np.linalg.norm(ahead, axis=1)[:, None])
+    assert ways[0] == pytest.approx(ways[1], abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ CHARGER_M, CHARGER_RAD = 0.10, math.radians(10.0)
 CONTACT_S = 0.5
 """External poses of so long before contact count for its place; the rover has moved 2 cm meanwhile."""
 BOUNCE_S = 2.0
-"""How long after a miss a bumper may open and close while the rover backs out; it can only drive away."""
+"""How long a bumper may open and close as the rover begins to back out; it can only drive away."""
 CHARGE_S = 25.0
 """How long a docked rover waits for the charge, which some robots report each 10 s or later."""
 MIN_POSES = 3
@@ -133,6 +133,9 @@ class Docking:
         self.estimator.start(pose, t, odometry, unseen)
         off, out_m = self.place.errors(pose), self.place.out_m(pose)
         in_line = abs(off.lateral_m) <= STAGED_M and abs(off.yaw_rad) <= STAGED_RAD
+        # Whatever it begins with, the rover may drive the approach, or all of it backward.
+        if blocked := in_the_way(self.place, self._approach.way, self._config.described):
+            raise SafetyStop("start-pose", blocked)
         problem = ""
         if in_line and CONTACT_M < out_m < self.place.staging_m - STAGED_M:
             # It may stand in the dock: it does not turn on the spot there.
@@ -145,8 +148,7 @@ class Docking:
         elif self._undock:
             problem = f"the rover does not stand in {self.place.name}, but {off} of it"
         else:
-            problem = in_the_way(self.place, self._approach.way, self._config.described)
-            problem = problem or self._to_staging(0, pose)
+            problem = self._to_staging(0, pose)
         if problem:
             raise SafetyStop("start-pose", problem)
 
@@ -163,10 +165,10 @@ class Docking:
     @property
     def expects_contact(self) -> bool:
         """Whether contact ends a try, and not the drive."""
-        if self.stage is Stage.RETRY:
+        if self._undock or self.stage is Stage.RETRY:
             return self._index - self._began <= BOUNCE_S / TICK_S
-        waits = self.stage is Stage.WAIT_FOR_CHARGE  # in the dock a bumper may open and close again
-        return waits or (self.stage is Stage.CONTROLLING and not self._undock)
+        # In the dock a bumper may open and close again.
+        return self.stage in {Stage.CONTROLLING, Stage.WAIT_FOR_CHARGE}
 
     @property
     def leading_end(self) -> int:

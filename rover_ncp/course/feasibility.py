@@ -208,9 +208,10 @@ def _clearance(
     reach, poses = float(np.hypot(*rover.T).max()), reference.poses.tolist()
     for which, obstacle in enumerate(course.obstacles, 1):
         corners = _corners(obstacle)
-        away = np.hypot(*(reference.poses[:, :2] - [obstacle.x, obstacle.y]).T)
-        # No gap is smaller than this: most poses are too far away to matter.
-        bounds = away - reach - 0.5 * math.hypot(obstacle.length, obstacle.width)
+        away = (reference.poses[:, :2] - [obstacle.x, obstacle.y]) @ _turn(-obstacle.theta)
+        beyond = np.maximum(np.abs(away) - [obstacle.length / 2, obstacle.width / 2], 0.0)
+        # No gap is smaller than this: most poses are too far away to matter, also those beside a long wall.
+        bounds = np.hypot(*beyond.T) - reach
         for k in np.argsort(bounds).tolist() if measure else ():
             if bounds[k] >= least:
                 break
@@ -237,9 +238,14 @@ def _corners(obstacle: Obstacle) -> FloatArray:
 
 
 def _placed(corners: FloatArray, pose: list[float]) -> FloatArray:
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    placed: FloatArray = corners @ np.array([[cos, sin], [-sin, cos]]) + np.array(pose[:2])
+    placed: FloatArray = corners @ _turn(pose[2]) + np.array(pose[:2])
     return placed
+
+
+def _turn(angle: float) -> FloatArray:
+    """Return the matrix that turns rows (k, 2) by an angle."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    return np.array([[cos, sin], [-sin, cos]])
 
 
 def _gap(a: FloatArray, b: FloatArray) -> float:

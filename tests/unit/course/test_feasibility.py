@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from rover_ncp.core.files import shipped_names
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.course.course import Checkpoint, Course, Obstacle, load_course
-from rover_ncp.course.feasibility import Cause, check_course
+from rover_ncp.course.feasibility import Cause, check_course, clearance_at
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX
 from rover_ncp.robot.description import load_description
 from sim.world.described import default_rover
@@ -135,3 +135,22 @@ def test_the_outline_lies_around_the_centre_of_rotation():
     burger = load_description("turtlebot3-burger")
     assert check_course(behind, burger).clearance_m == pytest.approx(0.15 - 0.105)
     assert check_course(ahead, burger).clearance_m == pytest.approx(0.15 - 0.041)
+
+
+@settings(max_examples=30)
+@given(
+    st.builds(
+        Obstacle,
+        x=st.floats(-0.5, 1.5),
+        y=st.floats(-2.0, 2.0),
+        theta=st.floats(-math.pi, math.pi),
+        length=st.floats(0.05, 6.0),
+        width=st.floats(0.05, 0.5),
+    )
+)
+def test_an_obstacle_of_any_shape_counts_at_each_pose(obstacle):
+    robot = load_description("turtlebot4")
+    found = check_course(course_of(*AHEAD, obstacles=(obstacle,)), robot)
+    gaps = [clearance_at(Pose(*pose), [obstacle], robot) for pose in found.reference.poses.tolist()]
+    assert found.clearance_m == pytest.approx(min(gaps), abs=1e-9)
+    assert any(problem.cause is Cause.OBSTACLE for problem in found.problems) == (min(gaps) == 0.0)

@@ -186,6 +186,19 @@ def test_rover_backs_out_at_once_from_contact_far_from_the_place(bounces):
     assert next(x for s, x in way if s is not None and s > 4.0) < 1.4
 
 
+@pytest.mark.parametrize(("again_s", "code"), [(0.4, 0), (3.0, 4)])
+def test_bumper_may_bounce_as_the_rover_begins_to_undock(again_s, code):
+    drive, left_s = VirtualDocking(place(), Pose(2.0, 1.0, 0.0), undock=True), []
+
+    def pressed(pose, now):
+        if pose.x < 1.9995 and not left_s:
+            left_s.append(now)
+        gone_s = now - left_s[0] if left_s else 0.0
+        return gone_s < 0.1 or again_s <= gone_s < again_s + 0.2
+
+    assert bumped(drive, pressed).run().exit_code == code
+
+
 def test_contact_long_after_a_miss_ends_the_drive():
     since = Since(1.5)
     drive = VirtualDocking(place(retries=0), STAGING)
@@ -335,6 +348,15 @@ def test_rover_undocks_from_contact_without_any_pose():
     result = drive.run()
     assert (result.dock.success, result.pose.placed, result.verdict) == (True, False, "parked, uncertain")
     assert drive.off[0] == pytest.approx(-0.7, abs=0.05)
+
+
+@pytest.mark.parametrize(("x", "undock"), [(2.0, True), (2.0, False), (1.5, False)])
+def test_drive_that_begins_in_the_line_of_approach_checks_its_obstacles_too(x, undock):
+    where = place(obstacles=[{"x": 1.3, "y": 1.1, "length": 0.1, "width": 0.3}])
+    drive = VirtualDocking(where, Pose(x, 1.0, 0.0), undock=undock)
+    result = drive.run()
+    assert (result.exit_code, result.stopped_by, drove_m(drive)) == (4, "start-pose", 0.0)
+    assert "the approach touches obstacle 1" in result.reason
 
 
 def test_rover_elsewhere_does_not_undock():

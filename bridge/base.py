@@ -37,6 +37,8 @@ class BaseReport:
     """0 = not reported."""
     charging: bool | None = None
     """None = not known."""
+    battery_age_s: float = 0.0
+    """Age of the battery's state: some robots report it seldom."""
     motors_on: bool = True
     stop_pressed: bool = False
     stalled: tuple[bool, bool] = (False, False)

@@ -85,7 +85,7 @@ def run(address: BridgeAddress, robot: RobotDescription | None = None) -> CheckR
 
 
 class Battery:
-    """The newest battery voltage (V) among the link's messages; NaN without one."""
+    """The newest battery voltage (V) among the link's messages: 0 if it is not known, NaN without one."""
 
     voltage = math.nan
 
@@ -93,7 +93,8 @@ class Battery:
         """Read a message, as the link's recorder."""
         if message.topic == "battery_state":
             try:
-                self.voltage = decode(message.type, message.data).voltage
+                volts = decode(message.type, message.data).voltage
+                self.voltage = volts if math.isfinite(volts) else 0.0
             except FormatError:
                 self.voltage = math.nan
 

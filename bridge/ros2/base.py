@@ -70,7 +70,7 @@ OWN_S = 2.0
 COAST_S, DRIVES_ALONE_S = 2.0, 0.5
 """A robot that still drives so long after the last command, for so long, is driven by another."""
 MOVING_M_S, MOVING_RAD_S = 0.05, 0.15
-_NO_BATTERY = BatterySample(0.0, None)
+_NO_BATTERY = BatterySample(0, 0.0, None)
 BATTERY_S = 60.0
 """A battery's state is that of the robot for so long. Some robots report it every 10 s."""
 _BUMPERS = frozenset({BUMP, CLIFF, WHEEL_DROP})
@@ -293,6 +293,7 @@ class Ros2Base:
             age_s=moved.age_s,
             battery_v=battery.voltage,
             charging=battery.charging,
+            battery_age_s=now - self._battery_s if battery is self._battery else 0.0,
             stop_pressed=self._stop_pressed,
             stalled=(STALL in self._hazards, STALL in self._hazards),
             # Bumpers and cliff sensors are in front. With a dropped wheel no direction is free.

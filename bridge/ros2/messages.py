@@ -57,7 +57,9 @@ def _echoes(ranges: Mapping[int, float], robot: RobotDescription) -> list[tuple[
 def each_second(report: BaseReport, robot: RobotDescription, stamp_ns: int) -> dict[str, bytes]:
     """Return the messages that go out once a second, by key."""
     return {
-        "battery_state": messages.battery_state(report.battery_v, stamp_ns, charging=report.charging),
+        "battery_state": messages.battery_state(
+            report.battery_v, stamp_ns - round(report.battery_age_s * 1e9), charging=report.charging
+        ),
         # Repeated for late subscribers that do not query earlier samples.
         "tf_static": messages.transforms(sensor_frames(robot), stamp_ns),
     }

@@ -27,7 +27,8 @@ from deploy.drive.start import StartDetector
 from deploy.drive.tick_messages import Publisher
 from deploy.estimator.estimator import Estimate
 from deploy.estimator.measurements import Outcome
-from deploy.place.docking import Docking, Evidence
+from deploy.place.docking import Docking
+from deploy.place.outcome import Evidence
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import SafetyStop, UnreachableError
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
@@ -332,7 +333,7 @@ class Drive:
         """Give a docking what the base reports beside its motion, and return it for the record."""
         # What is pressed when the lease is granted does not end it.
         touched = self._touched or (self.estimate is None and self._link.pressed[docking.leading_end])
-        evidence = Evidence(touched, self._link.charging(now_ns))
+        evidence = Evidence(touched, self._link.charging(now_ns), self._link.battery_reports)
         docking.note(evidence)
         return evidence
 

@@ -27,7 +27,9 @@ LAST, STEPS_BACK = 20, 4
 
 
 CHARGING_NS = 3_000_000_000
-"""The bridge reports the battery once a second."""
+"""Longest time without a message of the battery: the bridge sends it once a second."""
+REPEATED_NS = 500_000_000
+"""Stamps that differ by no more are of one report of the battery."""
 
 
 class Arrival(NamedTuple):
@@ -117,7 +119,9 @@ class Link(ABC):
         """Whether they are pressed, by the newest message."""
         self.lease = DriverLease()
         self._charging: tuple[bool | None, int] = None, 0
-        """The newest report whether the battery charges, and the moment of its arrival."""
+        """Whether the battery charges by the newest message, and the moment of its arrival."""
+        self.battery_reports = self._battery_stamp_ns = 0
+        """Number of reports of the battery, of which a message may repeat the last, and that one's stamp."""
 
     def receive(self, name: str, arrival: Arrival) -> None:
         """Store a message of the bridge; an unreadable gate status is ignored."""
@@ -133,7 +137,10 @@ class Link(ABC):
                     self.gate = parse_json(GateStatus, read_text(arrival.data))
             case "battery_state":
                 with contextlib.suppress(FormatError):
-                    self._charging = read_battery(arrival.data).charging, arrival.arrival_ns
+                    battery = read_battery(arrival.data)
+                    self._charging = battery.charging, arrival.arrival_ns
+                    self.battery_reports += abs(battery.stamp_ns - self._battery_stamp_ns) > REPEATED_NS
+                    self._battery_stamp_ns = battery.stamp_ns
             case "bumpers":
                 with contextlib.suppress(FormatError):
                     front, rear = self.pressed = read_bumpers(arrival.data)

@@ -11,7 +11,7 @@ from pydantic import Field
 from deploy.drive.config import DriveConfig
 from deploy.drive.measurements import SampleRef
 from deploy.estimator.estimator import Estimate
-from deploy.place.docking import Evidence
+from deploy.place.outcome import Evidence
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
 from rover_ncp.core.config import StrictModel, dump_yaml, parse_yaml, read_yaml

@@ -23,7 +23,7 @@ from deploy.drive.controller import Controller, Tick, take
 from deploy.drive.start import median_pose
 from deploy.estimator.estimator import Estimate, Estimator
 from deploy.estimator.measurements import Outcome
-from deploy.place.outcome import DockError, DockResult, PoseErrors, Stage
+from deploy.place.outcome import DockError, DockResult, Evidence, PoseErrors, Stage
 from deploy.place.place import CONTACT_M, Place, Proof
 from deploy.place.plan import FAR_M, Way, approach, in_the_way, retreat, tail, to_staging
 from rover_ncp.circuit.policy import Policy
@@ -64,14 +64,6 @@ BLIND_S = 60.0
 """How long the rover may move by odometry alone, where poses are lost."""
 MAX_STAGINGS = 5
 """Ways to the staging pose in one drive."""
-
-
-class Evidence(NamedTuple):
-    """What the base reports beside its motion."""
-
-    contact: bool = False
-    """A bumper or a stall revoked the lease since the last tick, or a bumper was pressed at the first one."""
-    charging: bool | None = None
 
 
 class _TailEstimator(Estimator):
@@ -117,7 +109,7 @@ class Docking:
         self._tries = self._stagings = 0
         self._gives_up = False
         """Whether no further try can succeed."""
-        self._evidence, self._charge_until = Evidence(), math.inf
+        self._evidence, self._charge_until, self._known_reports = Evidence(), math.inf, 0
         self._poses: deque[tuple[float, Pose]] = deque(maxlen=KEPT_POSES)
         """Times and values of the newest external poses."""
         self._potentials = self._approach.controller.potentials
@@ -198,7 +190,8 @@ class Docking:
 
     def _advance(self, index: int, t: float, estimate: Estimate) -> None:
         """Go on to the next stage if the present one is over."""
-        contact, charging = self._evidence
+        contact, charging, reports = self._evidence
+        is_new = reports > self._known_reports
         ended = index - self._began >= self._now.way.course.ticks
         if self._config.dry_run and ended and self._began >= 0:
             way = self._now.way.course
@@ -213,22 +206,22 @@ class Docking:
             case Stage.CONTROLLING if self._undock and ended:
                 self._end(DockError.FAILED_TO_CONTROL, "the rover is not at the staging pose")
             case Stage.CONTROLLING if not self._undock and (contact or ended):
-                self._judge(index, t, contact, charging)
-            case Stage.WAIT_FOR_CHARGE if charging:
+                self._judge(index, t, contact)
+            case Stage.WAIT_FOR_CHARGE if charging and is_new:
                 self._end(DockError.NONE)
             case Stage.WAIT_FOR_CHARGE if t >= self._charge_until and charging is None:
                 self._gives_up = True
                 words = "battery_state does not tell whether the battery charges: unknown, or full"
                 self._missed(index, estimate.pose, DockError.FAILED_TO_CHARGE, words)
             case Stage.WAIT_FOR_CHARGE if t >= self._charge_until:
-                words = f"no charge within {CHARGE_S:g} s"
+                words = f"no {'charge' if is_new else 'new battery_state'} within {CHARGE_S:g} s"
                 self._missed(index, estimate.pose, DockError.FAILED_TO_CHARGE, words)
             case Stage.RETRY if ended and (self._gives_up or self._tries > self.place.retries):
                 self.over = True
             case Stage.RETRY if ended:
                 self._staged(index, estimate.pose)
 
-    def _judge(self, index: int, t: float, contact: bool, charging: bool | None) -> None:
+    def _judge(self, index: int, t: float, contact: bool) -> None:
         """Judge the end of an approach."""
         leg, estimate = self._approach.controller, self.estimator.at(t)
         leg.record_estimate(index - self._began, t)
@@ -258,8 +251,10 @@ class Docking:
             why = f"{by_poses} of the place by the external poses alone, {where}"
         elif proof is Proof.POSE and verdict.words is not Parked.YES:
             why = verdict.reason or f"within the tolerances with a probability of {sure:.0%}"
-        elif proof is Proof.CHARGING and not charging:
-            self.stage, self._charge_until = Stage.WAIT_FOR_CHARGE, t + CHARGE_S
+        elif proof is Proof.CHARGING:
+            # An earlier report may be of another place.
+            self._charge_until, self._known_reports = t + CHARGE_S, self._evidence.battery_reports
+            self.stage = Stage.WAIT_FOR_CHARGE
             return
         if why:
             self._missed(index, pose, DockError.FAILED_TO_CONTROL, why)

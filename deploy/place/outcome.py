@@ -2,6 +2,7 @@
 
 import math
 from enum import IntEnum, StrEnum
+from typing import NamedTuple
 
 from pydantic import BaseModel, Field
 
@@ -29,6 +30,16 @@ class DockError(IntEnum):
     FAILED_TO_CONTROL = 905
     FAILED_TO_CHARGE = 906
     UNKNOWN = 999
+
+
+class Evidence(NamedTuple):
+    """What the base reports beside its motion."""
+
+    contact: bool = False
+    """A bumper or a stall revoked the lease since the last tick, or a bumper was pressed at the first one."""
+    charging: bool | None = None
+    battery_reports: int = 0
+    """Number of the battery's reports so far."""
 
 
 class PoseErrors(BaseModel):

@@ -6,6 +6,7 @@ are ns of one clock that is never set: in a recording that of `steady`, live the
 """
 
 import json
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from itertools import groupby
@@ -265,7 +266,8 @@ class Timeline:
             self.touched |= any(read_bumpers(message.data))
 
     def _read_battery(self, message: Recorded) -> None:
-        self.voltages.append(float(decode(message.type, message.data).voltage))
+        if math.isfinite(volts := float(decode(message.type, message.data).voltage)):
+            self.voltages.append(volts)
 
     def _read_dock(self, message: Recorded) -> None:
         self.dock = parse_json(DockResult, read_text(message.data))

@@ -79,6 +79,7 @@ class TurnSample(NamedTuple):
 class BatterySample(NamedTuple):
     """Voltage, which may be not finite, and whether it charges; None = not known."""
 
+    stamp_ns: int
     voltage: float
     charging: bool | None
 
@@ -260,24 +261,24 @@ def read_imu(data: bytes) -> TurnSample:
 
 
 def battery_state(voltage: float, stamp_ns: int, charging: bool | None = None) -> bytes:
-    """Return a BatteryState of a lead-acid pack; ``charging`` None: not known."""
+    """Return a BatteryState of a lead-acid pack; a voltage of 0 and ``charging`` None are not known."""
     unknown = ("temperature", "current", "charge", "capacity", "design_capacity", "percentage")
     return encode(
         BATTERY_STATE,
         header=header_of(stamp_ns, BASE_FRAME),
-        voltage=voltage,
+        voltage=voltage or math.nan,
         **dict.fromkeys(unknown, math.nan),
         power_supply_status=0 if charging is None else 1 if charging else 2,
         power_supply_technology=0,  # ROS's list has no lead-acid
-        present=True,
+        present=voltage > 0.0,
     )
 
 
 def read_battery(data: bytes) -> BatterySample:
-    """Read a BatteryState. Raises FormatError."""
+    """Read a BatteryState; one of status 4, full, may be on a charger or not. Raises FormatError."""
     message = decode(BATTERY_STATE, data)
-    status = message.power_supply_status  # 0 unknown, 2 discharging, 3 not charging, 4 full (charger or not)
-    return BatterySample(float(message.voltage), None if status in {0, 4} else status == 1)
+    charging = {0: None, 1: True, 4: None}.get(message.power_supply_status, False)
+    return BatterySample(read_stamp_ns(message.header), float(message.voltage), charging)
 
 
 def hazards(kinds: Sequence[int], stamp_ns: int) -> bytes:
@@ -330,15 +331,14 @@ def diagnostics(items: Sequence[Diagnostic], stamp_ns: int, hardware_id: str = "
         }
         for item in items
     ]
-    return encode(
-        "diagnostic_msgs/msg/DiagnosticArray", header=header_of(stamp_ns, BASE_FRAME), status=status
-    )
+    head = header_of(stamp_ns, BASE_FRAME)
+    return encode("diagnostic_msgs/msg/DiagnosticArray", header=head, status=status)
 
 
 def neurons(potentials: Sequence[float] | FloatArray, names: Sequence[str]) -> bytes:
     """Return potentials in mV as a Float64MultiArray whose label is the names, joined by commas."""
-    data = np.asarray(potentials, dtype=np.float64)
-    return encode(FLOATS, layout=_layout(",".join(names), len(data)), data=data)
+    layout = _layout(",".join(names), len(potentials))
+    return encode(FLOATS, layout=layout, data=np.asarray(potentials, np.float64))
 
 
 def read_neurons(data: bytes) -> dict[str, float]:

@@ -9,7 +9,7 @@ from kit.virtual_drive import VirtualDrive
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.geometry import Pose
-from rover_ncp.wire.messages import battery_state, pose_with_covariance
+from rover_ncp.wire.messages import battery_state, pose_with_covariance, read_battery
 from sim.stack.lines import WALL_NS
 from sim.world.pymunk_rover import Ground
 
@@ -60,5 +60,7 @@ class VirtualDocking(VirtualDrive):
 
 def charging(drive, value):
     """Have the base report that its battery charges or does not."""
-    drive.link.change["battery_state"] = lambda data: battery_state(12.5, 1, charging=value)
+    drive.link.change["battery_state"] = lambda data: battery_state(
+        12.5, read_battery(data).stamp_ns, charging=value
+    )
     return drive

@@ -14,7 +14,7 @@ from bridge.ros2.covariance import OdometryErrors, Variances
 from rover_ncp.core.files import shipped_names
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.key_table import spec
-from rover_ncp.wire.messages import decode, read_odometry, text
+from rover_ncp.wire.messages import decode, read_odometry, read_stamp_ns, text
 from rover_ncp.wire.protocol import dump_json
 
 ROBOT = ROBOTS["p3at-sh"]
@@ -84,7 +84,17 @@ def test_bumpers_battery_and_charging_as_far_as_it_is_known(charging, status):
     messages = sent(replace(STATE, charging=charging))
     assert list(messages["bumpers"].data) == [0b10, 0b1]
     battery = messages["battery_state"]
-    assert (battery.voltage, battery.power_supply_status) == (12.5, status)
+    assert (battery.voltage, battery.present, battery.power_supply_status) == (12.5, True, status)
+
+
+def test_battery_without_a_known_voltage_is_no_empty_one():
+    battery = sent(replace(STATE, battery_v=0.0))["battery_state"]
+    assert (math.isnan(battery.voltage), battery.present) == (True, False)
+
+
+def test_battery_has_the_stamp_of_its_own_report():
+    header = sent(replace(STATE, battery_age_s=7.5))["battery_state"].header
+    assert read_stamp_ns(header) == STAMP - 7_500_000_000
 
 
 def test_gate_status_has_the_driver_and_the_hold_reason():

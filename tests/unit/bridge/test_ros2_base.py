@@ -159,6 +159,7 @@ def test_battery_is_known_for_a_minute(ready, status, charging):
     ready.hear("battery_state", encode(BATTERY_STATE, voltage=11.5, power_supply_status=status))
     ready.run(59.0)
     assert (ready.reports[-1].battery_v, ready.reports[-1].charging) == (pytest.approx(11.5), charging)
+    assert ready.reports[-1].battery_age_s == pytest.approx(59.0, abs=0.2)
     ready.run(2.0)
     assert (ready.reports[-1].battery_v, ready.reports[-1].charging) == (0.0, None)
 

@@ -15,7 +15,14 @@ from deploy.view.trace import synapse_currents
 from rover_ncp.core.errors import NoBridge
 from rover_ncp.core.geometry import ORIGIN, Pose, distance
 from rover_ncp.course.course import Obstacle
-from rover_ncp.wire.messages import battery_state, bumpers, odometry, read_bumpers, read_odometry
+from rover_ncp.wire.messages import (
+    battery_state,
+    bumpers,
+    odometry,
+    read_battery,
+    read_bumpers,
+    read_odometry,
+)
 
 DOCK = Obstacle(x=2.365, y=1.0, length=0.1, width=0.6)
 """A wall that the front of a Pioneer 3-AT reaches at the place."""
@@ -147,7 +154,9 @@ def test_bumper_that_opens_and_closes_in_the_dock_does_not_end_the_wait_for_the_
     drive = VirtualDocking(where, STAGING, path=tmp_path / "bounce.mcap")
     bumped(drive, lambda pose, now: (s := since(pose, now)) is not None and not 1.0 < s < 1.3)
     drive.link.change["battery_state"] = lambda data: battery_state(
-        12.5, 1, charging=since.first_s is not None and drive.bridge.monotonic() - since.first_s > 5.0
+        12.5,
+        read_battery(data).stamp_ns,
+        charging=since.first_s is not None and drive.bridge.monotonic() - since.first_s > 5.0,
     )
     result = drive.run()
     assert (result.exit_code, result.dock.success, result.dock.num_retries) == (0, True, 0)
@@ -162,14 +171,20 @@ def test_base_that_does_not_tell_whether_it_charges_gets_one_try():
     assert (dock.at, drive.stands()) == ("staging pose", True)
 
 
-def test_report_of_a_charge_does_not_outlive_the_reports():
-    drive = VirtualDocking(place(proof="charging", retries=0), STAGING)
-    drive.link.change["battery_state"] = lambda data: (
-        battery_state(12.5, 1, charging=True) if drive.bridge.monotonic() - began_s < 5.0 else None
-    )
-    began_s = drive.bridge.monotonic()
+@pytest.mark.parametrize("sent", ["never again", "repeated"])
+def test_charge_that_was_reported_before_the_end_of_the_approach_proves_nothing(sent):
+    """A bridge repeats the last report of a robot's battery; a robot may be pushed off its charger."""
+    drive, stamps = VirtualDocking(place(proof="charging", retries=0), Pose(1.955, 1.0, 0.0)), []
+
+    def early(data):
+        stamps.append(read_battery(data).stamp_ns)
+        again = len(stamps) > 2
+        return None if again and sent == "never again" else battery_state(12.5, stamps[0], charging=True)
+
+    drive.link.change["battery_state"] = early
     dock = drive.run().dock
     assert (dock.success, dock.error_code) == (False, DockError.FAILED_TO_CHARGE)
+    assert len(stamps) > 20
 
 
 @pytest.mark.parametrize("bounces", [(), ((0.5, 0.7),), ((0.4, 0.5), (0.8, 1.0))])

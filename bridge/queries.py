@@ -78,7 +78,7 @@ class Answers:
             case "rover/motors":
                 return self._motors(query, now, gate)
             case "rover/stop":
-                return self._stop(parse_json(StopRequest, query.payload), now)
+                return self._stop(query, now)
             case "rover/base":
                 return self._about_base(query, now, gate)
             case _:
@@ -120,7 +120,13 @@ class Answers:
             },
         )
 
-    def _stop(self, request: StopRequest, now: float) -> StopReply:
+    def _stop(self, query: Query, now: float) -> StopReply:
+        try:
+            request = parse_json(StopRequest, query.payload)
+        except FormatError:
+            # Only a request that can be read may release. This one most likely was to stop the rover.
+            self._judge(Stop("a request that cannot be read"), now)
+            raise
         self._judge(ReleaseStop() if request.release else Stop(request.reason), now)
         return StopReply(stopped=not request.release, reason="" if request.release else request.reason)
 

@@ -103,9 +103,6 @@ def step(
     hazard = _hazard(state, limits, known_contact(state))
     if hazard is not None and state.lease is not None:
         state = _end_lease(state, hazard)
-    # A publisher may wait for a bridge that starts: the time before the first report is no hazard to it.
-    if hazard is not None and (hazard is not Reason.NO_BASE or state.base_s > -math.inf):
-        state = replace(state, untagged_pauses=True)
     held = hazard or _hold_reason(state, limits)
     if state.held is None and held not in {None, Reason.NO_LEASE}:
         state = replace(state, stops=_count(state.stops, held))
@@ -268,7 +265,6 @@ def _end_lease(state: GateState, reason: Reason | None) -> GateState:
         lease_over_detail="" if reason is None else describe(reason, state),
         target=None,
         motors_until_s=state.now + COAST_S,
-        untagged_pauses=True,
     )
 
 
@@ -351,8 +347,9 @@ def _tagged(state: GateState, tag: CommandTag, signed: bool, limits: Limits) -> 
 def _untagged(state: GateState, command: VelocityCommand, limits: Limits) -> _Admitted | Reason:
     """Check a plain ROS command by its stamp, if it has one, on synchronised wall clocks.
 
-    A valid one gets its lease without a request. After a lease of any driver or a hazard, a pause or a zero
-    command must come first, as when a user releases a stick: a publisher that never paused drives nothing.
+    A valid one gets its lease without a request. A pause or a zero command must come first, as when a user
+    releases a stick: a publisher that never paused drives nothing after a lease, a hazard, or a restart of
+    the bridge, which knows of no stop before it.
     """
     age = 0.0 if command.age_s is None else command.age_s
     if not abs(age) <= ROS_AGE_S:
@@ -361,7 +358,7 @@ def _untagged(state: GateState, command: VelocityCommand, limits: Limits) -> _Ad
         known = one_sided_contact(state) if command.velocity == STANDSTILL else NO_CONTACT
         refusal = _hazard(state, limits, known) or _flaw(command.velocity)
         paused = state.now - state.untagged_s >= UNTAGGED_PAUSE_S or command.velocity == STANDSTILL
-        if refusal is None and state.untagged_pauses and not paused:
+        if refusal is None and not paused:
             refusal = Reason.NO_LEASE
         if refusal is None:
             state, refusal = _enable(state, Enable("ros"), limits)

@@ -209,8 +209,6 @@ class GateState:
     motors_until_s: float = -math.inf
     untagged_s: float = -math.inf
     """When an untagged command that was not zero came last, accepted or not."""
-    untagged_pauses: bool = False
-    """Whether untagged commands must pause, or be zero, to get a lease: after the first lease or hazard."""
     accepted: int = 0
     dropped: Mapping[Reason, int] = field(default_factory=dict)
     """Commands that the gate dropped, by reason."""

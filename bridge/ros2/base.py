@@ -31,14 +31,14 @@ from bridge.inbox import RobotMessage
 from bridge.ros2.base_timeout import HALTED, TimeoutMeasurement, TimeoutRecord
 from bridge.ros2.discovery import Announced
 from bridge.ros2.gyro import GyroTurns
+from bridge.ros2.hazards import Hazards
 from bridge.ros2.odometry import CLOCK_BACK_S, LOSS_S, MIN_IN_RATE, RATE_S, Moved, RosOdometer
 from bridge.ros2.scan import ScanRoom
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.robot.description import RobotDescription, Topics
-from rover_ncp.wire.cdr import decode, encode
+from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import (
-    BOOL,
     BUMP,
     CLIFF,
     ODOMETRY,
@@ -49,7 +49,6 @@ from rover_ncp.wire.messages import (
     BatterySample,
     header_of,
     read_battery,
-    read_hazards,
 )
 from rover_ncp.wire.protocol import TimeoutState
 
@@ -145,10 +144,7 @@ class Ros2Base:
         self._driven_s = self._reported_s = -math.inf
         self._alone_since_s: float | None = None
         self._battery, self._battery_s = _NO_BATTERY, -math.inf
-        self._stop_pressed, self._hazards = False, frozenset[int]()
-        self._unheard = {topic for topic in (self._topics.stop, self._topics.hazards) if topic is not None}
-        self._unreadable: dict[str, str] = {}
-        """Topics of hazards on which no message came; those whose last one cannot be read, and why not."""
+        self._hazards = Hazards(self._topics)
         self._turns = GyroTurns()
         self._room = ScanRoom(description) if self._topics.scan is not None else None
         self._timeout = TimeoutRecord(description.measured_base_timeout_s, unsafe)
@@ -201,7 +197,7 @@ class Ros2Base:
 
     def health(self) -> LinkHealth:
         counters = self._odometer.counters | {"imu left out": self._turns.left_out}
-        silent = tuple(self._line.topic(topic) for topic in sorted(self._unheard))
+        silent = tuple(self._line.topic(topic) for topic in sorted(self._hazards.unheard))
         return LinkHealth(counters["unreadable"] > 0, counters, silent)
 
     @property
@@ -247,8 +243,8 @@ class Ros2Base:
                 self._turns.take(message.payload, now)
             elif topic == self._topics.scan and self._room is not None:
                 self._room.take(message.payload, now)
-            elif topic in {self._topics.stop, self._topics.hazards}:
-                self._hazard(topic, message.payload)
+            elif topic in self._hazards.topics:
+                self._hazards.take(topic, message.payload)
             elif topic == self._topics.battery_state:
                 battery = read_battery(message.payload)
                 if math.isfinite(battery.voltage):
@@ -256,19 +252,6 @@ class Ros2Base:
         except FormatError:
             self._odometer.counters["unreadable"] += 1
         return []
-
-    def _hazard(self, topic: str, payload: bytes) -> None:
-        """Take a stop or hazards. Raises FormatError; then the base is not ready until one can be read."""
-        self._unheard.discard(topic)
-        try:
-            if topic == self._topics.stop:
-                self._stop_pressed = bool(decode(BOOL, payload).data)
-            else:
-                self._hazards = read_hazards(payload)
-        except FormatError as error:
-            self._unreadable[topic] = str(error)
-            raise
-        self._unreadable.pop(topic, None)
 
     def _report(self, moved: Moved, now: float) -> list[BaseEvent]:
         v, omega = moved.velocity
@@ -287,6 +270,7 @@ class Ros2Base:
         events: list[BaseEvent] = [turn] if turn is not None else []
         x, y, theta = moved.pose
         ahead, behind = self._room.clear(now) if self._room is not None else (math.nan, math.nan)
+        stop_pressed, hazards = self._hazards.since_last()
         battery = self._battery if now - self._battery_s <= BATTERY_S else _NO_BATTERY
         report = BaseReport(
             *(x, y, theta, v, omega),
@@ -294,10 +278,10 @@ class Ros2Base:
             battery_v=battery.voltage,
             charging=battery.charging,
             battery_age_s=now - self._battery_s if battery is self._battery else 0.0,
-            stop_pressed=self._stop_pressed,
-            stalled=(STALL in self._hazards, STALL in self._hazards),
+            stop_pressed=stop_pressed,
+            stalled=(STALL in hazards, STALL in hazards),
             # Bumpers and cliff sensors are in front. With a dropped wheel no direction is free.
-            bumpers=(int(not self._hazards.isdisjoint(_BUMPERS)), int(WHEEL_DROP in self._hazards)),
+            bumpers=(int(not hazards.isdisjoint(_BUMPERS)), int(WHEEL_DROP in hazards)),
             clear_ahead_m=ahead,
             clear_behind_m=behind,
         )
@@ -357,9 +341,8 @@ class Ros2Base:
             self._contradictions[f"two publishers on {where}{named}"] = now
         recent = {reason: at for reason, at in self._contradictions.items() if now - at < CLEAR_S}
         self._contradictions = recent
-        unreadable = [
-            f"{self._line.topic(each)} cannot be read: {why}" for each, why in self._unreadable.items()
-        ]
+        hazards = self._hazards.unreadable.items()
+        unreadable = [f"{self._line.topic(each)} cannot be read: {why}" for each, why in hazards]
         if recent or unreadable:
             return [*recent, *unreadable][0]
         if not self._ready:

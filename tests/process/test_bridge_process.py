@@ -94,6 +94,19 @@ def test_rover_drives_stops_in_time_and_stops_again_at_ctrl_c(tmp_path):
     assert "\x1b" not in "".join(lines)
 
 
+def test_a_query_that_does_not_name_a_request_makes_none(tmp_path):
+    with LiveRun(tmp_path) as rig, Driver(rig.robot) as driver:
+        wait_for(lambda: driver.odom is not None)
+        for selector in ("**", "rover/*", "**/reset_odometry"):
+            replies = list(driver.session.get(selector, timeout=0.5))
+            assert any("is not the key" in reply.err.payload.to_string() for reply in replies if reply.err)
+            assert [reply for reply in replies if reply.ok] == []
+        assert driver.gate.stop_reason == ""
+        (reply,) = driver.session.get("**/stop", payload=b'{"reason": "all"}')
+        assert reply.ok is not None
+        wait_for(lambda: driver.gate.stop_reason == "all")
+
+
 @pytest.mark.parametrize("options", [(), ("--listen", "tcp/0.0.0.0:0", "--insecure")], ids=["", "insecure"])
 def test_no_robot_is_exit_3_once_the_bridge_listens(fails, options):
     assert fails(NO_ROBOT, *options) == (3, f"{NO_ROBOT}: connection refused: nothing listens there")

@@ -168,6 +168,26 @@ def test_a_request_that_cannot_be_read_is_refused_by_name(requester, name, paylo
         requester.rig.query(name, payload)
 
 
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"stop",
+        b'{"stop": true}',
+        b'{"reason": null}',
+        json.dumps({"reason": "x" * 250}).encode(),
+        b'{"release": true, "why": 1}',
+    ],
+)
+def test_a_stop_that_cannot_be_read_stops_and_releases_nothing(requester, payload):
+    requester.rig.wait_for(lambda: requester.motors().granted)
+    with pytest.raises(RuntimeError, match="StopRequest"):
+        requester.rig.query("rover/stop", payload)
+    requester.rig.wait_for(lambda: requester.gate.stop_reason == "a request that cannot be read")
+    assert requester.gate.lease == 0
+    assert requester.stop(release=True) is not None
+    requester.rig.wait_for(lambda: requester.motors().granted)
+
+
 def test_a_lost_answer_locks_all_drivers_out_until_the_lease_lapses(requester):
     """The lease and its key are granted, but the answer never reaches the driver."""
     first = requester.motors()

@@ -137,6 +137,20 @@ def test_gyro_battery_stop_button_and_hazards_are_passed_on(pressed):
     assert (report.battery_v, report.charging) == (pytest.approx(11.5), True)
 
 
+def test_a_stop_and_a_contact_that_end_before_the_next_odometry_are_passed_on_once():
+    topics = BURGER.topics.model_copy(update={"stop": "stop", "hazards": "hazard_detection"})
+    world = World(BURGER.model_copy(update={"topics": topics}))
+    world.run(2.0)
+    for pressed, kinds in ((True, (1,)), (False, (3,)), (False, ())):
+        world.hear("stop", encode(BOOL, data=pressed))
+        world.hear("hazard_detection", hazards(kinds, 0))
+    before = len(world.reports)
+    world.run(0.5)
+    found = [(report.stop_pressed, report.bumpers, report.stalled) for report in world.reports[before:]]
+    assert found[0] == (True, (1, 0), (True, True))
+    assert set(found[1:]) == {(False, (0, 0), (False, False))}
+
+
 def test_a_stop_button_that_is_silent_is_named_and_one_that_cannot_be_read_ends_the_drive():
     topics = BURGER.topics.model_copy(update={"stop": "stop", "hazards": "hazard_detection"})
     world = World(BURGER.model_copy(update={"topics": topics}))

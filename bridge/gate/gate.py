@@ -348,8 +348,8 @@ def _untagged(state: GateState, command: VelocityCommand, limits: Limits) -> _Ad
     """Check a plain ROS command by its stamp, if it has one, on synchronised wall clocks.
 
     A valid one gets its lease without a request. A pause or a zero command must come first, as when a user
-    releases a stick: a publisher that never paused drives nothing after a lease, a hazard, or a restart of
-    the bridge, which knows of no stop before it.
+    releases a stick: a publisher that never paused drives nothing after a lease or a hazard. The time before
+    the base's first report is one: a bridge that was restarted knows of no stop before.
     """
     age = 0.0 if command.age_s is None else command.age_s
     if not abs(age) <= ROS_AGE_S:

@@ -207,7 +207,7 @@ class Session:
             return None if sip is None else Input.SIP
         if packet.kind == Kind.SYNC2:
             self._names = decode_names(packet.payload)
-            return Input.STRANGER if self._robot() is None else Input.NAMES
+            return Input.STRANGER if self._robot() is None or self._contradicts() else Input.NAMES
         if packet.kind == Kind.CONFIG:
             self._config = ConfigPac.decode(packet.payload)
         if packet.kind == Kind.GYRO and self.state is SessionState.READY:
@@ -218,6 +218,14 @@ class Session:
 
     def _robot(self) -> RobotDescription | None:
         return self._chosen or ROBOTS.get(self._names[2].lower())
+
+    def _contradicts(self) -> bool:
+        """Whether the base says that it is another model than the chosen one: it would have other units.
+
+        A file of one's own may describe a base that calls itself something else.
+        """
+        reported, chosen = self._names[2].lower(), self._chosen
+        return reported in ROBOTS and chosen is not None and chosen.name in ROBOTS.keys() - {reported}
 
     # Actions.
 
@@ -275,10 +283,10 @@ class Session:
 
     def _do_refuse(self) -> None:
         self._send(Command.CLOSE)
-        known = ", ".join(ROBOTS)
-        self._events.append(
-            Failed(f"the base calls itself {self._names[2]!r}; give its model with --model: one of {known}")
-        )
+        remedy = f"give its model with --model: one of {', '.join(ROBOTS)}"
+        if self._chosen is not None:
+            remedy = f"leave out --model {self._chosen.name}, or describe the robot in a file"
+        self._events.append(Failed(f"the base calls itself {self._names[2]!r}; {remedy}"))
 
     def _do_first_sip(self) -> None:
         self._report = self._odometer.update(self._sip, self._now)

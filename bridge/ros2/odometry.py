@@ -49,6 +49,8 @@ class RosOdometer:
         self.restarts = 0
         """How often the origin was set anew, because the robot began again, and why the last time."""
         self.restart_reason = ""
+        self.jumps = 0
+        """How often the pose went on elsewhere than it was."""
         self.set_back_s = 0.0
         """By how much the robot's clock was set back, as the last message shows; else 0."""
         self._good_s = -math.inf
@@ -60,7 +62,7 @@ class RosOdometer:
         self._clock = StampClock()
         self._stamp_ns = 0
         self._seen: deque[tuple[float, Pose]] = deque(maxlen=2)
-        self._velocity = STANDSTILL
+        self._velocity, self._jumped = STANDSTILL, False
         self._alternations: deque[float] = deque(maxlen=ALTERNATIONS)
         self._clock_jumps: deque[float] = deque(maxlen=ALTERNATIONS)
         self._origin: Pose | None = None
@@ -165,13 +167,13 @@ class RosOdometer:
     def _moved(self, sample: OdometrySample, arrived_s: float, source: bytes | None) -> Moved:
         if self._seen and (reason := self._restarted(sample.pose, arrived_s, source)):
             self._restart(reason)
-        elif (
-            len(self._seen) == 2
-            and self._jumps(sample.pose, -1, arrived_s)
+        jumped = bool(self._seen) and self._jumps(sample.pose, -1, arrived_s)
+        if len(self._seen) == 2 and jumped and not self._jumps(sample.pose, 0, arrived_s):
             # Back at the track of the message before the last: two robots report in turn.
-            and not self._jumps(sample.pose, 0, arrived_s)
-        ):
             self._alternations.append(arrived_s)
+        elif len(self._seen) == 2 and self._jumped and not jumped:
+            self.jumps += self._jumps(sample.pose, 0, arrived_s)
+        self._jumped = jumped
         self._good_s = arrived_s
         if not self._spread or arrived_s - self._spread[-1] >= BURST_S:
             self._spread.append(arrived_s)
@@ -205,8 +207,10 @@ class RosOdometer:
         return "its pose jumped while it was silent, so the robot restarted or was moved"
 
     def _jumps(self, pose: Pose, index: int, arrived_s: float) -> bool:
-        at, before = self._seen[index]
-        return distance(pose, before) > JUMP_M + 2.0 * self._motion.v_max * (arrived_s - at)
+        (at, before), motion = self._seen[index], self._motion
+        turned, seconds = abs(wrap_angle(pose.theta - before.theta)), arrived_s - at
+        moved = distance(pose, before) > JUMP_M + 2.0 * motion.v_max * seconds
+        return moved or turned > JUMP_RAD + 2.0 * motion.omega_max * seconds
 
     def _restart(self, reason: str) -> None:
         self.restarts += 1

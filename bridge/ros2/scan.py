@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.errors import FormatError
-from rover_ncp.robot.description import RobotDescription
+from rover_ncp.robot.description import Circle, RobotDescription
 from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.messages import LASER_SCAN, read_stamp_ns
 
@@ -52,8 +52,10 @@ class ScanRoom:
         x = self._mount.x_m + ranges * np.cos(angles)
         y = self._mount.y_m + ranges * np.sin(angles)
         front, rear, half = self._robot.front_m, self._robot.rear_m, self._robot.width_m / 2
-        # Posts of the robot's own are within its outline.
+        # Posts of the robot's own are within its outline, of which a round one has no corners.
         own = (x >= -rear) & (x <= front) & (np.abs(y) <= half)
+        if isinstance(self._robot.footprint, Circle):
+            own = np.hypot(x, y) <= half
         other = (np.abs(y) <= half + MARGIN_M) & ~own
         sees = nothing | (measured & ~own)
         ahead = _least(x[other & (x > 0.0)] - front) if _scanned(angles, sees, 0.0, step) else math.nan

@@ -151,7 +151,8 @@ class ZenohLink(ClosedAtExit):
         # A get("**") only reads. A request that names the stop, such as "*/rover/stop", is meant.
         asked, key = str(query.key_expr), self.key(row.name)
         if asked != key and not (row.name == "rover/stop" and asked.endswith("/stop")):
-            return refuse(f"'{asked}' is not the key {key}")
+            refuse(f"'{asked}' is not the key {key}")
+            return
         payload = query.payload
         # One byte too many is enough for the reader to refuse it.
         data = b"{}" if payload is None else payload.to_bytes()[: row.max_bytes + 1]

@@ -282,6 +282,16 @@ def test_a_second_publisher_of_commands_stops_it_and_is_named(ready):
     assert isinstance(ready.last, Recovered)
 
 
+@pytest.mark.parametrize(("anew", "again"), [({}, Recovered), ({"x": 0.9}, Ready), ({"theta": 1.0}, Ready)])
+def test_odometry_that_was_set_anew_while_the_base_was_lost_is_other_odometry(ready, anew, again):
+    """A person drives by another node, and resets odometry: a fence is no longer where it was."""
+    ready.hear("cmd_vel", twist(Velocity(0.1, 0.0)))
+    assert isinstance(ready.last, Lost)
+    ready.run(0.5)
+    ready.run(3.0, **anew)
+    assert isinstance(ready.last, again)
+
+
 @pytest.mark.parametrize("known_by", ["its bytes", "its identity"])
 def test_its_own_commands_that_come_back_keep_it_from_starting(world, known_by):
     def come_back():

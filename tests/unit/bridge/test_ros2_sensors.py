@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from kit.ros2_world import EPOCH_S, World, beyond_its_second, header
 
-from rover_ncp.robot.description import load_description
+from rover_ncp.robot.description import Circle, load_description
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import IMU, LASER_SCAN
 
@@ -94,6 +94,17 @@ def test_a_laser_that_looks_to_the_left_is_turned():
     world.run(2.0, frames=frames)
     ahead, _ = room(world, scan((-90, 1.0)), frames=frames)
     assert ahead == pytest.approx(1.0 - 0.04 - 0.171, abs=1e-3)
+
+
+@pytest.mark.parametrize(("range_m", "room_m"), [(0.22, math.inf), (0.24, 0.0)])
+def test_a_round_robots_outline_has_no_corners(range_m, room_m):
+    """A chair's leg at 45° is a post of the robot's own, or just before its outline."""
+    mount = load_description("turtlebot4").scan.model_copy(update={"x_m": 0.0, "yaw_deg": 0.0})
+    rounded = {"footprint": Circle(radius_m=0.23), "scan": mount}
+    world = World(load_description("turtlebot3-burger").model_copy(update=rounded))
+    world.run(2.0)
+    ahead, _ = room(world, scan((45, range_m)))
+    assert ahead == pytest.approx(room_m, abs=1e-3)
 
 
 def test_scans_that_arrive_late_are_no_room(ready):

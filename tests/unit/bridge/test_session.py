@@ -17,6 +17,7 @@ from bridge.pioneer.session import CONFIG_S, Session
 from bridge.pioneer.setpoints import MotionLimits
 from bridge.pioneer.states import PATIENCE_S, SessionState
 from rover_ncp.core.geometry import Velocity
+from rover_ncp.robot.description import load_description
 
 INVALID = b"\x80\xfe\x00\xfa\xfbz"
 
@@ -86,6 +87,25 @@ def test_chosen_model_has_precedence_over_the_reported_one():
     bench = Bench("p3dx").go_to(SessionState.SYNC2)
     bench.hear(STRANGER + CONFIG + sip())
     assert bench.events[-1].robot.name == "p3dx"
+
+
+@pytest.mark.parametrize(
+    ("model", "ready"), [("p3at-sh", True), ("p3dx-sh", False), ("p3at", False), ("p3dx", False)]
+)
+def test_a_base_that_calls_itself_another_model_than_the_chosen_one_is_not_driven(model, ready):
+    bench = Bench(model).go_to(SessionState.SYNC2)
+    bench.hear(NAMES + CONFIG + sip())
+    assert (bench.session.state is SessionState.READY) is ready
+    if not ready:
+        remedy = f"leave out --model {model}, or describe the robot in a file"
+        assert bench.events[-1].reason == f"the base calls itself 'P3AT-SH'; {remedy}"
+
+
+def test_a_description_of_ones_own_has_precedence_over_the_reported_model():
+    bench = Bench()
+    bench.session = Session(load_description("p3at").model_copy(update={"name": "mine"}))
+    bench.go_to(SessionState.SYNC2).hear(NAMES + CONFIG + sip())
+    assert bench.session.state is SessionState.READY
 
 
 def test_limits_are_sent_in_the_bases_units():

@@ -32,7 +32,6 @@ TESTS = {
         "bridge/test_states.py",
         "bridge/test_session_details.py",
         "bridge/test_session.py",
-        "pioneer/test_session.py",
     ],
     "deploy.drive.safety_monitor": ["deploy/test_safety_rules.py"],
 }

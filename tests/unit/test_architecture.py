@@ -50,3 +50,10 @@ def test_files_that_the_architecture_page_names_exist():
     named = re.findall(r"`([\w/]+\.py)`", section)
     assert len(named) >= 20
     assert {name for name in named if not (ROOT / name).is_file()} == set()
+
+
+def test_mutants_are_tried_against_tests_that_exist():
+    """A mutation run whose tests are gone says so only in the night."""
+    named = re.findall(r'"(\w+/test_\w+\.py)"', (ROOT / "tests" / "tools" / "mutate.py").read_text())
+    assert len(named) >= 8
+    assert [name for name in named if not (ROOT / "tests" / "unit" / name).is_file()] == []

@@ -150,7 +150,9 @@ def train(options: TrainOptions) -> None:
     In the folder: policy.yaml (the best agent's circuit, ready for deploy and eval), curve.csv and curve.png
     (best return so far of each agent), settings.yaml, agents/. The same settings give the same bytes, for
     any number of processes. A run can be interrupted at any time: with --resume it ends in the same files,
-    and needs none of the options again but a --task that imports a module.
+    and needs none of the options again but a --task that imports a module. It stays with the course, circuit,
+    robot, randomization and profile that it began with: a file that has changed is an error. Other versions
+    of the software are a warning.
 
         rover-ncp train --seed 1 --out runs/mine
         rover-ncp train --out runs/mine --resume

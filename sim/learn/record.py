@@ -1,4 +1,4 @@
-"""Record of a training run: its settings, the circuit and course they name, and the software versions.
+"""Record of a training run: its settings, the content of the files they name, and the software versions.
 
 The record is written before the first iteration and never changes. All that ends up in a policy's
 provenance comes from it, so that a run that was killed and resumed ends in the same bytes.
@@ -24,14 +24,23 @@ from rover_ncp.core.config import StrictModel, dump_yaml
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.slowdown import slowed
-from rover_ncp.robot.description import load_description
+from rover_ncp.robot.description import RobotDescription, load_description
 from sim.learn.search.strategies import SearchName
-from sim.world.described import default_rover, described_rover
+from sim.world.described import default_rover, described_rover, ranges_for
 from sim.world.pymunk_rover import require_free_start
+from sim.world.randomization import Randomization
 from sim.world.rover import RoverModel
 
 _LIBRARIES = ("rover-ncp", "numpy", "scipy", "numba", "pymunk")
 _GIT_TIMEOUT_S = 5.0
+_FILES = {
+    "course": "course",
+    "circuit": "circuit",
+    "model": "robot description",
+    "randomize": "randomization",
+    "profile": "profile",
+}
+"""Settings that name a file, with the words for each; a record has the file's content by the same name."""
 
 
 class _Settings(StrictModel):
@@ -52,9 +61,15 @@ class _CourseSettings(_Settings):
     )
 
     @property
+    def robot(self) -> RobotDescription | None:
+        """The robot's description; None for the 3-AT."""
+        return None if self.model is None else load_description(self.model)
+
+    @property
     def rover(self) -> RoverModel:
         """The simulated robot."""
-        return default_rover() if self.model is None else described_rover(load_description(self.model))
+        robot = self.robot
+        return default_rover() if robot is None else described_rover(robot)
 
 
 def _known_search(name: str) -> str:
@@ -91,6 +106,11 @@ class RobustSettings(_CourseSettings):
         exclude_if=lambda refine: not refine,
         description="whether the start was trained before",
     )
+
+    @property
+    def ranges(self) -> Randomization:
+        """The ranges of the trials, with the profile."""
+        return ranges_for(self.randomize, Path(self.profile) if self.profile else None)
 
     @model_validator(mode="before")
     @classmethod
@@ -137,16 +157,26 @@ class Record(StrictModel, Generic[SettingsT]):
     course: dict[str, Any] | None = Field(default=None, exclude_if=lambda course: course is None)
     """None for a task that is no course."""
     circuit: dict[str, Any]
+    model: dict[str, Any] | None = Field(default=None, exclude_if=lambda model: model is None)
+    """The robot's description, if the settings name one; older records have none, nor what follows."""
+    randomize: dict[str, Any] | None = Field(default=None, exclude_if=lambda ranges: ranges is None)
+    """The ranges of a training on random trials, without the profile."""
+    profile: dict[str, Any] | None = Field(default=None, exclude_if=lambda profile: profile is None)
 
     @classmethod
     def of(cls, settings: SettingsT, policy: Policy, course: Course | None) -> Self:
-        """Record a run that starts now."""
+        """Record a run that starts now. Raises FileError, ConfigError or UsageError for a file it names."""
+        robot = settings.robot if isinstance(settings, _CourseSettings) else None
+        ranges = settings.ranges if isinstance(settings, RobustSettings) else None
         return cls(
             command=settings.command(),
             settings=settings,
             made_with=made_with(),
             course=None if course is None else course.model_dump(mode="json"),
             circuit=_start_data(settings.circuit, policy),
+            model=_content(robot, "sources"),
+            randomize=_content(ranges, "rover"),
+            profile=_content(ranges.rover if ranges else None),
         )
 
     def require_same(self, other: "Record[SettingsT]", source: str) -> None:
@@ -158,12 +188,26 @@ class Record(StrictModel, Generic[SettingsT]):
             if saved.get(name) != asked.get(name)
         ]
         problems += [
-            f"the {what} {asked[what]} has changed since this run began"
-            for what in ("course", "circuit")
-            if what in saved and saved[what] == asked[what] and getattr(self, what) != getattr(other, what)
+            f"the {words} {asked[name]} has changed since this run began"
+            for name, words in _FILES.items()
+            if name in saved and saved[name] == asked.get(name) and self._content_differs(other, name)
         ]
         if problems:
             raise ConfigError(source, problems)
+
+    def _content_differs(self, other: "Record[SettingsT]", name: str) -> bool:
+        """Whether the content of a file differs; False where an older record lacks it."""
+        ours, others = getattr(self, name), getattr(other, name)
+        return None not in (ours, others) and ours != others
+
+    def other_versions(self, other: "Record[SettingsT]") -> str:
+        """Return the versions here that differ from those of ``other``, in words; "" if none does."""
+        began, now = self.made_with, other.made_with
+        return ", ".join(
+            f"{name} {began.get(name, 'none')} (now {now.get(name, 'none')})"
+            for name in {**began, **now}
+            if began.get(name) != now.get(name)
+        )
 
     def provenance(self, iterations: int, **found: float) -> dict[str, Any]:
         """Return how a policy came about that was ``found`` so, with the command that makes it again."""
@@ -174,6 +218,13 @@ class Record(StrictModel, Generic[SettingsT]):
             "settings": settings.model_dump(),
             "made_with": self.made_with,
         }
+
+
+def _content(file: StrictModel | None, *without: str) -> dict[str, Any] | None:
+    """Return the content of a file; a default is left out, so that a later version may add one."""
+    if file is None:
+        return None
+    return file.model_dump(mode="json", exclude_defaults=True, exclude=set(without))
 
 
 def _start_data(name: str, policy: Policy) -> dict[str, Any]:
@@ -187,8 +238,8 @@ def _start_data(name: str, policy: Policy) -> dict[str, Any]:
 
 def course_of(settings: _CourseSettings) -> Course:
     """Load the course, as slow as the robot asks for. Raises FileError or ConfigError."""
-    course = load_course(settings.course)
-    return course if settings.model is None else slowed(course, load_description(settings.model))[0]
+    course, robot = load_course(settings.course), settings.robot
+    return course if robot is None else slowed(course, robot)[0]
 
 
 def resolve_task(settings: TrainSettings) -> Task:

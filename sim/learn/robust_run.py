@@ -29,7 +29,6 @@ from sim.learn.robust import (
 )
 from sim.learn.run_folder import RunFolder, checkpoints, open_run
 from sim.learn.workers import Workers, available_processes, local_workers, made_in_each_process
-from sim.world.described import ranges_for
 from sim.world.randomization import Randomization
 
 FloatArray = NDArray[np.float64]
@@ -67,8 +66,7 @@ def start_of(settings: RobustSettings) -> tuple[Policy, Course, Randomization]:
 
     Raises UsageError, ConfigError or FileError.
     """
-    ranges = ranges_for(settings.randomize, Path(settings.profile) if settings.profile else None)
-    loaded = load_start(settings.circuit)
+    ranges, loaded = settings.ranges, load_start(settings.circuit)
     if settings.refine and not isinstance(loaded, Policy):
         raise UsageError(
             f"--refine needs a policy in --circuit, and {settings.circuit} is an untrained circuit"

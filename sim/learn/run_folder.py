@@ -12,6 +12,7 @@ search.json     a search by generations: all that resuming needs (``robust_run.p
 import fcntl
 import hashlib
 import json
+import logging
 import os
 import re
 import time
@@ -25,11 +26,13 @@ from pydantic import BaseModel
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_to_yaml
 from rover_ncp.core.config import dump_yaml, load_yaml
+from rover_ncp.core.console import printable
 from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
 from rover_ncp.core.files import read_text, write_atomic
 from sim.learn.record import Record, RobustSettings, Settings, SettingsT, TaskSettings, TrainSettings
 from sim.learn.search.base import SearchState, dump_state
 
+_LOGGER = logging.getLogger(__name__)
 _RUNS = Path("runs")
 _RECORD = "settings.yaml"
 _CHECKPOINT_SHARE = 0.02
@@ -127,8 +130,8 @@ def open_run(path: Path, record: Record[SettingsT], resume: bool) -> Iterator[Ru
     """Begin a run in an empty or missing folder or, if ``resume``, go on with the one it holds.
 
     The folder has the record that the run began with. Raises UsageError or ConfigError if the folder holds
-    something else, nothing to resume, or a run of other settings. A folder whose run was killed before it
-    wrote anything counts as empty.
+    something else, nothing to resume, or a run of other settings or files. Other versions are logged as a
+    warning. A folder whose run was killed before it wrote anything counts as empty.
     """
     saved = path / _RECORD
     try:
@@ -149,6 +152,9 @@ def open_run(path: Path, record: Record[SettingsT], resume: bool) -> Iterator[Ru
                 )
             began = load_yaml(saved, type(record))
             began.require_same(record, str(saved))
+            if versions := began.other_versions(record):
+                warning = f"{path}: the run began with {versions}; its result will mix both"
+                _LOGGER.warning("%s", printable(warning))
             record = began
         elif resume:
             raise _nothing_to_resume(path)

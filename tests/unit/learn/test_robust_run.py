@@ -1,9 +1,12 @@
 """A robust training on disk: the number of workers and dying anywhere change nothing."""
 
 import pytest
+import yaml
 from kit.paths import DATA, content
 
-from rover_ncp.core.errors import FileError
+from rover_ncp.core.config import dump_yaml
+from rover_ncp.core.errors import ConfigError, FileError
+from rover_ncp.core.files import resolve
 from sim.learn.record import RobustSettings
 from sim.learn.robust_run import train_robust
 from sim.learn.workers import Inline
@@ -57,3 +60,75 @@ def test_resuming_needs_no_option_again(reference, run_json):
     code, fields = run_json(f"train --out {reference} --resume")
     assert (code, fields["generations"]) == (0, 3)
     assert content(reference) == before
+
+
+OWN = {
+    "randomize": ("lost: 0.1", "lost: 0.2", "randomization"),
+    "profile": ("gain_v: 1.0", "gain_v: 0.8", "profile"),
+    "model": ("motion: {accel: 0.3}", "motion: {accel: 0.2}", "robot description"),
+}
+"""By setting: a key of its file, the key after an edit, and the words for the file."""
+HEADS = {"randomize": "name: own\n", "profile": "name: own\n", "model": "name: own\nbased_on: p3at-sh\n"}
+
+
+def own_run(folder, setting):
+    """Train for one generation with an own file; return the file and a function that resumes the run."""
+    path = folder / f"{setting}.yaml"
+    path.write_text(f"{HEADS[setting]}{OWN[setting][0]}\n")
+    settings = SETTINGS.model_copy(update={"iterations": 1, setting: str(path)})
+
+    def go(resume):
+        return train_robust(settings, folder / "run", resume=resume, processes=1)
+
+    go(False)
+    return path, lambda: go(True)
+
+
+@pytest.mark.parametrize("setting", OWN)
+def test_run_whose_file_changed_is_not_resumed(tmp_path, setting):
+    path, resume = own_run(tmp_path, setting)
+    before, text = content(tmp_path / "run"), path.read_text()
+    path.write_text(f"# a remark\n{text}")
+    resume()
+    key, other, words = OWN[setting]
+    path.write_text(text.replace(key, other))
+    with pytest.raises(ConfigError, match=f"settings.yaml: the {words} .*{setting}.yaml has changed since"):
+        resume()
+    assert content(tmp_path / "run") == before
+    path.write_text(text)
+    resume()
+
+
+def test_run_of_a_version_that_recorded_no_ranges_is_resumed(tmp_path):
+    path, resume = own_run(tmp_path, "randomize")
+    record = tmp_path / "run" / "settings.yaml"
+    saved = yaml.safe_load(record.read_text())
+    assert saved.pop("randomize") == {"name": "own", "lost": 0.1}
+    record.write_text(dump_yaml(saved))
+    before = content(tmp_path / "run")
+    path.write_text(path.read_text().replace("0.1", "0.2"))
+    resume()
+    assert content(tmp_path / "run") == before
+
+
+def test_resuming_with_other_versions_is_a_warning_in_one_line(tmp_path, caplog):
+    _, resume = own_run(tmp_path, "randomize")
+    resume()
+    assert caplog.messages == []
+    record = tmp_path / "run" / "settings.yaml"
+    saved = yaml.safe_load(record.read_text())
+    now = saved["made_with"].pop("scipy")
+    saved["made_with"] |= {"numpy": "1.0\x1b"}
+    record.write_text(dump_yaml(saved))
+    resume()
+    (line,) = caplog.messages
+    assert "the run began with numpy 1.0\\x1b (now " in line
+    assert f"scipy none (now {now}); its result will mix both" in line
+
+
+def test_shipped_robot_is_recorded_without_its_sources(tmp_path):
+    settings = SETTINGS.model_copy(update={"iterations": 1, "model": "p3dx"})
+    train_robust(settings, tmp_path, processes=1)
+    saved = yaml.safe_load((tmp_path / "settings.yaml").read_text())["model"]
+    shipped = yaml.safe_load(resolve("robots", "p3dx").read_text())
+    assert (saved["motion"]["accel"], "sources" in saved) == (shipped["motion"]["accel"], False)

@@ -18,6 +18,7 @@ from rover_ncp.course.course import load_course
 from rover_ncp.course.scoring import Parked
 from rover_ncp.robot.description import load_description
 from sim.evaluate.commands import Sensors
+from sim.evaluate.evaluate import trial_count
 from sim.learn.engine.driver import load_driver
 from sim.stack.estimates import summary
 from sim.stack.trials import Stack, drive_all
@@ -70,9 +71,10 @@ def main() -> None:
     stack = Stack(load_driver(given.driver), course, ranges, given.seed, gyro, camera, given.identify, robot)
     pairs = [[change.split("=") for change in text.split(",")] for text in given.set]
     chosen = [{name: float(value) for name, value in row} for row in pairs]
+    trials = trial_count(given.trials, 1, ranges, stack.varies)
     print(" parked  quiet   plain  inside   p50   p95  mm; changed setting")
     for changes in chosen or ablations():
-        print(row(stack, changes, given.trials), flush=True)
+        print(row(stack, changes, trials), flush=True)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from scipy.stats import binomtest
 from rover_ncp.course.course import load_course
 from rover_ncp.robot.description import load_description
 from sim.evaluate.commands import Sensors, driver_sensors
-from sim.evaluate.evaluate import fitted_courses
+from sim.evaluate.evaluate import fitted_courses, trial_count
 from sim.learn.engine.driver import load_driver
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
@@ -69,7 +69,8 @@ def main() -> None:
 
     def run(name: str) -> NDArray[np.bool_]:
         stack = Stack(load_driver(name), tuple(courses), ranges, given.seed, gyro, camera, robot=robot)
-        return np.array([trial.parked for trial in drive_all(stack, given.trials, None)])
+        trials = trial_count(given.trials, 1, ranges, stack.varies)
+        return np.array([trial.parked for trial in drive_all(stack, trials, None)])
 
     runs = [run(name) for name in given.drivers]
     counts = paired(*runs)

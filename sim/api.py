@@ -107,6 +107,8 @@ def evaluate(
 ) -> "Evaluation":
     """Drive random trials, trial i on course i modulo their number, and return how they ended.
 
+    With the default of ``randomize`` the trials of a course differ only if the policy draws random numbers.
+
     ``policy`` is a name as ``rover-ncp eval`` takes it, or a function from an observation to v and omega. Its
     attribute ``signals`` names what it observes, by default x, y, theta and start. Its method ``reset``, if
     there is one, begins each trial. With ``stack`` the trials go through firmware, bridge and driver.

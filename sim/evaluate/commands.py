@@ -44,7 +44,13 @@ class EvalOptions:
         ),
     ] = None
     trials: Annotated[
-        int | None, typer.Option(min=1, max=10**6, help="Number of random trials.", show_default="1")
+        int | None,
+        typer.Option(
+            min=1,
+            max=10**6,
+            help="Number of trials, at least one for each course.",
+            show_default="one for each course; 100 with --task",
+        ),
     ] = None
     seed: Annotated[
         int, typer.Option(min=0, max=MAX_SEED, help="Root seed of the trials and random courses.")
@@ -150,14 +156,15 @@ class EvalOptions:
 def evaluate(options: EvalOptions) -> int:
     """Drive a course in simulation with a policy, and score it.
 
-    Without --trials or --randomize, the policy drives once, on the nominal rover model.
+    By default the policy drives once, on the nominal rover model.
 
     The return is the paper's: minus the squared errors at all checkpoints, 1 rad counting as 1 m. 0 is out of
     reach. A rover that does not move scores -14.18 on the parking course. A .bnn circuit gets the sensors it
     was trained with, which are not clamped.
 
-    With one of them, the policy drives randomised rovers. Each trial has its own delays, gains, noise and
-    start, which follow from the seed and the trial's number alone. The true motion is scored.
+    With --randomize, the policy drives random trials. Each has its own delays, gains, noise and start, which
+    follow from the seed and the trial's number alone. Without a randomization the trials of a course are the
+    same: more than one for each course is an error. The true motion is scored.
 
         rover-ncp eval course --trials 1000 --randomize full
         rover-ncp eval course --trials 1000 --randomize full --random-courses 200
@@ -251,7 +258,7 @@ def _drive_trials(options: EvalOptions) -> int:
     """Drive random trials; return 1 if a single one was driven and did not park."""
     from rover_ncp.course.course import load_course
     from rover_ncp.robot.description import load_description
-    from sim.evaluate.evaluate import drive_trials, fitted_courses, tally, unseen_courses
+    from sim.evaluate.evaluate import drive_trials, fitted_courses, tally, trial_count, unseen_courses
     from sim.evaluate.results import StackTrialsResult, TrialsResult
     from sim.evaluate.trial_runs import evaluate_stack, result_words
     from sim.learn.engine.driver import load_driver
@@ -266,12 +273,14 @@ def _drive_trials(options: EvalOptions) -> int:
         courses = [load_course(name) for name in options.courses]
     courses, scaled = fitted_courses(courses, robot)
     ranges = ranges_for(options.randomization, options.profile, options.body, robot)
-    trials, driver = options.trials or 1, load_driver(options.policy)
+    driver = load_driver(options.policy)
     if options.stack:
         gyro, camera = driver_sensors(options.sensors, robot)
         stack = Stack(driver, tuple(courses), ranges, seed, gyro, camera, options.identify, robot)
+        trials = trial_count(options.trials, len(courses), ranges, stack.varies)
         found, in_stack = evaluate_stack(stack, trials, options.processes, output)
     else:
+        trials = trial_count(options.trials, len(courses), ranges, ranges.varies)
         model = described_rover(robot) if robot else None
         found = tally(drive_trials(driver, courses, ranges, trials=trials, seed=seed, model=model))
     fields = dict(

@@ -19,6 +19,7 @@ from rover_ncp.robot.description import RobotDescription, load_description
 from sim.learn.engine.driver import Driver
 from sim.learn.engine.evaluator import Evaluator
 from sim.learn.engine.rollout import rollout
+from sim.world.bodies import Body
 from sim.world.described import default_rover
 from sim.world.random_course import random_course
 from sim.world.randomization import Randomization, Trials, draw_trials
@@ -64,6 +65,21 @@ class Evaluation(BaseModel):
     error_m: Spread = Field(description="final position error")
     error_rad: Spread = Field(description="final heading error")
     failures: dict[str, int] = Field(description="by the first condition that was missed: number of trials")
+
+
+def trial_count(asked: int | None, courses: int, ranges: Randomization, varies: bool) -> int:
+    """Return the number of trials, by default one for each course. Raises UsageError for an unsuitable one.
+
+    ``varies`` is whether the trials of a course differ.
+    """
+    count = courses if asked is None else asked
+    if count < courses:
+        raise UsageError(f"--trials {count}: expected at least one trial for each of the {courses} courses")
+    if count > courses and not varies:
+        preset = "full" if ranges.body is Body.PYMUNK else "varied"
+        problem = f"with the randomization {ranges.name} all trials of a course are the same"
+        raise UsageError(f"--trials {count}: {problem}; add --randomize {preset}")
+    return count
 
 
 def drive_trials(

@@ -96,6 +96,14 @@ class Stack:
         """The driver's robot profile: the given one, if any, with the noise of odometry."""
         return self._with_noise(self.ranges.rover or RoverProfile(name=f"a robot of {self.ranges.name}"))
 
+    @property
+    def varies(self) -> bool:
+        """Whether the trials of a course differ: in their robots, or in the noise of a sensor."""
+        odometry = self.description.odometry
+        noises = odometry.noise_m, odometry.noise_rad, odometry.noise_m_s, odometry.noise_rad_s
+        noisy = self.description.arcos is None and any(noises)  # a mock Pioneer's encoders have no noise
+        return self.ranges.varies or self.gyro or self.camera or self.identify or noisy
+
     def _with_noise(self, rover: RoverProfile) -> RoverProfile:
         noises = {"noise_m": self.ranges.noise_m, "noise_rad": self.ranges.noise_rad}
         unknown = {name: noise for name, noise in noises.items() if getattr(rover, name) is None}

@@ -92,6 +92,27 @@ class Randomization(StrictModel):
             raise ValueError("a randomization has the key skid_steer if its body is mujoco, and only then")
         return self
 
+    @property
+    def varies(self) -> bool:
+        """Whether trials differ. A profile adds its noise; its other values are not taken into account."""
+        known = self.rover.model_dump(include={"noise_m", "noise_rad"}) if self.rover else {}
+        drawn = self.model_dump(exclude=_NOT_DRAWN)
+        drawn |= {name: noise for name, noise in known.items() if noise is not None}
+        skid = self.skid_steer is not None and self.skid_steer.varies
+        return skid or 0.0 < self.banded < 1.0 or any(_is_wide(value) for value in drawn.values())
+
+
+_NOT_DRAWN = {
+    *("format", "name", "body", "skid_steer", "burst", "speed_step_m_s", "turn_step_rad_s", "banded"),
+    *("sensors", "rover"),
+}
+"""Keys of a randomization that are not ranges of a value drawn for each trial."""
+
+
+def _is_wide(value: float | tuple[float, float] | None) -> bool:
+    """Whether a range has more than one value."""
+    return value[0] != value[1] if isinstance(value, tuple) else bool(value)
+
 
 class Trials(NamedTuple):
     """N trials of up to T ticks as arrays for kernels."""

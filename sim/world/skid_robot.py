@@ -63,6 +63,12 @@ class SkidRanges(StrictModel):
     cables_within_m: float = Field(default=1.0, gt=0, description="distance of their middles from the start")
     contact: Contact = Field(default=Contact(), description="not drawn")
 
+    @property
+    def varies(self) -> bool:
+        """Whether the drawn robots differ."""
+        shares = self.mass, self.mass_center_m, self.wheel_radius, self.track, self.cables, *self.slope_rad
+        return any(shares) or self.friction[0] != self.friction[1]
+
 
 def rigid_body_of(robot: RobotDescription) -> SkidRobot:
     """Return a described robot with four wheels; what a description leaves out is that of a 3-AT, scaled."""

@@ -22,7 +22,7 @@ COMMANDS = {
     "course check parking": 0,
     "bridge --base tcp/127.0.0.1:1 --listen tcp/127.0.0.1:0": 3,
     "deploy --robot tcp/127.0.0.1:1": 3,
-    "eval parking --trials 2000": 0,
+    "eval parking --trials 2000 --randomize full": 0,
     "mock --listen 127.0.0.1:0": 0,
     "report missing.mcap": 2,
     "train --agents 2 --iterations 100000": 0,

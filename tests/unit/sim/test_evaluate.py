@@ -109,14 +109,57 @@ def test_only_a_single_trial_that_fails_ends_with_1(files, capsys):
 
 
 def test_random_courses_are_driven_in_turn(files, run_json):
-    save_policy(Path("tracker.yaml"), course_policy(load_circuit("tracking")))
-    code, fields = run_json("eval tracker.yaml --trials 5 --seed 2 --random-courses 2")
-    # Without randomisation a course ends the same each time: three trials on the first, two on the second.
-    courses = unseen_courses(2, 2)
-    verdicts = [rollout(course_policy(load_circuit("tracking")), course).verdict for course in courses]
-    shares = [3 * verdicts[0].parked, 2 * verdicts[1].parked]
-    assert (code, fields["success_rate"]) == (0, sum(shares) / 5)
+    policy = course_policy(load_circuit("tracking"))
+    save_policy(Path("tracker.yaml"), policy)
+    code, fields = run_json("eval tracker.yaml --trials 5 --seed 2 --random-courses 2 --randomize mild")
+    courses, model = unseen_courses(2, 2), default_rover()
+    ticks = max(course.ticks for course in courses)
+    trials = draw_trials(load_randomization("mild"), model, 2, count=5, ticks=ticks)
+    verdicts = [rollout(policy, courses[i % 2], model, trials=trials, row=i).verdict for i in range(5)]
+    assert (code, fields["success_rate"]) == (0, sum(verdict.parked for verdict in verdicts) / 5)
     assert fields["error_m"]["max"] == pytest.approx(max(verdict.error_m for verdict in verdicts))
+
+
+@pytest.mark.parametrize(
+    ("courses", "count"),
+    [("--course parking --course stay.yaml", 2), ("--random-courses 3", 3)],
+)
+def test_each_course_is_driven_once_by_default(files, run_json, courses, count):
+    code, fields = run_json(f"eval numb.bnn {courses}")
+    assert (code, fields["trials"]) == (0, count)
+
+
+NO_PROFILE_NOISE, PROFILE_NOISE = "name: exact\ngain_v: 0.9\n", "name: noisy\nnoise_m: 0.001\n"
+SAME = "are the same; add --randomize full"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("--course stay.yaml --course parking --trials 1", "at least one trial for each of the 2 courses"),
+        ("--random-courses 50 --trials 49 --randomize full", "--trials 49: expected at least one trial"),
+        ("--trials 2", f"--trials 2: with the randomization none all trials of a course {SAME}"),
+        ("--trials 2 --profile exact.yaml", SAME),
+        ("--trials 2 --randomize steps.yaml", SAME),
+        ("--random-courses 2 --trials 3", SAME),
+        ("--trials 2 --stack", SAME),
+        ("--trials 2 --stack --model p3dx --randomize none", SAME),
+        ("--trials 2 --stack --body mujoco", "are the same; add --randomize varied"),
+    ],
+)
+def test_number_of_trials_that_gives_no_sample_is_an_error(files, capsys, options, message):
+    Path("exact.yaml").write_text(NO_PROFILE_NOISE)
+    Path("steps.yaml").write_text("name: steps\nspeed_step_m_s: 0.001\n")
+    assert run(["eval", "numb.bnn", *options.split()]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_noise_of_a_profile_makes_trials_differ(files, run_json):
+    Path("noisy.yaml").write_text(PROFILE_NOISE)
+    save_policy(Path("tracker.yaml"), course_policy(load_circuit("tracking")))
+    code, fields = run_json(f"eval tracker.yaml --course {ARC} --trials 2 --profile noisy.yaml")
+    assert (code, fields["trials"]) == (0, 2)
+    assert fields["error_m"]["max"] > fields["error_m"]["p50"]
 
 
 def test_outcomes_do_not_depend_on_the_batch_size(monkeypatch):

@@ -106,8 +106,8 @@ def test_a_function_drives_through_the_stack_as_a_circuit():
     "options",
     [
         "",
-        "--trials 2",
-        pytest.param("--trials 2 --stack --processes 2", marks=pytest.mark.long),
+        "--trials 2 --randomize mild",
+        pytest.param("--trials 2 --randomize mild --stack --processes 2", marks=pytest.mark.long),
     ],
 )
 def test_a_class_of_a_module_in_the_working_folder_is_judged(options, run_json):

@@ -293,6 +293,22 @@ def test_the_command_line_drives_another_body(run_json):
     assert math.isfinite(fields["times_real_time"])
 
 
+VARYING = [
+    ({}, False),
+    ({"gyro": True}, True),
+    ({"camera": True}, True),
+    ({"robot": load_description("p3dx")}, False),
+    ({"robot": load_description("turtlebot4")}, True),
+]
+
+
+@pytest.mark.parametrize(("options", "varies"), VARYING)
+def test_nominal_robots_differ_by_the_noise_of_their_sensors_alone(options, varies):
+    driven = stack(course=BRIEF, **options)
+    first, second = drive_all(driven, 2, 1)
+    assert (driven.varies, first.pose != second.pose) == (varies, varies)
+
+
 CIRCUITS, SPREAD = 5, 0.01
 ROOM = 0.9
 """Circuits that use more of a tolerance may miss it by a small difference."""

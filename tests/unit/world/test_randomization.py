@@ -22,6 +22,7 @@ from sim.world.randomization import (
     nominal_trials,
     trial_model,
 )
+from sim.world.skid_robot import SkidRanges, draw_robot
 
 MODEL = default_rover()
 TRACKER = course_policy(load_circuit("tap_withdrawal"))
@@ -279,3 +280,53 @@ def test_random_courses_are_their_seeds_and_numbers():
         assert 0.2 < np.abs(np.diff(drive.poses[:, :2], axis=0)).sum() < 5
         assert not drive.motion[-90:].any()
         assert not drive.motion[:5].any()
+
+
+def differ(ranges):
+    """Whether drawn trials differ; the tick of a push without a displacement does not count."""
+    trials = draw_trials(ranges, MODEL, 1, count=20, ticks=TICKS)._asdict()
+    if not trials["bump"][:, 1:].any():
+        trials["bump"] = trials["bump"][:, 1:]
+    rows = [values for values in trials.values() if np.ndim(values) and len(values) == 20]
+    return any((values != values[0]).any() for values in rows)
+
+
+VALUES = {"burst": 3.0, "jitter_s": 0.05, "banded": 0.5, "sensors": "gyro", "turn_gain": (1.0, 1.2)}
+OF_NO_RANGE = {"format", "name", "body", "skid_steer", "rover"}
+
+
+@pytest.mark.parametrize("key", sorted(set(Randomization.model_fields) - OF_NO_RANGE))
+def test_ranges_vary_if_their_trials_differ(key):
+    kept = {"dead_band_m_s": (0.02, 0.02)} if key == "banded" else {}
+    default = Randomization.model_fields[key].default
+    value = VALUES.get(key, 0.1 if isinstance(default, float) else (0.1, 0.2))
+    ranges = Randomization(name="own", **kept, **{key: value})
+    assert ranges.varies == differ(ranges)
+    if isinstance(value, tuple):
+        fixed = Randomization(name="own", **{key: (value[1], value[1])})
+        assert not fixed.varies
+        assert not differ(fixed)
+
+
+@pytest.mark.parametrize(("profile", "varies"), [({"noise_m": 0.01}, True), ({"gain_v": 0.9}, False)])
+def test_noise_of_a_profile_varies(profile, varies):
+    rover = RoverProfile(name="own", **profile)
+    ranges = load_randomization("none").model_copy(update={"rover": rover})
+    assert (ranges.varies, differ(ranges)) == (varies, varies)
+    quiet = RoverProfile(name="quiet", noise_m=0.0, noise_rad=0.0)
+    assert not Randomization(name="own", noise_m=0.01, rover=quiet).varies
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *((key, 0.05) for key in ("mass", "mass_center_m", "wheel_radius", "track")),
+        *(("friction", (0.5, 0.7)), ("slope_rad", (0.05, 0.05)), ("cables", 2)),
+    ],
+)
+def test_rigid_bodies_vary_if_they_differ(key, value):
+    for ranges, expected in ((SkidRanges(), False), (SkidRanges(**{key: value}), True)):
+        drawn = [draw_robot(ranges, 1, number) for number in range(5)]
+        if not any(ranges.slope_rad):  # on a level floor the direction of the rise has no effect
+            drawn = [robot.model_copy(update={"uphill_rad": 0.0}) for robot in drawn]
+        assert (ranges.varies, any(robot != drawn[0] for robot in drawn)) == (expected, expected)

@@ -31,7 +31,10 @@ def park(
             "--dock", help="Train nothing: dock a mock with a camera at a place, by tags (docs/place.md)."
         ),
     ] = False,
-    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Root seed of the training.")] = 0,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, max=MAX_SEED, help="Root seed of the training.", show_default="0"),
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for training, recording, picture and logs.")] = Path(
         "runs/park"
     ),
@@ -58,7 +61,7 @@ def park(
 
         given = {"course": course, "model": model}
         odd = {name: value for name, value in given.items() if value not in {"parking", DEFAULT_ROBOT}}
-        reject("does not go with --dock", policy=policy, seed=seed or None, **odd)
+        reject("does not go with --dock", policy=policy, seed=seed, **odd)
         return run_dock(Output(json), out, overwrite=overwrite)
     from sim.park.park import run_park
 

@@ -20,7 +20,7 @@ from deploy.view.shapes import outline_of
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.rover_interface import RoverInterface
-from rover_ncp.core.console import Output
+from rover_ncp.core.console import Output, reject
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import DEFAULT_ROBOT, require_creatable, write_atomic
 from rover_ncp.course.course import Course, load_course
@@ -87,19 +87,30 @@ _FROM_DEPLOY = ("verdict", "probability", "estimate_error_m", "estimate_error_ra
 
 
 def run_park(
-    output: Output, *, policy: str | None, course: str, model: str, seed: int, out: Path, overwrite: bool
+    output: Output,
+    *,
+    policy: str | None,
+    course: str,
+    model: str,
+    seed: int | None,
+    out: Path,
+    overwrite: bool,
 ) -> int:
     """Run ``park`` and return its exit code. Raises RoverNcpError when training or a process fails."""
+    if policy is not None:
+        reject("nothing is trained with --policy", seed=seed)
     robot = load_description(model)
     form = PIONEER if robot.arcos is not None else ROS2DDS
+    if policy is None and form != PIONEER:
+        reject(f"nothing is trained for a ROS 2 robot: policy {TRACKING_POLICY} parks {model}", seed=seed)
+        policy = TRACKING_POLICY
     slow_course, pace = slowed(load_course(course), robot)
     for name in ("run.mcap", f"log/{TRUTH}"):  # before a long training
         require_creatable(out / name, overwrite=overwrite)
     training: ParkTraining | None = None
-    if policy is None and form != PIONEER:
-        policy = TRACKING_POLICY
     if policy is None:
-        training, policy, reason = _train(output, course, model, seed, out / "train", overwrite=overwrite)
+        folder = out / "train"
+        training, policy, reason = _train(output, course, model, seed or 0, folder, overwrite=overwrite)
         if reason:
             output.result(
                 NotTrained(parked=False, reason=f"no agent parks: {reason}", train=training),

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.cli import run
 from rover_ncp.core.console import Output
 from rover_ncp.course.course import load_course
 from rover_ncp.course.slowdown import slowed
@@ -50,10 +51,10 @@ def asked(monkeypatch):
     return found
 
 
-def run_park(tmp_path, model="p3at-sh"):
+def run_park(tmp_path, model="p3at-sh", seed=None):
     out = tmp_path / "park"
     return park.run_park(
-        Output(False), policy=None, course="parking", model=model, seed=0, out=out, overwrite=False
+        Output(False), policy=None, course="parking", model=model, seed=seed, out=out, overwrite=False
     )
 
 
@@ -80,6 +81,29 @@ def test_the_usual_robot_is_trained_as_train_does_by_default(asked, tmp_path):
     settings, _ = begin(asked, tmp_path)
     assert settings.model is None
     assert settings.rover == described_rover(load_description("p3at-sh"))
+
+
+@pytest.mark.parametrize(("seed", "used"), [(None, 0), (0, 0), (7, 7)])
+def test_seed_is_that_of_the_training(asked, tmp_path, seed, used):
+    settings, _ = begin(asked, tmp_path, seed=seed)
+    assert settings.seed == used
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ("--policy course", "--seed: nothing is trained with --policy"),
+        ("--model turtlebot4", "--seed: nothing is trained for a ROS 2 robot: policy course parks"),
+        ("--model turtlebot4 --policy course", "--seed: nothing is trained with --policy"),
+        ("--dock", "--seed: does not go with --dock"),
+    ],
+)
+@pytest.mark.parametrize("seed", ["0", "3"])
+def test_seed_without_a_training_is_an_error(tmp_path, capsys, options, reason, seed):
+    out = tmp_path / "park"
+    assert run(["park", *options.split(), "--seed", seed, "--out", str(out)]) == 2
+    assert reason in capsys.readouterr().err
+    assert not out.exists()
 
 
 def test_the_best_agent_is_driven_only_when_it_has_changed(asked, tmp_path):

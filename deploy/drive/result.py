@@ -103,6 +103,8 @@ class DriveResult(RecordingResult):
             first = printable(self.reason) + (f"\n{self.dock}" if self.dock else "")
         elif self.dock is not None and self.estimate_error_m is not None:
             first = str(self.dock)
+            if self.verdict is Parked.UNCERTAIN:  # only an undocking: a docking that is uncertain is a miss
+                first += f"\n{self.verdict}: {self.reason}"
         elif self.estimate_error_m is None or self.estimate_error_rad is None:
             first = "interrupted; the rover was stopped"
         else:

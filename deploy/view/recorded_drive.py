@@ -104,8 +104,7 @@ def summarise(drive: Drive) -> Summary:
     if dock is None:
         parked, headline = _headline(verdicts, drive.timeline.status)
     else:
-        parked = Parked.YES if dock.success else Parked.NO
-        headline = dock.headline[0].upper() + dock.headline[1:]
+        parked, headline = _dock_headline(dock, drive.timeline.status)
         rows[:0] = _dock_rows(dock, drive)
     began = datetime.fromtimestamp(drive.timeline.ticks[0].wall_ns * 1e-9, UTC)
     return Summary(
@@ -129,6 +128,14 @@ def _headline(verdicts: Mapping[str, Verdict], status: DriverStatus | None) -> t
         reason = "the driver's own verdict is uncertain"
     words = parked.capitalize() + (" (true pose)" if by == "true" else "")
     return parked, words + (f": {reason}" if reason else "")
+
+
+def _dock_headline(dock: DockResult, status: DriverStatus | None) -> tuple[Parked, str]:
+    """Return how a docking ended, and in words; an undocking may be uncertain."""
+    words = dock.headline[0].upper() + dock.headline[1:]
+    if dock.success and status is not None and status.state == Parked.UNCERTAIN:
+        return Parked.UNCERTAIN, f"{words}, uncertain: {status.reason}"
+    return Parked.YES if dock.success else Parked.NO, words
 
 
 def _dock_rows(dock: DockResult, drive: Drive) -> Iterator[tuple[str, str]]:

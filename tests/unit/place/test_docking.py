@@ -356,13 +356,18 @@ def test_rover_that_stands_docked_stays_and_undocks_to_the_staging_pose(tmp_path
     assert replay(away.path).same
 
 
-def test_rover_undocks_from_contact_without_any_pose():
-    drive = VirtualDocking(
-        place(), Pose(2.0, 1.0, 0.0), obstacles=[DOCK], see=lambda pose, now: None, undock=True
-    )
+def test_undocking_from_contact_without_any_pose_is_uncertain_and_its_words_say_so(tmp_path):
+    unseen = {"obstacles": [DOCK], "see": lambda pose, now: None, "undock": True}
+    drive = VirtualDocking(place(), Pose(2.0, 1.0, 0.0), path=tmp_path / "away.mcap", **unseen)
     result = drive.run()
     assert (result.dock.success, result.pose.placed, result.verdict) == (True, False, "parked, uncertain")
     assert drive.off[0] == pytest.approx(-0.7, abs=0.05)
+    docking, verdict, *_ = result.words.splitlines()
+    assert docking.startswith("undocked from bay")
+    assert verdict.startswith("parked, uncertain: within the tolerances with a probability of ")
+    summary = summarise(read_drive(drive.path))
+    assert summary.parked == "parked, uncertain"
+    assert summary.headline.startswith("Undocked from bay, uncertain: within the tolerances with ")
 
 
 @pytest.mark.parametrize(("x", "undock"), [(2.0, True), (2.0, False), (1.5, False)])

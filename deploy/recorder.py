@@ -1,12 +1,14 @@
 """Recording beside the drive: a thread of its own, so that no disk ever blocks the control loop.
 
-Messages are handed over through a bounded queue; one that finds it full is counted as dropped. When the
-disk fails, recording ends, `Recorder.failure` gives the reason, and the drive goes on. The file so far stays
-readable. A killed process loses at most the messages after the last flush, a power cut those after the last
-sync: the thread does both every `FLUSH_S`.
+Messages are handed over through a bounded queue. A message that finds it full is counted as dropped, and so
+is one that no recording can hold, such as one with a negative time. When the disk fails, recording ends,
+`Recorder.failure` gives the reason, and the drive goes on. The file so far stays readable. A killed process
+loses at most the messages after the last flush, a power cut those after the last sync: the thread does both
+every `FLUSH_S`.
 """
 
 import contextlib
+import logging
 import queue
 import threading
 import time
@@ -22,6 +24,7 @@ from rover_ncp.core.files import require_creatable
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.recording.recording import Recorded, RecordingWriter
 
+_log = logging.getLogger(__name__)
 FLUSH_S = 0.4
 """Leaves a tenth of a second for the queue and the disk: a killed process loses at most 0.5 s."""
 STAMPED_NS = 1_000_000_000
@@ -52,6 +55,8 @@ class Recorder(ClosedAtExit):
         self.failure = ""
         """Reason for an early end of the recording; empty while it works."""
         self.dropped = 0
+        self._refused: set[str] = set()
+        """Topics of which a message could not be written."""
         self._clocks_ns = time.time_ns() - time.monotonic_ns()
         self._queue: queue.Queue[Recorded | None] = queue.Queue(QUEUE_LENGTH)
         self._thread: threading.Thread | None = None
@@ -130,9 +135,18 @@ class Recorder(ClosedAtExit):
                 message = self._queue.get(timeout=max(0.0, flushed + FLUSH_S - time.monotonic()))
                 if message is None:
                     return
-                writer.write(message)
+                self._write(writer, message)
             except queue.Empty:
                 pass
             if time.monotonic() >= flushed + FLUSH_S:
                 writer.sync()
                 flushed = time.monotonic()
+
+    def _write(self, writer: RecordingWriter, message: Recorded) -> None:
+        try:
+            writer.write(message)
+        except ValueError as error:
+            self.dropped += 1
+            if message.topic not in self._refused:
+                self._refused.add(message.topic)
+                _log.warning("%s lacks messages: %s", self.path, error)

@@ -220,7 +220,8 @@ class ZenohLink(Link, ZenohClient):
 
     def _take(self, row: KeySpec, data: bytes) -> None:
         arrival, wall_ns = Arrival(data, time.monotonic_ns()), time.time_ns()
-        stamp_ns = header_stamp_ns(row.type, data) or wall_ns
+        stamp_ns = header_stamp_ns(row.type, data) or 0
         # Recorded first, so that a recording has all inputs of its drive.
-        self._record(Recorded(row.name, row.type, data, wall_ns, stamp_ns))
+        # A negative stamp is no time of a recording.
+        self._record(Recorded(row.name, row.type, data, wall_ns, stamp_ns if stamp_ns > 0 else wall_ns))
         self.receive(row.name, arrival)

@@ -43,6 +43,7 @@ __all__ = [
 _log = logging.getLogger(__name__)
 CHUNK_BYTES = 256 * 1024
 _MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json", ".bnn": "text/plain"}
+MAX_TIME_NS = (1 << 64) - 1
 MEMORY_LIMIT, MESSAGE_BYTES = 1 << 30, 250
 """Limit of what `read_recording` keeps, and memory of a message beside its data, in bytes. Five hours of what
 a report reads come to the limit."""
@@ -130,7 +131,15 @@ class RecordingWriter:
         self._writer.add_metadata(name, dict(values))
 
     def write(self, message: Recorded) -> None:
-        """Add a message. Raises ValueError for a type that is not known or not its topic's first."""
+        """Add a message.
+
+        Raises ValueError for a type that is not known or not its topic's first, and for a time that MCAP does
+        not have. The file is not changed then.
+        """
+        # The library fails in the middle of a record, and so would damage the file.
+        if not (0 <= message.log_ns <= MAX_TIME_NS and 0 <= message.publish_ns <= MAX_TIME_NS):
+            times = f"{message.log_ns} ns and {message.publish_ns} ns"
+            raise ValueError(f"{message.topic} has the times {times}, expected 0 to 2^64 - 1")
         if message.topic not in self._channels:
             if not is_known(message.type):
                 found = f"the type {message.type}" if message.type else "no CDR"

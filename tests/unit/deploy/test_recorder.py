@@ -1,19 +1,24 @@
 import errno
 import json
 import os
+import struct
 import threading
 import time
 
+import numpy as np
 import pytest
 from kit.virtual_drive import VirtualDrive
 
 from deploy import app
+from deploy.drive.zenoh_link import ZenohLink
 from deploy.recorder import Recorder
-from deploy.zenoh_client import BridgeAddress
+from deploy.zenoh_client import BridgeAddress, ZenohClient
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FileError
+from rover_ncp.core.geometry import ORIGIN
 from rover_ncp.recording.recording import Recorded, RecordingWriter, read_recording
-from rover_ncp.wire.messages import read_text, text
+from rover_ncp.wire.key_table import spec
+from rover_ncp.wire.messages import pose_with_covariance, read_text, text
 from sim.live.processes import wait_for
 
 
@@ -59,12 +64,48 @@ def test_a_disk_that_hangs_never_blocks_the_caller(tmp_path, monkeypatch):
     recorder.close()
 
 
-def test_any_failure_of_the_thread_is_reported(recorder):
-    recorder.put(note("one"))
-    recorder.put(Recorded("a", "nav_msgs/msg/Odometry", b"", 1, 1))  # another type on the same topic
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        (Recorded("a", "nav_msgs/msg/Odometry", b"", 1, 1), "a has two types"),
+        (note("two", -1), "a has the times -1 ns and -1 ns"),
+    ],
+)
+def test_message_that_no_recording_can_hold_is_dropped_and_recording_goes_on(
+    recorder, caplog, message, words
+):
+    for each in (note("one"), message, message, note("three")):
+        recorder.put(each)
     recorder.close()
-    assert "a has two types" in recorder.failure
-    assert recorder.dropped == 0
+    assert (recorder.failure, recorder.dropped) == ("", 2)
+    assert caplog.text.count(words) == 1
+    found = read_recording(recorder.path)
+    assert (found.complete, [read_text(each.data) for each in found.messages]) == (True, ["one", "three"])
+
+
+@pytest.mark.parametrize("seconds", [-1, 0])
+def test_message_with_a_stamp_that_is_no_time_has_the_time_of_its_arrival(recorder, monkeypatch, seconds):
+    receivers = []
+    monkeypatch.setattr(
+        ZenohClient, "__init__", lambda link, address, receive, own: receivers.append(receive)
+    )
+    ZenohLink(BridgeAddress("virtual"), recorder.put)
+    data = bytearray(pose_with_covariance(ORIGIN, np.eye(3), 0, "map"))
+    data[4:8] = struct.pack("<i", seconds)
+    receivers[0](spec("pose"), bytes(data))
+    recorder.close()
+    (found,) = read_recording(recorder.path).messages
+    assert found.publish_ns == pytest.approx(time.time_ns(), abs=60e9)
+    assert (bytes(data), recorder.failure, recorder.dropped) == (found.data, "", 0)
+
+
+def test_any_failure_of_the_thread_is_reported(recorder, monkeypatch):
+    monkeypatch.setattr(RecordingWriter, "write", lambda *_: {}["no such key"])
+    recorder.put(note("one"))
+    recorder.put(note("two"))
+    recorder.close()
+    assert "no such key" in recorder.failure
+    assert recorder.dropped == 1
 
 
 def test_full_disk_ends_the_recording_and_not_the_drive(tmp_path, monkeypatch, capsys):

@@ -9,7 +9,7 @@ import numpy as np
 from deploy.drive.config import DriveConfig
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
-from deploy.drive.records import attachments
+from deploy.drive.records import TICKS_TOPIC, attachments
 from deploy.drive.result import result_of
 from deploy.drive.tick_messages import Publisher
 from deploy.drive.zenoh_link import ZenohLink
@@ -21,6 +21,7 @@ from rover_ncp.core.console import Output
 from rover_ncp.core.geometry import ORIGIN, STANDSTILL
 from rover_ncp.core.process import Interrupts
 from rover_ncp.course.course import TICK_S, Course
+from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire.messages import (
     COURSE_FRAME,
     neurons,
@@ -57,19 +58,21 @@ def run(
     else:
         controller = Docking(config, staging, policy)
     files = attachments(policy, course, config, staging)
+
+    def record(message: Recorded) -> None:
+        if message.topic == TICKS_TOPIC:  # without a tick it would only be in the way of the next recording
+            recorder.begin()
+        recorder.put(message)
+
     prepare_for_real_time()
     with Interrupts() as interrupts, recorder, ZenohLink(address, recorder.put) as link:
-        publisher = Publisher(link, recorder.put, policy.circuit.neurons)
+        publisher = Publisher(link, record, policy.circuit.neurons)
         drive = Drive(link, controller, publisher, config, lambda: interrupts.raised, period_s=period_s)
         drive.wait()
         output.say(link.other_model(config.described))
         recorder.open(files)
         with output.live(lambda: drive.progress):
-            try:
-                drive.run({name: zlib.crc32(content) for name, content in files.items()})
-            finally:
-                if drive.estimate is None:  # no tick: the recording would only be in the way of the next
-                    recorder.discard()
+            drive.run({name: zlib.crc32(content) for name, content in files.items()})
     result = result_of(drive, recorder.fields | {"recording_dropped": recorder.dropped})
     if output.as_json and result.exit_code:
         output.say(result.words.splitlines()[0])  # stderr shows the reason for an exit code other than 0

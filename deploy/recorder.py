@@ -5,10 +5,13 @@ is one that no recording can hold, such as one with a negative time. When the di
 `Recorder.failure` gives the reason, and the drive goes on. The file so far stays readable. A killed process
 loses at most the messages after the last flush, a power cut those after the last sync: the thread does both
 every `FLUSH_S`.
+
+A recording is kept once its drive has begun (`Recorder.begin`). Until then a file that it replaces stays.
 """
 
 import contextlib
 import logging
+import os
 import queue
 import threading
 import time
@@ -52,6 +55,9 @@ class Recorder(ClosedAtExit):
         if path is not None:
             require_creatable(path, overwrite=overwrite)
         self.path, self._overwrite = path, overwrite
+        self._file = path
+        """Where the file is: beside the one that it replaces until the drive has begun."""
+        self._begun = False
         self.failure = ""
         """Reason for an early end of the recording; empty while it works."""
         self.dropped = 0
@@ -62,11 +68,14 @@ class Recorder(ClosedAtExit):
         self._thread: threading.Thread | None = None
 
     def open(self, attachments: Mapping[str, bytes]) -> None:
-        """Begin the file with its attachments. Raises FileError."""
+        """Make the file with its attachments. Raises FileError."""
         if self.path is None:
             return
+        self._file = self.path
+        if self._overwrite and self.path.exists():
+            self._file = self.path.with_name(f".{self.path.name}.{os.urandom(4).hex()}")
         try:
-            writer = RecordingWriter(self.path, overwrite=self._overwrite)
+            writer = RecordingWriter(self._file, overwrite=self._overwrite)
             for name, content in attachments.items():
                 writer.attach(name, content)
             writer.flush()  # the thread syncs
@@ -74,6 +83,10 @@ class Recorder(ClosedAtExit):
             raise FileError(f"{self.path}: cannot be written: {error.strerror}") from error
         self._thread = threading.Thread(target=self._run, args=(writer,), name="recorder", daemon=True)
         self._thread.start()
+
+    def begin(self) -> None:
+        """Keep the recording from the next message on: the drive begins."""
+        self._begun = True
 
     def put(self, message: Recorded) -> None:
         """Hand over a message; never waits. Its log time is kept free of settings of the wall clock."""
@@ -89,7 +102,10 @@ class Recorder(ClosedAtExit):
             self.dropped += 1
 
     def close(self) -> None:
-        """Write what is still queued and finish the file, if it was opened."""
+        """Write what is still queued and finish the file, if it was opened; without a drive remove it.
+
+        A file that cannot be removed stays.
+        """
         if self._thread is None:
             return
         try:
@@ -99,14 +115,16 @@ class Recorder(ClosedAtExit):
         self._thread.join(CLOSE_TIMEOUT_S)
         if self._thread.is_alive():
             self.failure = self.failure or "the disk did not answer"
-
-    def discard(self) -> None:
-        """Close the recording and remove its file. A file that cannot be removed stays."""
-        self.close()
-        if self._thread is not None and self.path is not None:
-            with contextlib.suppress(OSError):
-                self.path.unlink()
-        self.path = None
+        elif self._begun:
+            try:
+                self._take_name()
+            except OSError as error:
+                self.failure = self.failure or f"{self.path}: {error}"
+        if not self._begun:
+            if self._file is not None:
+                with contextlib.suppress(OSError):
+                    self._file.unlink()
+            self.path = self._file = None
 
     @property
     def fields(self) -> dict[str, Any]:
@@ -143,6 +161,8 @@ class Recorder(ClosedAtExit):
                 flushed = time.monotonic()
 
     def _write(self, writer: RecordingWriter, message: Recorded) -> None:
+        if self._begun:
+            self._take_name()
         try:
             writer.write(message)
         except ValueError as error:
@@ -150,3 +170,9 @@ class Recorder(ClosedAtExit):
             if message.topic not in self._refused:
                 self._refused.add(message.topic)
                 _log.warning("%s lacks messages: %s", self.path, error)
+
+    def _take_name(self) -> None:
+        """Replace the earlier file."""
+        if self._file is not None and self.path is not None and self._file != self.path:
+            self._file.replace(self.path)
+            self._file = self.path

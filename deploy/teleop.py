@@ -113,11 +113,21 @@ class Terminal:
 
 
 class Teleop:
-    """One person's drive over an open link; ``seconds`` is its duration."""
+    """One person's drive over an open link; ``seconds`` is its duration.
+
+    ``begin`` is called when the lease is granted.
+    """
 
     def __init__(
-        self, link: Link, terminal: Terminal, interrupted: Callable[[], bool], clock: Clock = time
+        self,
+        link: Link,
+        terminal: Terminal,
+        interrupted: Callable[[], bool],
+        clock: Clock = time,
+        *,
+        begin: Callable[[], None] = lambda: None,
     ) -> None:
+        self._begin = begin
         self._link, self._terminal, self._clock = link, terminal, clock
         self._measurements = Measurements(link)
         self._monitor = SafetyMonitor(link, self._measurements, interrupted, clock=clock)
@@ -149,6 +159,7 @@ class Teleop:
         try:
             self._link.request_motors("teleop")
             self._monitor.granted()
+            self._begin()
             self._terminal.discard()
             self._drive()
         finally:
@@ -189,7 +200,7 @@ def run(address: BridgeAddress, recorder: Recorder, output: Output) -> int:
         Terminal() as terminal,
         ZenohLink(address, recorder.put) as link,
     ):
-        teleop = Teleop(link, terminal, lambda: interrupts.raised)
+        teleop = Teleop(link, terminal, lambda: interrupts.raised, begin=recorder.begin)
         teleop.wait()
         about = {"version": version("rover-ncp"), "robot": address.robot}
         recorder.open({TELEOP_FILE: dump_yaml(about).encode()})

@@ -12,7 +12,7 @@ Rules of this file:
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import chain
 from typing import NamedTuple
 
@@ -80,8 +80,11 @@ def excite(
     clock: Clock = time,
     *,
     robot: RobotDescription | None = None,
+    begin: Callable[[], None] = lambda: None,
 ) -> None:
     """Drive the steps, after ``monitor.wait``; the lease is always released.
+
+    ``begin`` is called when it is granted.
 
     Raises SafetyStop (``geofence``, or a rule of the monitor), KeyboardInterrupt, or the errors of
     ``Link.request_motors``.
@@ -91,6 +94,7 @@ def excite(
     try:
         link.request_motors("identify")
         monitor.granted()
+        begin()
         due = clock.monotonic()
         for step in chain(steps(robot), ramps(measurements)):
             end, began = due + step.seconds, measurements.newest.sample.pose

@@ -95,7 +95,7 @@ def identify_robot(
         seconds = sum(step.seconds for step in steps(robot))
         output.say(f"driving for {seconds:.0f} s within {fence_m} m of here; Ctrl-C stops the rover")
         monitor.wait()  # what took long since the first wait is not odometry's age
-        excite(link, measurements, monitor, fence_m, robot=robot)
+        excite(link, measurements, monitor, fence_m, robot=robot, begin=recorder.begin)
     code = _write_profile(received, address.robot, out, output, robot)
     if recorder.failure:  # the profile is not lost with it
         raise FileError(f"the recording failed: {recorder.failure}")

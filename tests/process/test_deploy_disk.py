@@ -24,6 +24,7 @@ from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire.messages import text
 recorder = Recorder(Path(sys.argv[1]))
 recorder.open({"policy.yaml": b"a", "course.yaml": b"b", "deploy.yaml": b"c"})
+recorder.begin()
 while not recorder.failure:
     now_ns = time.time_ns()
     recorder.put(Recorded("rover/status", "std_msgs/msg/String", text(os.urandom(500).hex()), now_ns, now_ns))

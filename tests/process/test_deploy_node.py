@@ -1,12 +1,18 @@
 """The driving process over real Zenoh on loopback TCP: what the virtual clock cannot show."""
 
+import contextlib
 import os
 import signal
 
 import pytest
 
+from deploy import teleop
+from deploy.identify.run import identify_robot
+from deploy.recorder import Recorder
 from deploy.replay import replay
-from rover_ncp.core.errors import NoBridge
+from deploy.zenoh_client import BridgeAddress
+from rover_ncp.core.console import Output
+from rover_ncp.core.errors import NoBridge, SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Pose, distance
 from rover_ncp.recording.recording import read_recording
 from rover_ncp.wire.messages import read_pose
@@ -71,6 +77,28 @@ def test_a_drive_that_is_refused_leaves_no_recording(bridge, drive, tmp_path):
     assert (code, result["stopped_by"], result["recording"]) == (4, "stop-button", None)
     assert "refuses the motors: it is pressed" in result["reason"]
     assert not (tmp_path / "run.mcap").exists()
+    assert bridge.commands == []
+
+
+class Keys(contextlib.nullcontext):
+    """A terminal at which nothing is typed."""
+
+    def discard(self):
+        raise AssertionError("keys are read after the motors were refused")
+
+
+@pytest.mark.parametrize("command", ["teleop", "identify"])
+def test_a_refused_request_for_the_motors_leaves_no_recording(bridge, tmp_path, monkeypatch, command):
+    bridge.refusal = "stop-button"
+    address, path, output = BridgeAddress(bridge.robot), tmp_path / "run.mcap", Output(as_json=True)
+    for _ in range(2):  # the second attempt finds no file of the first
+        if command == "teleop":
+            monkeypatch.setattr(teleop, "Terminal", lambda: Keys(Keys()))
+            assert teleop.run(address, Recorder(path), output) == 4
+        else:
+            with pytest.raises(SafetyStop, match="refuses the motors: it is pressed"):
+                identify_robot(address, Recorder(path), 0.8, tmp_path / "rover.yaml", output)
+        assert [*tmp_path.iterdir()] == []
     assert bridge.commands == []
 
 

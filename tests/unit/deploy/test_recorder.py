@@ -14,7 +14,7 @@ from deploy.drive.zenoh_link import ZenohLink
 from deploy.recorder import Recorder
 from deploy.zenoh_client import BridgeAddress, ZenohClient
 from rover_ncp.core.console import Output
-from rover_ncp.core.errors import FileError
+from rover_ncp.core.errors import FileError, NoPose
 from rover_ncp.core.geometry import ORIGIN
 from rover_ncp.recording.recording import Recorded, RecordingWriter, read_recording
 from rover_ncp.wire.key_table import spec
@@ -29,9 +29,10 @@ def note(words, now_ns=None):
 
 @pytest.fixture
 def recorder(tmp_path):
-    """One that writes run.mcap and is open."""
+    """One that writes run.mcap and is open, in a drive that has begun."""
     recorder = Recorder(tmp_path / "run.mcap")
     recorder.open({"policy.yaml": b"x"})
+    recorder.begin()
     return recorder
 
 
@@ -41,6 +42,7 @@ def test_every_message_is_written_in_order_also_those_before_the_file_is_open(tm
         recorder.put(note(str(number)))
         if number == 100:
             recorder.open({"policy.yaml": b"x"})
+    recorder.begin()
     recorder.close()
     recording = read_recording(tmp_path / "run.mcap")
     assert recording.complete
@@ -145,11 +147,68 @@ def test_overwriting_does_not_damage_what_another_writer_still_writes(recorder):
     recorder.put(note("first"))
     second = Recorder(recorder.path, overwrite=True)
     second.open({})
+    second.begin()
     second.put(note("second"))
     recorder.close()
     second.close()
     found = read_recording(recorder.path)
     assert (found.complete, [read_text(message.data) for message in found.messages]) == (True, ["second"])
+
+
+def test_earlier_recording_stays_until_the_drive_begins(recorder):
+    recorder.put(note("earlier"))
+    recorder.close()
+    path = recorder.path
+    refused = Recorder(path, overwrite=True)
+    with refused:
+        refused.open({})
+        refused.put(note("refused"))
+    assert refused.fields == {"recording": None, "recording_failure": None}
+    assert [read_text(message.data) for message in read_recording(path).messages] == ["earlier"]
+
+    driven = Recorder(path, overwrite=True)
+    driven.open({})
+    driven.put(note("waiting"))
+    driven.begin()
+    driven.put(note("driving"))
+    # Without an end, as after a kill.
+    wait_for(
+        lambda: [read_text(m.data) for m in read_recording(path).messages] == ["waiting", "driving"], 20.0
+    )
+    driven.close()
+    assert read_recording(path).complete
+    assert [each.name for each in path.parent.iterdir()] == ["run.mcap"]
+
+
+def test_recording_that_fails_before_the_drive_begins_has_its_name_at_the_end(tmp_path, monkeypatch):
+    def fail(writer):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("deploy.recorder.FLUSH_S", 0.02)
+    monkeypatch.setattr(RecordingWriter, "sync", fail)
+    path = tmp_path / "run.mcap"
+    path.write_bytes(b"earlier")
+    recorder = Recorder(path, overwrite=True)
+    recorder.open({"policy.yaml": b"x"})
+    wait_for(lambda: recorder.failure, 20.0)
+    assert path.read_bytes() == b"earlier"
+    recorder.begin()
+    recorder.close()
+    assert read_recording(path).attachment("policy.yaml") == b"x"
+    assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
+
+
+def test_drive_that_does_not_begin_leaves_the_earlier_recording(tmp_path, monkeypatch):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(b"earlier")
+    virtual = VirtualDrive(pose="required", pose_wait_s=0.5)
+    virtual.use_in(app, monkeypatch)
+    drive = {"policy": virtual.policy, "course": virtual.course, "config": virtual.config}
+    recorder = Recorder(path, overwrite=True)
+    with pytest.raises(NoPose):
+        app.run(BridgeAddress("virtual"), Output(as_json=True), recorder=recorder, **drive)
+    assert path.read_bytes() == b"earlier"
+    assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
 
 
 def test_disk_is_synced_at_each_flush_by_the_thread_alone(tmp_path, monkeypatch):

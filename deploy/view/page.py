@@ -104,6 +104,7 @@ def run_page(
     headline: tuple[str, str, str],
     rows: Sequence[tuple[str, str]],
     tables: Sequence[Table] = (),
+    outline: FloatArray = OUTLINE,
 ) -> str:
     """Return a page on a run without a recording, of a drive or of a task that has no course.
 
@@ -111,7 +112,7 @@ def run_page(
     """
     return page(
         title=title,
-        data=_data(findings.trace.policy, course)
+        data=_data(findings.trace.policy, course, outline)
         | {"updates": _updates(findings, trace_columns(findings.trace), []), "simulated": True},
         html={
             "title": fragment("title", *headline),

@@ -53,12 +53,22 @@ class Drive:
         return f"policies {staging.circuit.name} (to the staging pose) and {own} at place {self.course.name}"
 
     @property
-    def outline(self) -> FloatArray:
-        """The outline of the robot that the driver's settings describe, or of a Pioneer 3-AT."""
+    def docks(self) -> bool:
+        """Whether it drives to or from a place."""
+        return self.settings.get("place") is not None or self.timeline.dock is not None
+
+    @property
+    def robot(self) -> RobotDescription | None:
+        """The robot that the driver's settings describe; None without ``--model``."""
         described = self.settings.get("described")
         if described is None:
-            return OUTLINE
-        return outline_of(validated(described, RobotDescription, f"{self.path}, deploy.yaml, $.described"))
+            return None
+        return validated(described, RobotDescription, f"{self.path}, deploy.yaml, $.described")
+
+    @property
+    def outline(self) -> FloatArray:
+        """The outline of the described robot, or of a Pioneer 3-AT."""
+        return OUTLINE if self.robot is None else outline_of(self.robot)
 
 
 class Summary(NamedTuple):

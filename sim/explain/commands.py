@@ -27,7 +27,8 @@ def explain(
     course: Annotated[
         str | None,
         typer.Option(
-            help="Course to drive, by name or YAML file.", show_default="parking, or the recording's"
+            help="Course that a policy drives, by name or YAML file; a recording has its own.",
+            show_default="parking",
         ),
     ] = None,
     runs: Annotated[
@@ -53,7 +54,8 @@ def explain(
     With --task, the phases are those of the circuit's outputs in one episode, and the returns are means of a
     few. Without a policy, the best stored circuit of the paper's benchmark is explained.
 
-    A policy on a course takes half a minute to a minute.
+    A recording is explained on its own course, with the robot of its --model in the simulations. That of a
+    docking is refused (2); 'report' explains it. A policy on a course takes half a minute to a minute.
 
         rover-ncp explain course --course bay --out runs/why
         rover-ncp explain --task mountain-car --out runs/why-mountain-car

@@ -21,11 +21,14 @@ from deploy.view.trace import Trace
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.config import ResultModel
+from rover_ncp.core.errors import UsageError
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.scoring import Parked, Verdict
+from rover_ncp.robot.description import RobotDescription
 from sim.explain.what_if import Knockout, Outcome, Sensitivity, knock_outs, sensitivities
 from sim.learn.engine.evaluator import Evaluator
 from sim.learn.engine.rollout import Rollout, rollout
+from sim.world.described import described_rover
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -60,6 +63,8 @@ class Explanation:
     findings: Findings
     knock_outs: tuple[Knockout, ...]
     sensitivities: tuple[Sensitivity, ...]
+    robot: RobotDescription | None = None
+    """The simulated robot; None for the default one and for a task."""
 
     @property
     def policy(self) -> Policy:
@@ -78,7 +83,10 @@ class Explanation:
         if self.verdict is None:
             return f"mean return {number(self.simulated.total)} of {len(self.simulated.returns)} episodes"
         reason = self.verdict.reason and f": {self.verdict.reason}"
-        return f"{self.verdict.words}{reason}; return in simulation {number(self.simulated.total)}"
+        robot = self.robot and f" of {self.robot.name}"
+        return (
+            f"{self.verdict.words}{reason}; return in simulation{robot or ''} {number(self.simulated.total)}"
+        )
 
     def result(self, files: Sequence[Path] = ()) -> "Result":
         """Return everything but the potentials, with the files that were written."""
@@ -134,18 +142,26 @@ class Result(ResultModel):
 
 
 def explain(source: str, course: str | None = None, *, on_progress: Progress = lambda _: None) -> Explanation:
-    """Explain a policy (name or file) on a course, or a recording (``.mcap``) on its own course.
+    """Explain a policy (name or file) on a course, or a recording (``.mcap``) on its own course and robot.
 
-    Raises FileError and ConfigError.
+    Raises UsageError for the recording of a docking or a recording with a course, FileError and ConfigError.
     """
     command = command_line(source, course=course)
     if Path(source).suffix != ".mcap":
         policy, known = load_policy(source), load_course(course or "parking")
         return explain_drive(source, command, policy, known, on_progress=on_progress)
+    if course is not None:
+        raise UsageError(f"--course {course}: does not go with a recording, which has its own course")
     drive = read_drive(Path(source))
-    known = drive.course if course is None else load_course(course)
+    if drive.docks:
+        raise UsageError(
+            f"{source}: the recording of a docking, which has no course to simulate; "
+            f"'rover-ncp report {source}' explains it"
+        )
     recorded = drive.timeline.trace(), next(iter(drive.timeline.judge().values()))
-    return explain_drive(source, command, drive.policy, known, recorded, on_progress=on_progress)
+    return explain_drive(
+        source, command, drive.policy, drive.course, recorded, on_progress=on_progress, robot=drive.robot
+    )
 
 
 def command_line(source: str | None, **options: str | None) -> str:
@@ -163,26 +179,29 @@ def explain_drive(
     recorded: tuple[Trace, Verdict] | None = None,
     *,
     on_progress: Progress = lambda _: None,
+    robot: RobotDescription | None = None,
 ) -> Explanation:
-    """Explain a policy's recorded drive, or its simulated one."""
-    run = rollout(policy, course)
+    """Explain a policy's recorded drive, or its simulated one; ``robot`` is the simulated one."""
+    model = described_rover(robot) if robot else None
+    run = rollout(policy, course, model)
     trace, verdict = recorded or (traced(policy, run), run.verdict)
 
     def simulate(other: Policy) -> Outcome:
-        found = rollout(other, course)
+        found = rollout(other, course, model)
         return Outcome(found.total, found.verdict)
 
     return explain_run(
         trace,
         Simulated(total=run.total, returns=(run.total,), enough=None, parked=run.verdict.parked),
         simulate,
-        Evaluator(policy, course).returns,
+        Evaluator(policy, course, model).returns,
         on_progress,
         source=source,
         command=command,
         course=course,
         task=None,
         verdict=verdict,
+        robot=robot,
     )
 
 

@@ -99,6 +99,7 @@ def page(found: Explanation) -> str:
     """Return an explanation as a page."""
     from deploy.view.page import Table, run_page
     from deploy.view.recorded_drive import KINDS
+    from deploy.view.shapes import OUTLINE, outline_of
 
     verdict = found.verdict
     if verdict is None:
@@ -117,6 +118,7 @@ def page(found: Explanation) -> str:
         title=found.title,
         headline=headline,
         rows=[("Result", found.ending), ("Command", found.command)],
+        outline=outline_of(found.robot) if found.robot else OUTLINE,
         tables=[
             Table(
                 "Without a part",

@@ -73,14 +73,20 @@ def drive_messages(policy, course, truth=True, variance=1e-6):
     return told, run
 
 
-def write_drive(path: Path, policy="parking", course="parking", truth=True, more=(), variance=1e-6):
-    """Write a recording of a policy on a course; return the rollout it was made from."""
+def write_drive(
+    path: Path, policy="parking", course="parking", truth=True, more=(), variance=1e-6, **settings
+):
+    """Write a recording of a policy on a course; return the rollout it was made from.
+
+    ``settings`` are further ones of the driver.
+    """
     known, policy = load_course(course), load_policy(policy)
     told, run = drive_messages(policy, known, truth, variance)
     with RecordingWriter(path) as writer:
         writer.attach("policy.yaml", policy_to_yaml(policy).encode())
         writer.attach("course.yaml", dump_yaml(known.model_dump(mode="json")).encode())
-        writer.attach("deploy.yaml", b"format: 1\nversion: 0.1.0\nrobot: tcp/127.0.0.1:7447\n")
+        driver = {"format": 1, "version": "0.1.0", "robot": "tcp/127.0.0.1:7447"}
+        writer.attach("deploy.yaml", dump_yaml(driver | settings).encode())
         for message in sorted([*told, *more], key=lambda message: message.log_ns):
             writer.write(message)
     return run

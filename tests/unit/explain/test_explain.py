@@ -10,17 +10,20 @@ from kit.recorded_drives import write_drive
 
 from deploy.view.findings import analyse
 from deploy.view.page import circuit_svg
+from deploy.view.shapes import outline_of
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
 from rover_ncp.course.scoring import Verdict
+from rover_ncp.robot.description import load_description
 from sim.explain.explain import explain, traced
 from sim.explain.files import page
 from sim.explain.what_if import parameter_names, sensitivities, without_neuron, without_synapse
 from sim.learn.engine.evaluator import Evaluator
 from sim.learn.engine.rollout import rollout
+from sim.world.described import described_rover
 
 SHORT = "tests/data/short_course.yaml"
 
@@ -123,6 +126,37 @@ def test_command_writes_files_and_json_and_a_recording_is_explained_alike(tmp_pa
     assert sentences[0] == sentences[1]
     for name in ("contributions", "time_constants", "knock_outs", "sensitivities"):
         assert recorded[name] == fields[name]
+
+
+def test_what_is_no_drive_of_one_course_is_not_explained(tmp_path, capsys):
+    path = tmp_path / "run.mcap"
+    write_drive(path, course=SHORT, place={"name": "bay"})
+    assert run(["explain", str(path)]) == 2
+    assert f"'rover-ncp report {path}' explains it" in capsys.readouterr().err
+    assert run(["explain", str(path), "--course", "bay"]) == 2
+    assert "--course bay: does not go with a recording" in capsys.readouterr().err
+
+
+def test_recording_of_a_described_robot_is_simulated_with_that_robot(tmp_path):
+    robot, course = load_description("turtlebot4"), load_course(SHORT)
+    write_drive(tmp_path / "run.mcap", course=SHORT, described=robot.model_dump(mode="json"))
+    found = explain(str(tmp_path / "run.mcap"))
+    policy, model = found.policy, described_rover(robot)
+    intact = rollout(policy, course, model).total
+    assert found.simulated.total == intact != rollout(policy, course).total
+    without = next(row for row in found.knock_outs if row.name == "FWD")
+    assert without.total == rollout(without_neuron(policy, "FWD"), course, model).total
+    row = found.sensitivities[0]
+    moved = policy.parameters()
+    moved[0] += row.up
+    assert Evaluator(policy, course, model).returns(moved)[0] - intact == pytest.approx(
+        row.change_up, abs=1e-9
+    )
+    assert "return in simulation of turtlebot4 " in found.ending
+    data = json.loads(
+        re.search(r'<script id="data" type="application/json">(.*?)</script>', page(found), re.S)[1]
+    )
+    assert data["course"]["outline"] == outline_of(robot).round(4).tolist()
 
 
 def test_a_circuit_that_does_not_park_is_not_said_to_need_its_parts_for_it(tmp_path, capsys):

@@ -25,12 +25,16 @@ from rover_ncp.course.scoring import Parked, Verdict
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.key_table import TAG_VIEW
-from rover_ncp.wire.protocol import in_words
+from rover_ncp.wire.protocol import DriverStatus, in_words
 
 FINAL = frozenset({*map(str, Parked), "ended", "fault"})
 """States of a driver whose drive has ended."""
+FIRST = frozenset({"waiting", "armed"})
+"""States of a driver before its drive."""
 BEFORE = 50
-"""Odometry and commands kept before a drive begins."""
+"""Odometry, commands and voltages kept before a drive begins."""
+SILENT_NS = 5_000_000_000
+"""A driver that has not ticked for so long was killed: what comes then belongs to no drive."""
 
 
 @dataclass
@@ -54,7 +58,12 @@ class Feed:
         self._generation = 0
         self._view = ""
         """The newest picture of tags, a JPEG as base64; it belongs to no drive."""
+        self._timeline: Timeline
         self._ended = False
+        self._tick: int
+        """The newest tick of the driver's status."""
+        self._lease: int
+        """The lease that the gate reported then; 0 for none."""
         self._verdicts: dict[str, Verdict] | None
         """Those of the ended drive, judged once, and again if the gate reports a contact then."""
         self._judged: bool | None
@@ -67,22 +76,25 @@ class Feed:
             self._view = b64encode(bytes(decode(message.type, message.data).data)).decode()
             return
         with self._lock:
-            if self._ended and message.topic not in {"rover/status", "rover/gate"}:
-                return  # the data of a finished drive stay unchanged until the next one begins
+            if self._belongs_to_no_drive(message):
+                return
             self._timeline.take(message)
-            status = self._timeline.status
+            status, gate = self._timeline.status, self._timeline.gate
             if message.topic == "rover/status" and status is not None:
-                if self._ended and status.state not in FINAL:
+                if self._is_of_a_new_drive(status):
                     self._begin()
                     self._timeline.take(message)
                 self._ended = status.state in FINAL
+                if status.tick >= self._tick:
+                    self._tick, self._lease = status.tick, gate.lease if gate else 0
             gate = self._timeline.gate
             touched = gate is not None and "bumper" in gate.stops
             if self._ended and self._judged != touched:
                 self._verdicts = self._timeline.judge() if self._timeline.ticks else {}
                 self._judged = touched
-            if not self._timeline.ticks:
-                for rows in (self._timeline.odometry, self._timeline.commands, self._timeline.setpoints):
+            timeline = self._timeline
+            if not timeline.ticks:
+                for rows in (timeline.odometry, timeline.commands, timeline.setpoints, timeline.voltages):
                     del rows[:-BEFORE]
 
     def updates(self, cursor: Cursor, bridge: bool = True) -> dict[str, Any]:
@@ -111,8 +123,28 @@ class Feed:
             cursor.html = html
         return updates | columns(timeline, first, cursor.rows) if cursor.rows else updates
 
+    def _belongs_to_no_drive(self, message: Recorded) -> bool:
+        """Whether a message came after the end of the drive; its data stay unchanged until the next one."""
+        if message.topic in {"rover/status", "rover/gate"}:
+            return False
+        if self._ended or message.topic in {"rover/estimate", "rover/neurons"}:
+            return self._ended
+        ticks = self._timeline.ticks
+        return bool(ticks) and message.log_ns - ticks[-1].wall_ns > SILENT_NS
+
+    def _is_of_a_new_drive(self, status: DriverStatus) -> bool:
+        """Whether the status begins another drive. A killed driver sends no final one."""
+        if self._ended:
+            return status.state not in FINAL
+        gate = self._timeline.gate
+        # While the drive has the lease, another driver waits or is refused.
+        driven = gate is not None and gate.lease != 0 and gate.lease == self._lease
+        earlier = status.state in FIRST or status.tick < self._tick
+        return earlier and bool(self._timeline.ticks) and not driven
+
     def _begin(self) -> None:
         self._generation += 1
+        self._tick, self._lease = 0, 0
         self._timeline = Timeline(self._policy, self._course)
         self._ended = False
         self._findings: dict[str, Any] | None = None

@@ -3,15 +3,16 @@
 import json
 import threading
 from base64 import b64decode
+from dataclasses import replace
 from html import unescape
 
 import numpy as np
 import pytest
-from kit.recorded_drives import state
+from kit.recorded_drives import BEGAN_NS, TICK_NS, state
 
 from deploy.view import feed as feed_module
 from deploy.view import server
-from deploy.view.feed import Cursor
+from deploy.view.feed import Cursor, Feed
 from deploy.view.timeline import Timeline
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.console import Output
@@ -21,7 +22,8 @@ from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire import messages
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.key_table import TAG_VIEW, spec
-from rover_ncp.wire.protocol import DriverStatus
+from rover_ncp.wire.messages import read_text
+from rover_ncp.wire.protocol import DriverStatus, GateStatus, parse_json
 
 
 def joined(parts):
@@ -94,6 +96,72 @@ def test_a_new_drive_begins_anew(short, feed):
     assert len(feed.updates(cursor)["ticks"]["t"]) == short.course.ticks
 
 
+def killed(short, feed, tick=20):
+    """Take a drive up to a tick, after which its driver sends no more; return the time of that tick."""
+    until = BEGAN_NS + tick * TICK_NS + TICK_NS // 2
+    for message in short.messages:
+        if message.log_ns <= until:
+            feed.take(message)
+    return until
+
+
+def later(messages, by_ns, **leases):
+    """Return messages at a later time; a held lease has the number ``lease``."""
+    for message in messages:
+        moved = replace(message, log_ns=message.log_ns + by_ns, publish_ns=message.publish_ns + by_ns)
+        if message.topic == "rover/gate":
+            gate = parse_json(GateStatus, read_text(message.data))
+            moved = state(gate.model_copy(update=leases if gate.lease else {}), moved.log_ns)
+        yield moved
+
+
+@pytest.mark.parametrize("joined_at", [0, 5])
+def test_drive_after_a_killed_driver_begins_anew(short, feed, joined_at):
+    """``joined_at`` is the last tick of the second drive that does not arrive here, if it is not 0."""
+    until, cursor = killed(short, feed), Cursor()
+    feed.take(state(GateStatus(lease=1, held="bumper"), until))
+    assert len(feed.updates(cursor)["ticks"]["t"]) == 21
+    missed = BEGAN_NS + joined_at * TICK_NS if joined_at else 0
+    second = [message for message in short.messages if message.log_ns > missed]
+    for message in later(second, 600 * TICK_NS, lease=2):
+        feed.take(message)
+    found = feed.updates(cursor)
+    assert found["reset"] is True
+    # A status that arrives before the gate's new lease may be that of a driver which is refused.
+    count = short.course.ticks - (joined_at + 2 if joined_at else 0)
+    assert found["ticks"]["t"] == pytest.approx([0.1 * tick for tick in range(count)])
+    assert not feed._timeline.touched
+    if not joined_at:
+        alone = Feed(short.policy, short.course)
+        for message in short.messages:
+            alone.take(message)
+        assert found["html"]["summary"] == alone.updates(Cursor())["html"]["summary"]
+
+
+def test_another_driver_that_is_refused_does_not_end_the_drive(short, feed):
+    until, cursor = killed(short, feed), Cursor()
+    feed.updates(cursor)
+    feed.take(state(DriverStatus(state="armed"), until))
+    for message in short.messages:
+        if message.log_ns > until:
+            feed.take(message)
+    found = feed.updates(cursor)
+    assert found["reset"] is False
+    assert len(found["ticks"]["t"]) == short.course.ticks - 21
+
+
+def test_rows_after_a_killed_driver_cost_no_memory(short, feed):
+    until = killed(short, feed)
+    odometry = next(message for message in short.messages if message.topic == "odom")
+    voltage = next(message for message in short.messages if message.topic == "battery_state")
+    for number in range(1000):
+        for message in (odometry, voltage):
+            feed.take(replace(message, log_ns=until + number * TICK_NS))
+    timeline = feed._timeline
+    assert 50 <= len(timeline.odometry) - 20 <= 55
+    assert len(timeline.voltages) <= 55
+
+
 @pytest.mark.parametrize(("model", "corners"), [("p3at-sh", 5), ("turtlebot4", 37)])
 def test_the_page_draws_the_robots_own_outline(monkeypatch, model, corners):
     def unreachable(address, take):
@@ -109,9 +177,12 @@ def test_the_page_draws_the_robots_own_outline(monkeypatch, model, corners):
 
 def test_waiting_for_a_drive_costs_no_memory(short, feed):
     sample = next(message for message in short.messages if message.topic == "odom")
+    voltage = next(message for message in short.messages if message.topic == "battery_state")
     for _ in range(1000):
         feed.take(sample)
+        feed.take(voltage)
     assert len(feed._timeline.odometry) <= 50
+    assert len(feed._timeline.voltages) <= 50
 
 
 def test_neurons_of_another_policy_are_noticed(feed):

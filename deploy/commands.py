@@ -187,7 +187,11 @@ def watch(
     ] = "course",
     course: Annotated[str, typer.Option(help="The course that is driven, by name or file.")] = "parking",
     model: Annotated[
-        str, typer.Option(help="The robot's description, for its outline: a name or a YAML file.")
+        str,
+        typer.Option(
+            help="The robot's description, a name or a YAML file, as for 'deploy': the page draws its "
+            "outline, and the course takes longer for a slow robot."
+        ),
     ] = DEFAULT_ROBOT,
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Where this machine serves the page; 0 takes a free port.")
@@ -198,7 +202,8 @@ def watch(
 ) -> int:
     """Show a robot's drive live on a page of this machine, with a Stop button.
 
-    The page is that of 'rover-ncp report', updated ten times a second: path, circuit, commands, events. Its
+    The page is that of 'rover-ncp report', updated ten times a second: path, circuit, commands, events. It
+    judges and explains a drive only if the driver names the same policy and course, and no docking. Its
     Stop button stops the rover until released. The page shows whether this user may stop the rover. Only
     this machine can open the page; the page shows the SSH command by which another device opens it. It is
     ready when it prints "watching at ADDRESS". Ctrl-C ends it and does not affect the rover.

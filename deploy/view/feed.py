@@ -14,6 +14,7 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
+from deploy.place.outcome import Stage
 from deploy.view.findings import analyse
 from deploy.view.page import findings_data, findings_html, fragment
 from deploy.view.page_data import columns, event_rows
@@ -31,6 +32,8 @@ FINAL = frozenset({*map(str, Parked), "ended", "fault"})
 """States of a driver whose drive has ended."""
 FIRST = frozenset({"waiting", "armed"})
 """States of a driver before its drive."""
+STAGES = tuple(map(str, Stage))
+"""A docking's driver reports its stage as its state."""
 BEFORE = 50
 """Odometry, commands and voltages kept before a drive begins."""
 SILENT_NS = 5_000_000_000
@@ -84,13 +87,16 @@ class Feed:
                 if self._is_of_a_new_drive(status):
                     self._begin()
                     self._timeline.take(message)
+                if not self._timeline.other or status.state.startswith(STAGES):
+                    self._timeline.other = self._other_than(status)
                 self._ended = status.state in FINAL
                 if status.tick >= self._tick:
                     self._tick, self._lease = status.tick, gate.lease if gate else 0
             gate = self._timeline.gate
             touched = gate is not None and "bumper" in gate.stops
             if self._ended and self._judged != touched:
-                self._verdicts = self._timeline.judge() if self._timeline.ticks else {}
+                known = self._timeline.ticks and not self._timeline.other
+                self._verdicts = self._timeline.judge() if known else {}
                 self._judged = touched
             timeline = self._timeline
             if not timeline.ticks:
@@ -122,6 +128,22 @@ class Feed:
             updates["html"] = {name: text for name, text in html.items() if cursor.html.get(name) != text}
             cursor.html = html
         return updates | columns(timeline, first, cursor.rows) if cursor.rows else updates
+
+    def _other_than(self, status: DriverStatus) -> str:
+        """Return why the drive is not one of this page's policy on its course; "" if it is."""
+        if status.state.startswith(STAGES):
+            return (
+                "a docking has two policies and no course: this page neither judges nor explains it; "
+                "'rover-ncp report' explains its recording"
+            )
+        own = self._policy.circuit.name, self._course.name
+        named = status.policy or own[0], status.course or own[1]  # a driver may leave them out
+        if named == own:
+            return ""
+        return (
+            f"this page has policy {own[0]} on course {own[1]}, so it neither judges nor explains the drive: "
+            "start watch with --policy and --course"
+        )
 
     def _belongs_to_no_drive(self, message: Recorded) -> bool:
         """Whether a message came after the end of the drive; its data stay unchanged until the next one."""
@@ -167,7 +189,9 @@ class Feed:
             notes.append("no driver holds the lease")
         if status and status.warning:
             notes.append(status.warning)
-        if timeline.foreign:
+        if timeline.other:
+            notes.append(timeline.other)
+        elif timeline.foreign:
             notes.append(
                 "the driver's neurons are not those of this page's policy: start watch with --policy"
             )
@@ -181,9 +205,10 @@ class Feed:
     def _explain(self) -> None:
         """Explain an ended drive, once."""
         with self._lock:
-            if not self._ended or self._explained or len(self._timeline.ticks) < 2:
+            generation, timeline = self._generation, self._timeline
+            if not self._ended or self._explained or timeline.other or len(timeline.ticks) < 2:
                 return
-            self._explained, generation, timeline = True, self._generation, self._timeline
+            self._explained = True
         findings = analyse(timeline.trace())
         data, html = findings_data(findings), findings_html(findings)
         with self._lock:

@@ -160,13 +160,17 @@ def _ticks(timeline: Timeline, ticks: Sequence[Tick]) -> dict[str, Any]:
         return {}
     potentials = np.array([tick.potentials for tick in ticks])
     x, y, theta = np.array([tick.estimate.pose for tick in ticks]).T
+    activity = _activity(timeline.policy, potentials, timeline.staging, [tick.staged for tick in ticks])
+    if timeline.other:
+        unknown = [[None] * len(ticks)] * timeline.policy.circuit.synapse_count
+        activity |= {"currents": unknown, "pulls": unknown}
     return {
         "t": _since(timeline, [tick.wall_ns for tick in ticks]),
         "x": _rounded(x),
         "y": _rounded(y),
         "theta": _rounded(theta),
         "ellipse": [_rounded(_ellipse(tick.estimate.covariance[:2, :2]), 6) for tick in ticks],
-        **_activity(timeline.policy, potentials, timeline.staging, [tick.staged for tick in ticks]),
+        **activity,
     }
 
 

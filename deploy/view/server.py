@@ -41,6 +41,7 @@ from rover_ncp.core.errors import FormatError, NoBridge, NotAuthorised, PortInUs
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
 from rover_ncp.course.course import load_course
+from rover_ncp.course.slowdown import slowed
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.key_table import TAG_VIEW, KeySpec, spec
@@ -106,12 +107,13 @@ class WatchResult(ResultModel):
 
 def run(address: BridgeAddress, policy: str, course: str, port: int, output: Output, *, model: str) -> int:
     """Serve until interrupted. Raises RoverNcpError if it could not begin."""
-    the_policy, the_course = load_policy(policy), load_course(course)
+    robot = load_description(model)
+    the_policy, (the_course, _) = load_policy(policy), slowed(load_course(course), robot)
     feed = Feed(the_policy, the_course)
     with _listener(port) as listener:
         port = listener.getsockname()[1]
         url = f"http://{HOST}:{port}/"
-        outline = outline_of(load_description(model))
+        outline = outline_of(robot)
         page = watch_page(address.robot, url, the_policy, the_course, outline)
         with Viewer(address, feed.take) as viewer:
             config = uvicorn.Config(

@@ -101,6 +101,8 @@ class Timeline:
         self.predicted = 0
         self.foreign = False
         """Whether neurons arrived that are not those of the policy."""
+        self.other = ""
+        """Why the policy and the course are not those of the drive; "" if they are, as in a recording."""
         self.unreadable: Counter[str] = Counter()
         self.status: DriverStatus | None = None
         self.dock: DockResult | None = None
@@ -145,7 +147,7 @@ class Timeline:
             event._replace(text=self.in_words(event.text)) if event.kind == "state" else event
             for event in self._events
         ]
-        if self.ticks:
+        if self.ticks and not self.other:
             signal = self.ticks[0].wall_ns + round(self.course.start_signal_s * 1e9)
             if self.ticks[-1].wall_ns >= signal:
                 events.append(Event(signal, "start", "start signal"))

@@ -43,7 +43,8 @@ class Circuit {
       const own = this.chosen < 0 || source === this.chosen || destination === this.chosen;
       path.setAttribute("stroke-width", (0.6 + 6.4 * part).toFixed(2));
       path.setAttribute("opacity", own ? (0.25 + 0.75 * Math.min(1, 1.6 * part)).toFixed(2) : "0.06");
-      path.querySelector("title").textContent = `${kind} ${neurons[source].name} → ${neurons[destination].name}: ${signed(current, 1)} mA`;
+      const words = current === null ? "unknown" : `${signed(current, 1)} mA`;
+      path.querySelector("title").textContent = `${kind} ${neurons[source].name} → ${neurons[destination].name}: ${words}`;
     });
   }
 
@@ -53,6 +54,7 @@ class Circuit {
     if (this.chosen < 0) return `Choose a neuron to see what drives it${data.course ? ", and to paint the path with it" : ""}.`;
     const { neurons, synapses } = this.circuit, { name, layer, label } = neurons[this.chosen];
     const start = `${name} ${number(ticks.potentials[this.chosen][i])} mV`;
+    if (ticks.pulls[0]?.[i] === null) return `${start}; what drives it is unknown.`; // another circuit drove
     if (layer === "sensory") return `${start}, set by ${label}.`;
     const pulls = synapses.map(({ source, destination }, k) => ({ source, destination, mv: ticks.pulls[k][i] }))
       .filter(({ destination, mv }) => destination === this.chosen && Math.abs(mv) >= 0.5)

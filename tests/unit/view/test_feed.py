@@ -17,8 +17,11 @@ from deploy.view.timeline import Timeline
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import NoBridge
+from rover_ncp.course.course import load_course
 from rover_ncp.course.scoring import Parked
+from rover_ncp.course.slowdown import slowed
 from rover_ncp.recording.recording import Recorded
+from rover_ncp.robot.description import load_description
 from rover_ncp.wire import messages
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.key_table import TAG_VIEW, spec
@@ -162,17 +165,19 @@ def test_rows_after_a_killed_driver_cost_no_memory(short, feed):
     assert len(timeline.voltages) <= 55
 
 
-@pytest.mark.parametrize(("model", "corners"), [("p3at-sh", 5), ("turtlebot4", 37)])
-def test_the_page_draws_the_robots_own_outline(monkeypatch, model, corners):
+@pytest.mark.parametrize(("model", "corners"), [("p3at-sh", 5), ("turtlebot3-burger", 5), ("turtlebot4", 37)])
+def test_the_page_draws_the_robots_own_outline_and_the_course_at_its_speed(monkeypatch, model, corners):
     def unreachable(address, take):
         raise NoBridge
 
     drawn = []
-    monkeypatch.setattr(server, "watch_page", lambda *parts: drawn.append(parts[-1]))
+    monkeypatch.setattr(server, "watch_page", lambda *parts: drawn.extend(parts[-2:]))
     monkeypatch.setattr(server, "Viewer", unreachable)
     with pytest.raises(NoBridge):
         server.run(BridgeAddress("tcp/127.0.0.1:9"), "parking", "parking", 0, Output(False), model=model)
-    assert len(drawn[0]) == corners
+    course, outline = drawn
+    assert len(outline) == corners
+    assert course == slowed(load_course("parking"), load_description(model))[0]
 
 
 def test_waiting_for_a_drive_costs_no_memory(short, feed):
@@ -192,6 +197,60 @@ def test_neurons_of_another_policy_are_noticed(feed):
     assert "neurons are not those of this page's policy" in unescape(
         feed.updates(Cursor())["html"]["subline"]
     )
+
+
+def named(messages, *states, **names):
+    """Return the messages with other names in the driver's status; ``states`` are those while it drives."""
+    for message in messages:
+        if message.topic != "rover/status":
+            yield message
+            continue
+        status = parse_json(DriverStatus, read_text(message.data))
+        if status.state == "driving" and states:
+            names["state"] = states[min(status.tick // 10, len(states) - 1)]
+        else:
+            names.pop("state", None)
+        yield state(status.model_copy(update=names), message.log_ns)
+
+
+@pytest.mark.parametrize(
+    ("states", "names", "note"),
+    [
+        ([], {"policy": "course", "course": "short"}, "start watch with --policy and --course"),
+        ([], {"policy": "parking", "course": "bay"}, "start watch with --policy and --course"),
+        (
+            ["NAV_TO_STAGING_POSE, try 1 of 3", "CONTROLLING, try 1 of 3"],
+            {"policy": "dock", "course": "home"},
+            "a docking has two policies and no course",
+        ),
+        (["CONTROLLING, try 1 of 3"], {}, "a docking has two policies and no course"),
+    ],
+)
+def test_drive_of_another_policy_or_course_is_neither_judged_nor_explained(short, feed, states, names, note):
+    for message in named(short.messages, *states, **names):
+        feed.take(message)
+    found = feed.updates(Cursor())
+    assert unescape(found["html"]["subline"]).count(note) == 1
+    assert "By the estimated pose" not in found["html"]["summary"]
+    assert "<dt>Ended as</dt><dd>ended</dd>" in found["html"]["summary"]
+    assert "findings" not in found
+    assert "phases" not in found["html"]
+    ticks = found["ticks"]
+    assert {value for name in ("currents", "pulls") for column in ticks[name] for value in column} == {None}
+    assert ticks["potentials"][3] == pytest.approx(short.run.potentials[:, 3], abs=0.01)
+    assert "start" not in {event["kind"] for event in found["events"]}
+
+
+def test_drive_of_the_pages_own_policy_and_course_is_judged_and_explained(short, feed):
+    own = {"policy": short.policy.circuit.name, "course": short.course.name}
+    for message in named(short.messages, **own):
+        feed.take(message)
+    found = feed.updates(Cursor())
+    assert "start watch with" not in found["html"]["subline"]
+    assert "By the estimated pose" in found["html"]["summary"]
+    assert found["findings"]["phases"]
+    assert None not in found["ticks"]["pulls"][0]
+    assert "start" in {event["kind"] for event in found["events"]}
 
 
 def test_messages_are_taken_while_a_drive_is_explained(monkeypatch, short, feed):

@@ -135,25 +135,26 @@ def _score(runs: Sequence[Result]) -> str:
 
 def iqm_table(store: ResultStore, budgets: Sequence[BudgetName]) -> str:
     """Return interquartile means, and the probability that a run of the circuit is better."""
-    rows: list[Row] = [("task", "agent", "successes", "interquartile mean (95 %)", "P(circuit better)")]
+    rows: list[Row] = [("task", "agent", "successes", "10⁶ steps", "interquartile mean", "P(circuit better)")]
     for budget in budgets:
         pairs: dict[str, list[tuple[Vector, Vector]]] = {}
         search = "" if budget is BudgetName.PUBLISHED else f" ({budget})"
         for task in TASKS:
             own = store.returns(task, "circuit", budget)
             for agent in AGENTS:
-                returns = store.returns(task, agent, budget)
+                runs, returns = store.results(task, agent, budget), store.returns(task, agent, budget)
                 if len(returns) < 2:
                     continue
                 above = ""
                 if agent != "circuit" and len(own) > 1:
                     pairs.setdefault(agent, []).append((own, returns))
                     above = improvement([(own, returns)]).text()
-                successes = sum(run.success for run in store.results(task, agent, budget))
+                successes = f"{sum(run.success for run in runs)} of {len(runs)}"
+                steps = f"{np.median([run.steps for run in runs]) / 1e6:.3g}"
                 iqm = interquartile_mean(returns).text()
-                rows.append((f"{task}{search}", agent, f"{successes} of {len(returns)}", iqm, above))
+                rows.append((f"{task}{search}", agent, successes, steps, iqm, above))
         for agent, found in pairs.items():
-            rows.append((f"mean of {len(found)} tasks{search}", agent, "", "", improvement(found).text()))
+            rows.append((f"mean of {len(found)} tasks{search}", agent, "", "", "", improvement(found).text()))
     return markdown(rows)
 
 

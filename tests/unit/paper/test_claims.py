@@ -113,6 +113,20 @@ def test_p_is_corrected_for_the_claims_of_one_place(store):
         Claim(name=f"b{n}", words="", where="here", test="value", arguments=arguments) for n in range(9)
     ]
     assert verdict(store, "value", others=others, **arguments).verdict is Verdict.INCONCLUSIVE
+    apart = [other.model_copy(update={"comparable": False}) for other in others]
+    assert verdict(store, "value", others=apart, **arguments).verdict is Verdict.DIFFERS
+    assert judge_claims(store, apart[:1])[0].verdict is Verdict.NOT_TESTED
+
+
+@pytest.mark.parametrize("others", [0, 9])
+def test_on_par_is_corrected_as_a_difference_is(store, others):
+    """The 95 % interval of the difference ends above minus the margin of 60."""
+    fill(store, "pendulum", "circuit", [900.0, 1000.0, 1100.0, 950.0, 1150.0])
+    fill(store, "pendulum", "mlp", [850.0, 900.0, 950.0, 870.0, 930.0])
+    arguments = {"task": "pendulum", "other": "mlp"}
+    same = Claim(name="b", words="", where="here", test="compare", arguments=arguments)
+    found = verdict(store, "compare", others=[same] * others, **arguments)
+    assert found.verdict is (Verdict.INCONCLUSIVE if others else Verdict.REPRODUCED)
 
 
 def test_vertical_steps_count_only_if_wanted_and_still_ones_never():
@@ -146,16 +160,16 @@ def test_sign_has_a_verdict_only_where_all_readings_agree(store, monkeypatch):
     assert verdict(store, "sign", **sign).verdict is Verdict.REPRODUCED
     found = verdict(store, "sign", **sign)
     assert (found.verdict, found.figure, found.why) == (
-        Verdict.INCONCLUSIVE,
+        Verdict.NOT_TESTED,
         "0 of 0, 8 unclear",
-        "p = 1, n = 0",
+        "0 clear, 6 needed",
     )
 
 
 @pytest.mark.parametrize(
     ("positive", "antagonistic", "expected"),
     [
-        (5, 0, Verdict.INCONCLUSIVE),
+        (5, 0, Verdict.NOT_TESTED),  # not even equal signs could decide
         (6, 0, Verdict.REPRODUCED),
         (0, 6, Verdict.DIFFERS),
         (7, 1, Verdict.INCONCLUSIVE),

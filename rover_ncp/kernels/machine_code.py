@@ -8,6 +8,7 @@ that a factory made, versions and processor. A file begins with the digest of it
 A damaged file is made anew, and a folder that cannot be used is not used; either is one line on stderr.
 """
 
+import ast
 import contextlib
 import fcntl
 import functools
@@ -15,11 +16,11 @@ import hashlib
 import os
 import pickle
 import platform
-import re
 import stat
 import sys
 import time
 from collections.abc import Callable, Iterator
+from importlib.util import resolve_name
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,6 @@ POLL_S = 0.02
 MAX_AGE_S = 14 * 24 * 3600.0
 """A file that was not used for longer is removed."""
 _VERSIONS = f"{platform.python_version()} {numba.__version__} {llvmlite.__version__} {np.__version__}"
-_IMPORTS = re.compile(rb"^(?:from|import) ([\w.]+)", re.MULTILINE)
 _config: Any = numba.config
 _rebuild: Any = CompileResult._rebuild
 _dumps: Any = dumps
@@ -139,8 +139,32 @@ def _sources(name: str) -> str:
         path = getattr(sys.modules.get(one := waiting.pop()), "__file__", None)
         if path and one not in found and one.partition(".")[0] in packages:
             found[one] = _source(path)
-            waiting += [match.decode() for match in _IMPORTS.findall(found[one])]
+            waiting += _imported(one, found[one])
     return hashlib.sha256(repr(sorted(found.items())).encode()).hexdigest()
+
+
+def _imported(name: str, source: bytes) -> list[str]:
+    """Return the full names of everything that a module imports while it is loaded; some are modules.
+
+    Imports for type checkers are left out. With them the digest would depend on what a process has loaded.
+    """
+    try:
+        waiting: list[Any] = [*ast.parse(source).body]
+    except (SyntaxError, ValueError):  # an extension module, or a file that was edited after its import
+        return []
+    names = list[str]()
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = resolve_name("." * node.level + (node.module or ""), sys.modules[name].__package__ or "")
+            names += [base, *(f"{base}.{alias.name}" for alias in node.names)]
+        elif not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            typed = isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
+            for part in ("orelse",) if typed else ("body", "orelse", "handlers", "finalbody"):
+                waiting += getattr(node, part, [])
+    return names
 
 
 @functools.cache

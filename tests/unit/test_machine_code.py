@@ -14,6 +14,7 @@ import pytest
 from rover_ncp.core.errors import UsageError
 from rover_ncp.kernels import machine_code
 from rover_ncp.kernels.jit import kernel
+from sim.world import chipmunk, fleet
 
 
 @pytest.fixture
@@ -175,20 +176,47 @@ def test_another_free_variable_of_a_factory_is_another_file(fresh):
     assert len({path_of(made) for made in others}) == len(others)
 
 
-def test_changed_module_that_is_imported_is_another_file(fresh, monkeypatch):
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from kernels_of_mine.callee import FACTOR",
+        "from kernels_of_mine import callee",
+        "from kernels_of_mine import (\n    other,  # (unused)\n    callee as named,\n)",
+        "from . import callee",
+        "from .callee import FACTOR",
+        "import numpy, kernels_of_mine.callee as named",
+        "try:\n    from kernels_of_mine import callee\nexcept ImportError:\n    pass",
+    ],
+)
+def test_changed_module_that_is_imported_is_another_file(line, fresh, monkeypatch):
     monkeypatch.syspath_prepend(fresh)
-    (fresh / "kernels_of_mine").mkdir()
-    (fresh / "kernels_of_mine" / "callee.py").write_text("FACTOR = 2.0\n")
-    caller = "from kernels_of_mine.callee import FACTOR\ndef scaled(x):\n    return FACTOR * x\n"
-    (fresh / "kernels_of_mine" / "caller.py").write_text(caller)
+    folder = fresh / "kernels_of_mine"
+    folder.mkdir()
+    for name in ("__init__", "other", "callee"):
+        (folder / f"{name}.py").write_text("FACTOR = 2.0\n")
+    (folder / "caller.py").write_text(f"{line}\ndef scaled(x):\n    return 2.0 * x\n")
+    for name in ("", ".caller", ".callee", ".other"):
+        monkeypatch.delitem(sys.modules, f"kernels_of_mine{name}", raising=False)
+    importlib.invalidate_caches()
     scaled = importlib.import_module("kernels_of_mine.caller").scaled
 
-    def path_of_code():
-        machine_code._sources.cache_clear()
-        machine_code._source.cache_clear()
-        return path_of(scaled)
+    first = path_of_code(scaled)
+    assert path_of_code(scaled) == first
+    (folder / "callee.py").write_text("FACTOR = 3.0\n")
+    assert path_of_code(scaled) != first
 
-    first = path_of_code()
-    assert path_of_code() == first
-    (fresh / "kernels_of_mine" / "callee.py").write_text("FACTOR = 3.0\n")
-    assert path_of_code() != first
+
+def path_of_code(function):
+    """Return the path as a process that starts has it."""
+    machine_code._sources.cache_clear()
+    machine_code._source.cache_clear()
+    return path_of(function)
+
+
+def test_machine_code_of_the_fleet_depends_on_the_calls_into_chipmunk(monkeypatch):
+    digest, source = machine_code._sources.__wrapped__, machine_code._source
+    first = digest(fleet.__name__)
+    monkeypatch.setattr(
+        machine_code, "_source", lambda path: source(path) + (b"#" if path == chipmunk.__file__ else b"")
+    )
+    assert digest(fleet.__name__) != first

@@ -14,10 +14,16 @@ from multiprocessing.sharedctypes import RawArray
 from pathlib import Path
 from typing import Any
 
+import cv2
+
+from deploy.tag.tag_map import CameraFile, TagMap
 from rover_ncp.core.config import load_yaml
-from rover_ncp.core.errors import PortInUse
+from rover_ncp.core.errors import PortInUse, UsageError
 from rover_ncp.core.geometry import ORIGIN, Pose
 from rover_ncp.core.process import ClosedAtExit
+from rover_ncp.core.spawned import end_with_parent, starting_processes
+from rover_ncp.core.streams import Domain, random_stream
+from sim.camera.render import Renderer
 
 BOUNDARY = "picture"
 START_S = 30.0
@@ -30,8 +36,6 @@ class MockCamera(ClosedAtExit):
     """Starts the camera's process; ``address`` is the stream's. Raises UsageError and FileError."""
 
     def __init__(self, camera: Path, tags: Path, listen: tuple[str, int], hz: float, seed: int) -> None:
-        from deploy.tag.tag_map import CameraFile, TagMap
-
         settings = load_yaml(camera, CameraFile), load_yaml(tags, TagMap)
         self._pose: Any = RawArray(ctypes.c_double, 4)
         """x, y, theta, and the moment in s: on a busy machine, the mock's loop falls behind."""
@@ -40,12 +44,24 @@ class MockCamera(ClosedAtExit):
         ours, theirs = context.Pipe()
         arguments = (self._pose, theirs, settings, listen, (hz, seed))
         self._process = context.Process(target=_serve, args=arguments, name="camera", daemon=True)
-        self._process.start()
+        with starting_processes():
+            self._process.start()
         theirs.close()
-        answer = ours.recv() if ours.poll(START_S) else "its process does not start"
+        camera_at = f"camera {listen[0]}:{listen[1]}"
+        if not ours.poll(START_S):
+            self.close()
+            raise UsageError(f"{camera_at}: its process did not start within {START_S:g} s; start it again")
+        try:
+            answer = ours.recv()
+        except EOFError as error:
+            self._process.join()
+            code = self._process.exitcode
+            raise UsageError(
+                f"{camera_at}: its process ended with exit code {code} before it served a picture"
+            ) from error
         if isinstance(answer, str):
             self.close()
-            raise PortInUse(f"camera {listen[0]}:{listen[1]}: {answer}")
+            raise PortInUse(f"{camera_at}: {answer}")
         self.address = f"http://{listen[0]}:{answer}/"
 
     def show(self, pose: Pose, wall_ns: int) -> None:
@@ -64,14 +80,7 @@ def _serve(
     pose: Any, ready: Connection, settings: Any, listen: tuple[str, int], rate: tuple[float, int]
 ) -> None:
     """Run the camera's process."""
-    import signal
-
-    import cv2
-
-    from rover_ncp.core.streams import Domain, random_stream
-    from sim.camera.render import Renderer
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the mock ends this process
+    end_with_parent()
     cv2.setNumThreads(1)
     (camera, tag_map), (hz, seed) = settings, rate
     renderer = Renderer(camera, tag_map, random_stream(seed, Domain.PICTURES))

@@ -8,18 +8,16 @@ import multiprocessing
 import os
 import pickle
 import signal
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from functools import lru_cache, partial
-from multiprocessing import resource_tracker
 from multiprocessing.context import SpawnContext, SpawnProcess
 from types import TracebackType
 from typing import Any, Protocol, Self
 
 from rover_ncp.core.errors import RoverNcpError, UsageError
+from rover_ncp.core.spawned import end_with_parent, starting_processes
 
 
 class WorkerDied(RoverNcpError):
@@ -78,7 +76,7 @@ class ProcessPool:
         self.count = count
         self._advice = advice
         self._context = _Spawning()
-        self._executor = ProcessPoolExecutor(count, self._context, _end_with_parent)
+        self._executor = ProcessPoolExecutor(count, self._context, end_with_parent)
 
     def __enter__(self) -> Self:
         return self
@@ -117,17 +115,6 @@ def _call(function: Callable[..., Any], *arguments: Any) -> Any:
         raise UsageError(str(error)) from None
 
 
-def _end_with_parent() -> None:
-    """End this process when its parent dies: it would wait for work for ever."""
-
-    def wait() -> None:
-        if (parent := multiprocessing.parent_process()) is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=wait, daemon=True).start()
-
-
 def local_workers(count: int) -> Inline | ProcessPool:
     """Return so many workers on this machine; one is this process."""
     return Inline() if count == 1 else ProcessPool(count)
@@ -157,27 +144,3 @@ def available_processes() -> int:
     """Return the number of cores that this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)  # macOS has none
     return len(affinity(0)) if affinity else os.cpu_count() or 1
-
-
-@contextmanager
-def starting_processes() -> Iterator[None]:
-    """Let a Ctrl-C wait until the end of the block, and keep it from processes spawned within for good.
-
-    A terminal sends it to the whole group, and the parent alone decides. They inherit the blocked signal, so
-    it cannot hit them even while their interpreter starts. Blocking it here does not hold it back: any
-    thread of a library takes it instead, so it is also noted and passed on.
-    """
-    # The tracker unblocks SIGINT while it starts, so it has to start before we block it.
-    resource_tracker.ensure_running()
-    held: list[int] = []
-    is_main = threading.current_thread() is threading.main_thread()
-    handler = signal.signal(signal.SIGINT, lambda number, _: held.append(number)) if is_main else None
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        if is_main:
-            signal.signal(signal.SIGINT, handler)
-    if held and callable(handler):
-        handler(signal.SIGINT, None)

@@ -11,7 +11,8 @@ import pytest
 from kit.training_processes import is_running
 
 from rover_ncp.core.errors import ConfigError, UsageError
-from sim.learn.workers import ProcessPool, WorkerDied, starting_processes
+from rover_ncp.core.spawned import starting_processes
+from sim.learn.workers import ProcessPool, WorkerDied
 from sim.live.processes import wait_for
 
 

@@ -1,12 +1,15 @@
 """The mock as a process, on real TCP: clients that vanish, faults from its input, its end."""
 
+import os
 import signal
 import socket
+import sys
 import time
 from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
+from kit.paths import ROOT
 from kit.pioneer_bench import Pioneer
 
 from bridge.pioneer.framing import Command, Decoder, encode_command, encode_frame
@@ -20,6 +23,8 @@ from sim.mock.options import MockOptions
 from sim.mock.ros2_server import free_port
 from sim.mock.run import run_mock
 from sim.mock.server import Server
+
+CAMERA, TAGS = (ROOT / "docs" / "examples" / name for name in ("camera.yaml", "tags.yaml"))
 
 
 @pytest.fixture
@@ -136,3 +141,47 @@ def test_no_client_connects_while_the_camera_starts(monkeypatch):
     options = MockOptions(listen=f"127.0.0.1:{port}", camera=Path("camera.yaml"), tags=Path("tags.yaml"))
     with pytest.raises(UsageError, match="the camera starts"):
         run_mock(options)
+
+
+def test_camera_of_a_killed_mock_ends_and_leaves_its_port_to_the_next(mock):
+    port = free_port("127.0.0.1")
+    options = ["--camera", str(CAMERA), "--tags", str(TAGS), "--camera-listen", f"127.0.0.1:{port}"]
+    process, _ = mock(*options)
+    process.send_signal(signal.SIGKILL)
+    process.wait(5.0)
+
+    def is_free():
+        try:
+            socket.create_server(("127.0.0.1", port)).close()
+        except OSError:
+            return False
+        return True
+
+    wait_for(is_free)
+    process, _ = mock(*options)
+    assert process.stop().code == 0
+
+
+def camera_command():
+    return ["mock", "--listen", "127.0.0.1:0", "--camera", str(CAMERA), "--tags", str(TAGS)]
+
+
+@pytest.mark.parametrize("library", ["cv2", "apriltag"])
+def test_camera_without_its_extra_is_one_line(library, monkeypatch, capsys):
+    for name in ("sim.camera.server", "sim.camera.render", "deploy.tag.locate", "deploy.tag.detector"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setitem(sys.modules, library, None)
+    assert run(camera_command()) == 2
+    said = f"{library} is not installed: install rover-ncp with the extra tag, as rover-ncp[tag]"
+    assert capsys.readouterr().err == f"rover-ncp: {said}\n"
+
+
+def end_at_once(*_):
+    os._exit(7)
+
+
+def test_camera_whose_process_dies_at_its_start_is_one_line(monkeypatch, capsys):
+    monkeypatch.setattr("sim.camera.server._serve", end_at_once)
+    assert run([*camera_command(), "--camera-listen", "127.0.0.1:0"]) == 2
+    said = "its process ended with exit code 7 before it served a picture"
+    assert capsys.readouterr().err == f"rover-ncp: camera 127.0.0.1:0: {said}\n"

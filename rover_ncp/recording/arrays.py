@@ -1,27 +1,33 @@
 """A recording's messages as arrays, one for each topic with numbers."""
 
+import logging
+from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.core.errors import FileError, FormatError
+from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose
 from rover_ncp.recording.recorded import steady
 from rover_ncp.recording.recording import read_recording
 from rover_ncp.wire import messages
+
+_log = logging.getLogger(__name__)
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[np.void]]:
     """Return each topic's messages as a structured array, in order: ``arrays["odom"]["x"]`` is (n,).
 
     The field ``t`` of each is the arrival in s since the recording's first message, also where the wall clock
-    was set. Units are SI, potentials mV. Topics without numbers (text, transforms) are left out. Raises
-    FileError for a file or message that cannot be read.
+    was set. Units are SI, potentials mV. Topics without numbers (text, transforms) are left out. So are
+    messages that cannot be read or that lack the fields of their topic; a warning in the log counts them.
+    Raises FileError for a file that cannot be read.
     """
     recording = read_recording(path)
     rows: dict[str, list[Mapping[str, float]]] = {}
+    problems: dict[str, list[str]] = {}
     began_ns: int | None = None
     for message in steady(recording.messages):
         began_ns = message.log_ns if began_ns is None else began_ns
@@ -31,16 +37,21 @@ def read_arrays(path: Path) -> dict[str, NDArray[np.void]]:
         try:
             values = read(message.data)
         except FormatError as error:
-            raise FileError(f"{path}: a message on {message.topic} cannot be read: {error}") from error
+            problems.setdefault(message.topic, []).append(str(error))
+            continue
         rows.setdefault(message.topic, []).append({"t": (message.log_ns - began_ns) * 1e-9} | dict(values))
-    return {topic: _array(path, topic, of_topic) for topic, of_topic in rows.items()}
-
-
-def _array(path: Path, topic: str, rows: list[Mapping[str, float]]) -> NDArray[np.void]:
-    names = list(rows[0])
-    if any(list(row) != names for row in rows):
-        raise FileError(f"{path}: the fields of {topic} change within the recording")
-    return np.array([tuple(row.values()) for row in rows], dtype=[(name, np.float64) for name in names])
+    arrays = {}
+    for topic, of_topic in rows.items():
+        # A peer may send other names of neurons than the driver.
+        fields = Counter(map(tuple, of_topic)).most_common(1)[0][0]
+        fitting = [tuple(row.values()) for row in of_topic if tuple(row) == fields]
+        arrays[topic] = np.array(fitting, dtype=[(name, np.float64) for name in fields])
+        other = len(of_topic) - len(fitting)
+        problems.setdefault(topic, []).extend([f"the fields are not {', '.join(fields)}"] * other)
+    for topic, found in problems.items():
+        if found:
+            _log.warning("%s: unreadable messages on %s left out: %d, %s", path, topic, len(found), found[0])
+    return arrays
 
 
 def _odometry(data: bytes) -> dict[str, float]:

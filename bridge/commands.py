@@ -175,7 +175,10 @@ def keys(
     out: Annotated[Path, typer.Option(help="Folder for the files; it must not hold keys already.")],
     host: Annotated[
         list[str] | None,
-        typer.Option(help="Name or IP address of the bridge's machine, as drivers use it; repeat for more."),
+        typer.Option(
+            help="DNS name or IP address of the bridge's machine, as drivers use it, without port; repeat "
+            "for more. 127.0.0.1, localhost and this machine's name are included as well."
+        ),
     ] = None,
     namespace: Annotated[str, typer.Option(help="The robot's namespace, such as bot1.")] = "",
     json: Json = False,
@@ -187,13 +190,13 @@ def keys(
     Writes one Zenoh configuration for each end, which holds all that end needs: bridge.json5
     for 'rover-ncp bridge --zenoh-config', driver.json5 for 'rover-ncp deploy --zenoh-config',
     viewer.json5 for users who may watch but not drive, localiser.json5 for a localisation system that may
-    only publish the rover's pose. With them both ends prove their identity, all traffic is encrypted, and
-    each role has only the rights that the table of keys grants. ca-key.pem signs certificates: keep it off
-    the robot.
+    only publish the rover's pose and the picture of its camera. With them both ends prove their identity,
+    all traffic is encrypted, and each role has only the rights that the table of keys grants. ca-key.pem
+    signs certificates: keep it off the robot.
 
         rover-ncp keys --host 192.168.1.20 --out keys
     """
-    from bridge.zenoh.certificate_authority import KeysResult, make_credentials
+    from bridge.zenoh.certificate_authority import KeysResult, is_host, make_credentials
     from rover_ncp.core.files import require_writable, write_atomic
 
     taken = [name.name for name in out.glob("*") if name.suffix in {".pem", ".json5"}] if out.is_dir() else []
@@ -201,7 +204,9 @@ def keys(
         names = ", ".join(sorted(taken))
         raise UsageError(f"--out {out}: holds keys already ({names}); choose another folder")
     require_writable(out / "ca.pem")
-    hosts = list(dict.fromkeys([*(host or []), "127.0.0.1", "localhost", socket.gethostname()]))
+    hosts = list(
+        dict.fromkeys([*(host or []), "127.0.0.1", "localhost", *filter(is_host, [socket.gethostname()])])
+    )
     files = make_credentials(hosts, namespace)
     for name, content in files.items():
         write_atomic(out / name, content, private=name != "ca.pem")

@@ -12,6 +12,7 @@ import base64
 import datetime
 import ipaddress
 import json
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -21,6 +22,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from pydantic import BaseModel, Field
 
+from rover_ncp.core.errors import UsageError
 from rover_ncp.wire.key_table import KEYS, Kind, Role, key
 
 
@@ -57,12 +59,16 @@ _VALID = datetime.timedelta(days=5 * 365)
 _BACKDATED = datetime.timedelta(days=2)
 """A robot's clock may be wrong by a time zone, or a battery's sleep."""
 _LISTEN = "tls/0.0.0.0:7447"
+_LABEL = r"[A-Za-z0-9_](?:[A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?"
+_DNS_NAME = re.compile(rf"(?:\*\.{_LABEL}\.)?(?:{_LABEL}\.)*(?!\d+\Z){_LABEL}")
+"""What checks of certificates match: at least two labels after ``*``, and a last label that is no number."""
+_MAX_DNS_NAME = 253
 
 
 def make_credentials(hosts: Sequence[str], namespace: str = "") -> Mapping[str, str]:
     """Return the files by name: new keys at each call. ``hosts`` are the bridge's names and IP addresses.
 
-    Raises UsageError for a namespace that is no key.
+    Raises UsageError for a namespace that is no key and for an invalid host.
     """
     control = access_control(namespace)
     authority, authority_key = _authority()
@@ -156,11 +162,36 @@ def _name(common_name: str) -> x509.Name:
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)])
 
 
-def _host(host: str) -> x509.GeneralName:
+def is_host(host: str) -> bool:
+    """Return whether the address of a driver can match this name in a certificate."""
+    return _general_name(host) is not None
+
+
+def _general_name(host: str) -> x509.GeneralName | None:
     try:
         return x509.IPAddress(ipaddress.ip_address(host.strip("[]")))
     except ValueError:
-        return x509.DNSName(host)
+        valid = len(host) <= _MAX_DNS_NAME and _DNS_NAME.fullmatch(host)
+        return x509.DNSName(host) if valid else None
+
+
+def _host(host: str) -> x509.GeneralName:
+    """Return a name of a certificate. Raises UsageError for an invalid one."""
+    name = _general_name(host)
+    if name is not None:
+        return name
+    expected = "an IP address or a DNS name without tls/ and port, such as 192.168.1.20 or robot.local"
+    if not host.isascii():
+        expected = f"an ASCII name{_ascii_form(host)}"
+    raise UsageError(f"--host {host}: expected {expected}")
+
+
+def _ascii_form(host: str) -> str:
+    try:
+        ascii_form = host.encode("idna").decode()
+    except UnicodeError:
+        return ""
+    return f", here {ascii_form}, also in --robot" if _DNS_NAME.fullmatch(ascii_form) else ""
 
 
 def _pem(certificate: x509.Certificate) -> str:

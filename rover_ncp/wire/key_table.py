@@ -19,7 +19,7 @@ class Role(Enum):
     DRIVER = "driver"
     VIEWER = "viewer"
     LOCALISER = "localiser"
-    """External localisation: may send ``pose`` and nothing else."""
+    """External localisation: may send ``pose`` and ``tag_view/compressed``, and receives nothing."""
 
 
 class Kind(Enum):

@@ -1,15 +1,19 @@
 """Settings of the bridge's Zenoh session: what it refuses before it opens one."""
 
+import base64
 import json
+import re
 from datetime import datetime
 from types import SimpleNamespace
 
 import pytest
 import zenoh
+from cryptography import x509
 
 from bridge.zenoh.certificate_authority import make_credentials
 from bridge.zenoh.config import configured
-from rover_ncp.core.errors import FileError
+from rover_ncp import cli
+from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.wire.zenoh import CLIENT
 
 DROP_WAIT = "transport/link/tx/queue/congestion_control/drop/wait_before_drop"
@@ -64,3 +68,41 @@ def test_keys_are_refused_while_the_clock_is_wrong(keys, monkeypatch):
     monkeypatch.setattr("bridge.zenoh.config.datetime", never_set)
     with pytest.raises(FileError, match=r"not yet valid.*clock says 1970-01-01"):
         configured(None, keys(""), False, "cmd_vel")
+
+
+@pytest.mark.parametrize(
+    ("host", "expected"),
+    [
+        ("192.168.1.20:7447", "without tls/ and port"),
+        ("tls/robot", "without tls/ and port"),
+        ("192.168.1.300", "without tls/ and port"),
+        ("robot.local.", "without tls/ and port"),
+        ("*.local", "without tls/ and port"),
+        ("", "without tls/ and port"),
+        ("röver.local", "an ASCII name, here xn--rver-5qa.local, also in --robot"),
+    ],
+)
+def test_host_that_no_address_can_match_is_refused(host, expected):
+    with pytest.raises(UsageError, match=f"^--host {re.escape(host)}: expected .*{expected}"):
+        make_credentials([host])
+
+
+@pytest.mark.parametrize(
+    "host", ["192.168.1.20", "::1", "[::1]", "robot", "Robot_1.local", "*.lab.example", "xn--rver-5qa.local"]
+)
+def test_addresses_and_names_are_in_the_certificate(host):
+    bridge = json.loads(make_credentials([host])["bridge.json5"].partition("\n")[2])
+    pem = base64.b64decode(bridge["transport"]["link"]["tls"]["listen_certificate_base64"])
+    names = x509.load_pem_x509_certificate(pem).extensions.get_extension_for_class(
+        x509.SubjectAlternativeName
+    )
+    assert [str(name.value) for name in names.value] == [host.strip("[]")]
+
+
+@pytest.mark.parametrize(("name", "included"), [("bench", True), ("Röver’s laptop", False)])
+def test_name_of_this_machine_is_left_out_where_no_address_can_match_it(
+    name, included, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr("socket.gethostname", lambda: name)
+    assert cli.run(["keys", "--out", str(tmp_path / "keys"), "--json"]) == 0
+    assert (name in json.loads(capsys.readouterr().out)["hosts"]) is included

@@ -25,7 +25,7 @@ from rover_ncp.core.interruption import INTERRUPTED, is_interruption
 GROUP = "rover_ncp.commands"
 EXIT_CODES = {
     0: "done",
-    1: "not parked or docked; a check that failed; a recording that replays differently",
+    1: "not parked or docked; a check that failed; a recording that replays differently; no pose to send",
     2: "wrong option, configuration or file; port in use; missing extra; output that could not be written",
     3: "no robot, bridge or pose; not authorised; another driver; driver and bridge of different versions",
     4: "stopped by a safety rule, which is named",

@@ -48,7 +48,8 @@ def place(
         rover-ncp place set charger --robot tcp/192.168.1.20
         rover-ncp deploy --robot tcp/192.168.1.20 --to charger
 
-    Ends with 0, or 1 if check finds the rover outside the place's tolerances, 3 no bridge or no pose.
+    Ends with 0, with 1 if check finds the rover outside the place's tolerances or poses in another frame, or
+    with 3 if there is no bridge or no pose.
     """
     from deploy.place.place import Place, PlacePose, load_place, place_path
     from deploy.place.survey import PlaceResult, blurred, complaint

@@ -141,7 +141,8 @@ def run(
     The camera is on the rover and the tags on walls, or the camera on the ceiling and tags on the rover; the
     map says which. A picture gives a pose only if all its tags fit. Others are counted by reason: no tag, a
     tag that does not fit, two poses that fit, a frozen, dark or over-exposed picture. Ready when it prints
-    "localising". Ends at Ctrl-C.
+    "localising". Ends at Ctrl-C with 130; after --seconds or the last picture with 0, or 1 if no picture gave
+    a pose.
 
         rover-ncp tag run --camera 0 --camera-file camera.yaml --map tags.yaml --robot tcp/127.0.0.1
     """
@@ -181,7 +182,7 @@ def relay(
 
     The topic has PoseWithCovarianceStamped (AMCL's amcl_pose) or PoseStamped. A topic named tf has
     transforms: each one of --frame gives a pose of base_link or base_footprint. A PoseStamped and a transform
-    count with 2 cm and 2 degrees. Ends at Ctrl-C.
+    count with 2 cm and 2 degrees. Ends at Ctrl-C with 130; after --seconds with 0, or 1 if no pose was sent.
 
         rover-ncp tag relay --from 'ros2/tcp/ROBOT#topic=amcl_pose' --robot tcp/127.0.0.1:7449
     """

@@ -13,8 +13,9 @@ def mock(options: MockOptions) -> None:
     starts at the origin. Delays, acceleration limits, the watchdog and walls act as on a real one. When the
     mock is ready, it prints the line "listening on HOST:PORT"; Ctrl-C or SIGTERM ends it.
 
-    With --ros2 it is a Zenoh router with the topics of the robot that --model describes. Its faults bumper
-    and stop-button do nothing; reset restarts it.
+    With --ros2 it is a Zenoh router with the topics of the robot that --model describes. Its fault
+    stop-button stops the motors; the robot reports it only if the description has topics.stop. The fault
+    bumper acts only if the description has topics.hazards. The fault reset restarts the robot.
 
     --truth writes t_ns (since the epoch), t_s, x, y, theta, v, omega, contact and clock_ns (the simulation's
     clock). With --fault - each fault is answered by a line "applied t_ns=... late_ns=... heard_ns=... FAULT":
@@ -25,7 +26,7 @@ def mock(options: MockOptions) -> None:
     commands and a push, for as long as the --course lasts. They begin when the motors are first enabled.
 
     --camera renders what a camera sees of the tags from the true pose, ten times a second, in a process of
-    its own; 'tag run --camera http://127.0.0.1:8102/' reads it.
+    its own; 'tag run --camera http://127.0.0.1:8102/' reads it. It needs the extra tag.
 
     --body mujoco simulates four wheels with friction, weight and motors, on level or sloped ground.
 

@@ -71,7 +71,10 @@ class MockOptions:
     seed: Annotated[
         int,
         typer.Option(
-            min=0, max=MAX_SEED, help="Seed of the trial and of the packets that random faults damage."
+            min=0,
+            max=MAX_SEED,
+            help="Seed of the trial, of the packets that random faults damage, and of the noise of sensors "
+            "and camera.",
         ),
     ] = 0
     camera: Annotated[

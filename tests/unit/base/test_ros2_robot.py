@@ -9,7 +9,7 @@ from kit.ros2_world import twist
 
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import load_description
-from rover_ncp.wire.messages import read_imu, read_odometry, twist_stamped
+from rover_ncp.wire.messages import BUMP, read_hazards, read_imu, read_odometry, twist_stamped
 from sim.base.faults import Faults, parse_fault
 from sim.base.ros2_robot import Ros2Robot
 from sim.world.described import described_rover
@@ -60,6 +60,17 @@ def faulty(fault):
     for period in range(1, 41):
         robot.command(twist(Velocity(0.1, 0.0)), period / 10)
     return robot.messages()
+
+
+def test_fault_bumper_is_reported_as_a_hazard():
+    hazards = [read_hazards(data) for name, data in faulty("bumper@2") if name == "hazard_detection"]
+    assert {BUMP in kinds for kinds in hazards} == {False, True}
+
+
+def test_fault_stop_button_stops_the_motors():
+    samples = [read_odometry(data) for name, data in faulty("stop-button@2") if name == "odom"]
+    assert max(sample.velocity.v for sample in samples) == pytest.approx(0.1, abs=0.01)
+    assert samples[-1].velocity.v == pytest.approx(0.0, abs=1e-6)
 
 
 def test_clock_fault_shifts_the_stamps_of_a_ros2_robot():

@@ -18,7 +18,7 @@ from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml, validated
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.files import existing_file, read_text
 from rover_ncp.core.geometry import Pose, distance, relative, wrap_angle
-from rover_ncp.course.course import MAX_CHECKPOINTS, TICK_S, Angle, Checkpoint, Coordinate, Course, Obstacle
+from rover_ncp.course.course import MAX_CHECKPOINTS, TICK_S, Angle, Coordinate, Course, Obstacle
 from rover_ncp.course.feasibility import Cause, Drivability, check_course
 from rover_ncp.course.reference import OMEGA_MAX, V_MAX
 from rover_ncp.recording.recording import Recording, read_recording
@@ -82,7 +82,8 @@ def make_course(name: str, source: str, places: PoseList) -> tuple[Course, Driva
     """Return a course through poses, with deadlines that can be met if possible, and its feasibility."""
     first = _pose(places.poses[0])
     poses = [relative(first, _pose(place)) for place in places.poses]
-    obstacles = tuple(_moved(obstacle, first) for obstacle in places.obstacles)
+    # Validated with the course: from the first pose, they may lie too far away.
+    obstacles = [_moved(obstacle, first).model_dump() for obstacle in places.obstacles]
     stretch = 1.0
     for _ in range(SLOWER_MAX):
         checkpoints = _checkpoints(poses, stretch)
@@ -91,7 +92,7 @@ def make_course(name: str, source: str, places: PoseList) -> tuple[Course, Driva
             "description": f"Made from {source}.",
             "start_signal_s": START_S,
             "checkpoints": checkpoints,
-            "horizon_s": checkpoints[-1].t,
+            "horizon_s": checkpoints[-1]["t"],
             "obstacles": obstacles,
         }
         course = validated(fields, Course, source)  # it may last too long, or lead too far away
@@ -108,7 +109,7 @@ def course_yaml(course: Course) -> str:
     return dump_yaml(course.model_dump(mode="json"))
 
 
-def _checkpoints(poses: Sequence[Pose], stretch: float) -> list[Checkpoint]:
+def _checkpoints(poses: Sequence[Pose], stretch: float) -> list[dict[str, float]]:
     found = [_checkpoint(0.0, poses[0]), _checkpoint(START_S, poses[0])]
     t = START_S
     last = len(poses) - 1
@@ -128,9 +129,10 @@ def _seconds(a: Pose, b: Pose) -> float:
     return max(arc / (EASE * V_MAX), turn / (EASE * OMEGA_MAX), TICK_S)
 
 
-def _checkpoint(t: float, pose: Pose) -> Checkpoint:
-    x, y, theta = (round(number, _DECIMALS) + 0.0 for number in pose)
-    return Checkpoint(t=round(t, 1), x=x, y=y, theta=theta)
+def _checkpoint(t: float, pose: Pose) -> dict[str, float]:
+    """Return the keys of a checkpoint, which the course validates."""
+    rounded = pose._make(round(number, _DECIMALS) + 0.0 for number in pose)
+    return {"t": round(t, 1), **rounded._asdict()}
 
 
 def _from_csv(path: Path) -> PoseList:

@@ -97,6 +97,11 @@ class Course(StrictModel):
             raise ValueError(
                 f"the last deadline ({times[-1]} s) lies behind the horizon ({self.horizon_s} s)"
             )
+        if self.start_signal_s >= self.horizon_s:
+            raise ValueError(
+                f"the start signal ({self.start_signal_s} s) must come before the horizon "
+                f"({self.horizon_s} s): without it the rover does not start"
+            )
         if abs(self.ticks * TICK_S - self.horizon_s) > 1e-9:
             raise ValueError(
                 f"the horizon must be a whole number of {TICK_S} s ticks, got {self.horizon_s} s"

@@ -14,7 +14,7 @@ import numpy as np
 
 from rover_ncp.core.config import ResultModel
 from rover_ncp.core.files import DEFAULT_ROBOT
-from rover_ncp.core.geometry import Pose, distance
+from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.course.course import TICK_S, Checkpoint, Course, Obstacle
 from rover_ncp.course.reference import (
     OMEGA_MAX,
@@ -136,7 +136,7 @@ def clearance_at(pose: Pose, obstacles: Iterable[Obstacle], robot: RobotDescript
 
 def _start(course: Course) -> list[Problem]:
     first, rule = course.checkpoints[0], course.parked
-    away, turned = distance(first.pose, Pose(0, 0, 0)), abs(first.theta)
+    away, turned = distance(first.pose, Pose(0, 0, 0)), abs(wrap_angle(first.theta))
     if first.t > 0 or (away <= rule.position_m and turned <= rule.heading_rad):
         return []
     detail = f"it is {away:.2f} m and {turned:.2f} rad from the origin, where the rover starts"

@@ -224,7 +224,7 @@ def _moving(points: Sequence[tuple[float, Pose]], knots: int, slower: float) -> 
         way_s = slower * max(distance(before, goal) / V_MAX, turn / OMEGA_MAX)
         free &= times <= begin + _LAST_WAY * way_s + _STOPPING_S
     for (begin, a), (end, b) in pairwise(points):
-        if max(abs(p - q) for p, q in zip(a, b, strict=True)) < _SAME:
+        if max(abs(a.x - b.x), abs(a.y - b.y), abs(wrap_angle(a.theta - b.theta))) < _SAME:
             free &= (times < begin) | (times > end)
     return free
 

@@ -1,5 +1,7 @@
 """Courses made from poses and from recorded drives."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from rover_ncp.core.config import parse_yaml
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance, relative
 from rover_ncp.course.builder import CoursePose, PoseList, course_yaml, make_course, read_poses
-from rover_ncp.course.course import Course
+from rover_ncp.course.course import Course, Obstacle
 from rover_ncp.course.feasibility import Cause
 from rover_ncp.course.reference import drive_profile
 from rover_ncp.recording.recording import Recorded, RecordingWriter
@@ -124,6 +126,21 @@ def test_a_file_that_is_no_list_of_poses_is_named(tmp_path, name, content, error
     (tmp_path / name).write_text(content)
     with pytest.raises(error, match=words):
         read_poses(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("goal_x", "obstacles", "too_far"),
+    [
+        (600, (), "checkpoints[2].x"),
+        (-599, (Obstacle(x=500, y=0, length=1, width=1),), "obstacles[0].x"),
+    ],
+)
+def test_course_that_leads_too_far_from_its_first_pose_is_refused(goal_x, obstacles, too_far):
+    """Poses and obstacles are within 1000 m of their origin; some are farther from the first pose."""
+    far = places((-600, 0, 0), (goal_x, 0, 0), obstacles=obstacles)
+    words = f"$.{too_far}: input should be less than or equal to 1000, got 1"
+    with pytest.raises(ConfigError, match=rf"^mm\.csv: .*{re.escape(words)}"):
+        make_course("mm", "mm.csv", far)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])

@@ -80,6 +80,8 @@ def test_errors_are_distances(dx, dy, dtheta):
     [
         ({"horizon_s": 10.0}, "lies behind the horizon"),
         ({"horizon_s": 32.05}, "whole number"),
+        ({"start_signal_s": 100}, "the start signal (100.0 s) must come before the horizon (32.0 s)"),
+        ({"start_signal_s": 32}, "must come before the horizon"),
         ({"checkpoints": []}, "$.checkpoints"),
         (
             {"checkpoints": [{"t": 2, "x": 0, "y": 0, "theta": 0}, {"t": 2, "x": 0, "y": 0, "theta": 0}]},

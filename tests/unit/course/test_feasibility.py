@@ -102,6 +102,12 @@ def test_a_course_that_begins_elsewhere_cannot_be_driven():
     assert [(problem.checkpoint, problem.cause) for problem in found.problems] == [(1, Cause.START)]
 
 
+def test_first_heading_of_a_whole_turn_is_the_starts():
+    whole = 2 * math.pi - 1e-4
+    found = check_course(course_of((0, 0, 0, whole), (3, 0, 0, 0), (12, 0.8, 0, 0), (14, 0.8, 0, 0)))
+    assert found.drivable, found.problems
+
+
 @settings(max_examples=6, deadline=None)
 @given(st.floats(0.2, 0.9), st.floats(-1.0, 1.0))
 def test_an_arc_within_the_motors_limits_can_be_driven(length, turn):

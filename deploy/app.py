@@ -21,6 +21,8 @@ from rover_ncp.core.console import Output
 from rover_ncp.core.geometry import ORIGIN, STANDSTILL
 from rover_ncp.core.process import Interrupts
 from rover_ncp.course.course import TICK_S, Course
+from rover_ncp.course.reference import planning_notice
+from rover_ncp.course.signals import needs_reference
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire.messages import (
     COURSE_FRAME,
@@ -54,6 +56,8 @@ def run(
     """
     controller: Controller | Docking
     if staging is None:
+        if needs_reference(policy.sensing.inputs):
+            output.say(planning_notice(course))
         controller = Controller(policy, course, config.estimator, config.rover, config.described)
     else:
         controller = Docking(config, staging, policy)

@@ -15,9 +15,18 @@ from deploy.place.place import CONTACT_M, Place, Proof
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose, compose, distance, wrap_angle
-from rover_ncp.course.course import MAX_CHECKPOINTS, MAX_HORIZON_S, TICK_S, Checkpoint, Course, ParkedRule
+from rover_ncp.course.course import (
+    MAX_CHECKPOINTS,
+    MAX_HORIZON_S,
+    OMEGA_MAX,
+    TICK_S,
+    V_MAX,
+    Checkpoint,
+    Course,
+    ParkedRule,
+)
 from rover_ncp.course.feasibility import Problem, check_course, clearance_at
-from rover_ncp.course.reference import OMEGA_MAX, V_MAX, Reference, drive_profile
+from rover_ncp.course.reference import Reference, drive_profile
 from rover_ncp.robot.description import RobotDescription, load_description
 
 EASE = 0.6

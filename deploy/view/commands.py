@@ -1,6 +1,7 @@
 """The commands ``course`` and ``report``; heavy libraries load only when one runs."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -43,17 +44,19 @@ def course(
     """
     from rover_ncp.course.course import load_course
     from rover_ncp.course.feasibility import CourseResult, check_course
+    from rover_ncp.course.reference import planning_notice
     from rover_ncp.course.slowdown import slowed
     from rover_ncp.robot.description import load_description
 
     output, pace = Output(json), ""
     if what == "new":
         reject("is for check", model=model)
-        made, found = _new(Path(source), out, name)
+        made, found = _new(Path(source), out, name, output.say)
     else:
         reject("is for new", name=name)
         robot = load_description(model or DEFAULT_ROBOT)
         made, pace = slowed(load_course(source), robot)
+        output.say(planning_notice(made))
         found = check_course(made, robot)
         if out is not None:
             _draw(out, made, found, robot)
@@ -104,7 +107,7 @@ def report(
     Output(json).result(found, f"report: {found.page}")
 
 
-def _new(source: Path, out: Path | None, name: str | None) -> Any:
+def _new(source: Path, out: Path | None, name: str | None, say: Callable[[str], None]) -> Any:
     from rover_ncp.core.config import name_from
     from rover_ncp.core.files import require_writable, write_atomic
     from rover_ncp.course.builder import course_yaml, make_course, read_poses
@@ -115,7 +118,7 @@ def _new(source: Path, out: Path | None, name: str | None) -> Any:
     if not re.fullmatch(r"[a-z0-9][a-z0-9_-]{0,63}", name):
         raise UsageError(f"--name {name}: expected small letters, digits, - and _, at most 64")
     require_writable(out)
-    made, found = make_course(name, source.name, read_poses(source))
+    made, found = make_course(name, source.name, read_poses(source), say)
     write_atomic(out, course_yaml(made))
     return made, found
 

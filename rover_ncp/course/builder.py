@@ -15,12 +15,21 @@ from pathlib import Path
 from pydantic import Field
 
 from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml, validated
-from rover_ncp.core.errors import FileError, FormatError
+from rover_ncp.core.errors import ConfigError, FileError, FormatError
 from rover_ncp.core.files import existing_file, read_text
 from rover_ncp.core.geometry import Pose, distance, relative, wrap_angle
-from rover_ncp.course.course import MAX_CHECKPOINTS, TICK_S, Angle, Coordinate, Course, Obstacle
+from rover_ncp.course.course import (
+    MAX_CHECKPOINTS,
+    OMEGA_MAX,
+    TICK_S,
+    V_MAX,
+    Angle,
+    Coordinate,
+    Course,
+    Obstacle,
+)
 from rover_ncp.course.feasibility import Cause, Drivability, check_course
-from rover_ncp.course.reference import OMEGA_MAX, V_MAX
+from rover_ncp.course.reference import planning_notice
 from rover_ncp.recording.recording import Recording, read_recording
 from rover_ncp.wire.messages import OdometrySample, PoseSample, read_odometry, read_pose
 
@@ -78,13 +87,18 @@ def read_poses(path: Path) -> PoseList:
     raise FileError(f"{path}: expected poses as .yaml or .csv, or a recording as .mcap")
 
 
-def make_course(name: str, source: str, places: PoseList) -> tuple[Course, Drivability]:
-    """Return a course through poses, with deadlines that can be met if possible, and its feasibility."""
+def make_course(
+    name: str, source: str, places: PoseList, say: Callable[[str], None] = lambda notice: None
+) -> tuple[Course, Drivability]:
+    """Return a course through poses, with deadlines that can be met if possible, and its feasibility.
+
+    ``say`` gets a notice before a long planning. Raises ConfigError for a course that exceeds a limit.
+    """
     first = _pose(places.poses[0])
     poses = [relative(first, _pose(place)) for place in places.poses]
     # Validated with the course: from the first pose, they may lie too far away.
     obstacles = [_moved(obstacle, first).model_dump() for obstacle in places.obstacles]
-    stretch = 1.0
+    stretch, made = 1.0, None
     for _ in range(SLOWER_MAX):
         checkpoints = _checkpoints(poses, stretch)
         fields = {
@@ -95,13 +109,22 @@ def make_course(name: str, source: str, places: PoseList) -> tuple[Course, Driva
             "horizon_s": checkpoints[-1]["t"],
             "obstacles": obstacles,
         }
-        course = validated(fields, Course, source)  # it may last too long, or lead too far away
+        try:
+            course = validated(fields, Course, source)  # it may last too long, or lead too far away
+            course.require_plannable(source)
+        except ConfigError:
+            if made is None:
+                raise
+            break  # the faster course shows why it cannot be driven
+        say(planning_notice(course))
         found = check_course(course)
+        made = course, found
         # Slowing down does not make a sideways step drivable; stop trying.
         if found.drivable or any(problem.cause in NOT_SOLVED_BY_TIME for problem in found.problems):
             break
         stretch *= SLOWER
-    return course, found
+    assert made is not None
+    return made
 
 
 def course_yaml(course: Course) -> str:
@@ -131,7 +154,7 @@ def _seconds(a: Pose, b: Pose) -> float:
 
 def _checkpoint(t: float, pose: Pose) -> dict[str, float]:
     """Return the keys of a checkpoint, which the course validates."""
-    rounded = pose._make(round(number, _DECIMALS) + 0.0 for number in pose)
+    rounded = Pose(*(round(number, _DECIMALS) + 0.0 for number in pose))
     return {"t": round(t, 1), **rounded._asdict()}
 
 

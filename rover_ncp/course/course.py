@@ -12,17 +12,30 @@ from typing import Annotated, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from rover_ncp.core.config import StrictModel, load_yaml, validated
+from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import resolve
-from rover_ncp.core.geometry import Pose
+from rover_ncp.core.geometry import Pose, distance, wrap_angle
 
 TICK_S = 0.1
 """Control tick in seconds: the circuit computes ten commands a second."""
 
+V_MAX = 0.16
+"""Fastest reference in m/s: the paper's motors."""
+OMEGA_MAX = 0.18
+"""Fastest turn of a reference in rad/s: the paper's motors."""
+
 MAX_CHECKPOINTS = 1000
 """Limit of checkpoints, and of obstacles: planning a course takes longer with each."""
 MAX_HORIZON_S = 3600
+MAX_MOVING_S = 180.0
+"""Limit of a course's motion: it is planned in about half a minute, and twice as much takes eight times as
+long."""
 FAR_M = 1000.0
 """No rover gets farther within the longest horizon, an hour."""
+SAME = 1e-6
+"""Neighbours at most this far apart in m and rad are one pose, where the rover rests."""
+_LAST_WAY, _STOPPING_S = 2.0, 2.0
+"""The way to the goal takes at most so many times as long as at full speed, and this time to stop."""
 
 
 def _radians(angle: float) -> float:
@@ -118,6 +131,32 @@ class Course(StrictModel):
         """The last checkpoint."""
         return self.checkpoints[-1].pose
 
+    @property
+    def timed_poses(self) -> list[tuple[float, Pose]]:
+        """The start, at 0 s, and the checkpoints after it, each with its deadline in s."""
+        found = [(point.t, point.pose) for point in self.checkpoints]
+        return found if found[0][0] == 0 else [(0.0, Pose(0.0, 0.0, 0.0)), *found]
+
+    @property
+    def moving_s(self) -> float:
+        """Time in which a reference moves, s: without the rests between equal poses and at the goal."""
+        legs = [(end - begin, a, b) for (begin, a), (end, b) in pairwise(self.timed_poses)]
+        seconds = [0.0 if same_pose(a, b) else duration for duration, a, b in legs]
+        for _, a, b in legs[-1:]:
+            seconds[-1] = min(seconds[-1], last_way_s(a, b, self.slower))
+        return sum(seconds)
+
+    def require_plannable(self, source: str = "") -> None:
+        """Raise ConfigError, naming ``source``, for more motion than can be planned in reasonable time."""
+        if self.moving_s > MAX_MOVING_S:
+            raise ConfigError(
+                source or f"course {self.name}",
+                [
+                    f"{self.moving_s:.0f} s of motion, expected at most {MAX_MOVING_S:.0f} s, for which a "
+                    "reference can be planned; divide the course"
+                ],
+            )
+
     def scaled(self, size: float, slower: float) -> "Course":
         """Scale the course in space by ``size`` and in speed by 1 / ``slower``.
 
@@ -144,8 +183,26 @@ class Course(StrictModel):
 
 
 def load_course(name_or_path: str | Path) -> Course:
-    """Load a shipped course by name or a course file by path. Raises FileError or ConfigError."""
-    return load_yaml(resolve("courses", name_or_path), Course)
+    """Load a shipped course by name or a course file by path. Raises FileError or ConfigError.
+
+    A course that cannot be planned is refused for each policy, also for one that follows no reference.
+    """
+    path = resolve("courses", name_or_path)
+    course = load_yaml(path, Course)
+    course.require_plannable(str(path))
+    return course
+
+
+def same_pose(a: Pose, b: Pose) -> bool:
+    """Return whether two neighbours are one pose, where the rover rests."""
+    return max(abs(a.x - b.x), abs(a.y - b.y), abs(wrap_angle(a.theta - b.theta))) < SAME
+
+
+def last_way_s(before: Pose, goal: Pose, slower: float) -> float:
+    """Return how long the way from the last checkpoint before the goal takes at most, s."""
+    turn = abs(wrap_angle(goal.theta - before.theta))
+    way_s = slower * max(distance(before, goal) / V_MAX, turn / OMEGA_MAX)
+    return _LAST_WAY * way_s + _STOPPING_S
 
 
 def _times(part: StrictModel, factors: dict[str, float]) -> dict[str, float]:

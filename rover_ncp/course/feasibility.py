@@ -15,17 +15,8 @@ import numpy as np
 from rover_ncp.core.config import ResultModel
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
-from rover_ncp.course.course import TICK_S, Checkpoint, Course, Obstacle
-from rover_ncp.course.reference import (
-    OMEGA_MAX,
-    V_MAX,
-    Deviation,
-    FloatArray,
-    Reference,
-    chord,
-    deviations,
-    plan_reference,
-)
+from rover_ncp.course.course import OMEGA_MAX, TICK_S, V_MAX, Checkpoint, Course, Obstacle
+from rover_ncp.course.reference import Deviation, FloatArray, Reference, chord, deviations, plan_reference
 from rover_ncp.robot.description import RobotDescription, load_description
 
 GOAL_SHARE = 0.25

@@ -16,14 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
-from rover_ncp.course.course import TICK_S, Course
+from rover_ncp.course.course import OMEGA_MAX, SAME, TICK_S, V_MAX, Course, last_way_s, same_pose
 
 FloatArray = NDArray[np.float64]
 
-V_MAX = 0.16
-"""Fastest reference in m/s: the paper's motors."""
-OMEGA_MAX = 0.18
-"""Fastest turn of a reference in rad/s: the paper's motors."""
 COMMAND_MAX = Velocity(0.24, 0.36)
 """Fastest command of a circuit that follows a reference: it must be able to catch up."""
 
@@ -38,10 +34,11 @@ _GOAL_WEIGHT = 20.0
 _BACKWARD_M = 0.02
 _MARGIN = 0.05
 """Distance of the fit's start from its bounds, as a share of them."""
-_LAST_WAY, _STOPPING_S = 2.0, 2.0
-"""The way to the goal takes at most so many times as long as at full speed, and this time to stop."""
-_SAME = 1e-6
-"""Neighbours at most this far apart in m and rad are one pose, where the rover rests."""
+
+_KNOTS_WITH_RESTS = 1200
+"""Ten minutes. The matrices of longer courses have no rows for rests."""
+_QUICK_S = 30.0
+"""A course with less motion is planned in about a second."""
 
 
 class Deviation(NamedTuple):
@@ -99,8 +96,10 @@ def drive_profile(start: Pose, v: Sequence[float], omega: Sequence[float]) -> Re
 def plan_reference(course: Course) -> Reference:
     """Return the reference of a course, which begins at its first checkpoint if that is due at 0 s.
 
-    Otherwise it begins at the origin, as the rover does. It goes backward only where the course does.
+    Otherwise it begins at the origin, as the rover does. It goes backward only where the course does. Raises
+    ConfigError for a course with more than `MAX_MOVING_S` of motion.
     """
+    course.require_plannable()
     v_max, omega_max = V_MAX / course.slower, OMEGA_MAX / course.slower
     # scipy takes half a second to import, and only policies that follow a reference need it.
     from scipy.optimize import least_squares
@@ -123,6 +122,13 @@ def plan_reference(course: Course) -> Reference:
         # Rounded, so that another machine's last bits do not show.
         v[fit.free], omega[fit.free] = np.round(found.x.reshape(2, count), _DECIMALS)
     return drive_profile(fit.start, _between(v), _between(omega))
+
+
+def planning_notice(course: Course) -> str:
+    """Return the line that announces a planning of more than about a second; "" for a shorter one."""
+    if course.moving_s <= _QUICK_S:
+        return ""
+    return f"planning the reference of {course.name}: {course.moving_s:.0f} s of motion"
 
 
 def deviations(course: Course, reference: Reference) -> list[Deviation]:
@@ -153,21 +159,29 @@ class _Fit:
 
     def __init__(self, course: Course) -> None:
         points = course.checkpoints
-        self.start = points[0].pose if points[0].t == 0 else Pose(0.0, 0.0, 0.0)
-        self._points = [(0.0, self.start), *((point.t, point.pose) for point in points if point.t > 0)]
+        self._points = course.timed_poses
+        self.start = self._points[0][1]
         self.knots = -(-course.ticks // KNOT_TICKS) + 1
         self.free = _moving(self._points, self.knots, course.slower)
         headings = np.unwrap([self.start.theta, *(point.theta for point in points)])[1:]
         self._targets = np.array([[point.x for point in points], [point.y for point in points], headings])
-        at_goal = np.abs(self._targets - self._targets[:, -1:]).max(axis=0) < _SAME
+        at_goal = np.abs(self._targets - self._targets[:, -1:]).max(axis=0) < SAME
         self._scale = np.array([[_POSITION_M], [_POSITION_M], [_HEADING_RAD]]) / np.where(
             at_goal, _GOAL_WEIGHT, 1.0
         )
-        self._due = _hat(np.array([point.t for point in points]) / TICK_S, course.ticks + 1)
-        blend = _hat(np.arange(course.ticks + 1) / KNOT_TICKS, self.knots)[:, self.free]
-        # At the middle of each tick, as a mean of the unknowns.
-        self._mean = 0.5 * (blend[1:] + blend[:-1])
-        self._bend = np.diff(np.eye(self.knots), 2, axis=0)[:, self.free]
+        # Ticks and bends at rest are left out, so that long rests take little time and memory. The last bits
+        # of the fit depend on the number of bends: shorter courses keep all, as in earlier versions.
+        free, column = self.free, np.where(self.free, np.cumsum(self.free) - 1, -1)
+        moving = np.repeat(free[1:] | free[:-1], KNOT_TICKS)[: course.ticks]
+        driven = np.concatenate([[0], np.cumsum(moving)])
+        self._due = _hat(np.array([point.t for point in points]) / TICK_S, driven)
+        ticks = np.flatnonzero(moving)
+        # At the middle of each moving tick, as a mean of the unknowns.
+        self._mean = 0.5 * (_hat((ticks + 1) / KNOT_TICKS, column) + _hat(ticks / KNOT_TICKS, column))
+        bends = np.arange(self.knots - 2)
+        if self.knots > _KNOTS_WITH_RESTS:
+            bends = np.flatnonzero(free[2:] | free[1:-1] | free[:-2])
+        self._bend = _second_differences(bends, column)
 
     def chords(self) -> FloatArray:
         """Return the unknowns of a drive along the chords between checkpoints."""
@@ -181,7 +195,10 @@ class _Fit:
         return np.concatenate([np.interp(times, middles, v), np.interp(times, middles, omega)])
 
     def _drive(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the step lengths (T,), the headings in the middle (T,) and at the ticks (T + 1,)."""
+        """Return the step lengths (T,), the headings in the middle (T,) and at the ticks (T + 1,).
+
+        T is the number of moving ticks.
+        """
         v, omega = unknowns.reshape(2, -1)
         theta = self.start.theta + TICK_S * _sums((self._mean @ omega)[:, None])[:, 0]
         return TICK_S * (self._mean @ v), 0.5 * (theta[1:] + theta[:-1]), theta
@@ -220,11 +237,9 @@ def _moving(points: Sequence[tuple[float, Pose]], knots: int, slower: float) -> 
     free = times < due
     free[0] = False
     for begin, before in points[-2:-1]:
-        turn = abs(wrap_angle(goal.theta - before.theta))
-        way_s = slower * max(distance(before, goal) / V_MAX, turn / OMEGA_MAX)
-        free &= times <= begin + _LAST_WAY * way_s + _STOPPING_S
+        free &= times <= begin + last_way_s(before, goal, slower)
     for (begin, a), (end, b) in pairwise(points):
-        if max(abs(a.x - b.x), abs(a.y - b.y), abs(wrap_angle(a.theta - b.theta))) < _SAME:
+        if same_pose(a, b):
             free &= (times < begin) | (times > end)
     return free
 
@@ -242,11 +257,28 @@ def _sums(rows: FloatArray) -> FloatArray:
     return np.vstack([np.zeros((1, rows.shape[1])), np.cumsum(rows, axis=0)])
 
 
-def _hat(places: FloatArray, count: int) -> FloatArray:
-    """Return the matrix (places, count) that interpolates linearly between whole numbers."""
-    places = np.minimum(places, count - 1)
-    below = np.minimum(places.astype(int), count - 2)
-    matrix = np.zeros((len(places), count))
-    matrix[np.arange(len(places)), below] = 1 - (places - below)
-    matrix[np.arange(len(places)), below + 1] = places - below
-    return matrix
+def _hat(places: FloatArray, column: NDArray[np.int64]) -> FloatArray:
+    """Return the matrix (places, columns) that interpolates linearly between whole numbers.
+
+    The value at whole number i is in column ``column[i]``; -1 is a value of 0.
+    """
+    places = np.minimum(places, len(column) - 1)
+    below = np.minimum(places.astype(int), len(column) - 2)
+    above = places - below
+    return _matrix((column[below], column[below + 1]), (1 - above, above), column)
+
+
+def _second_differences(knots: NDArray[np.int64], column: NDArray[np.int64]) -> FloatArray:
+    """Return the matrix (knots, columns) of second differences from ``knots`` on; ``column`` as in `_hat`."""
+    return _matrix([column[knots + i] for i in range(3)], (1.0, -2.0, 1.0), column)
+
+
+def _matrix(
+    places: Sequence[NDArray[np.int64]], weights: Sequence[FloatArray | float], column: NDArray[np.int64]
+) -> FloatArray:
+    """Return the matrix that has in each row the ``weights`` at the columns ``places``; -1 is no column."""
+    rows = np.arange(len(places[0]))
+    matrix = np.zeros((len(rows), int(column.max()) + 2), order="F")
+    for place, weight in zip(places, weights, strict=True):
+        matrix[rows, place] += weight
+    return matrix[:, :-1]

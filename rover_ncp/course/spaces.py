@@ -7,8 +7,7 @@ import gymnasium
 import numpy as np
 
 from rover_ncp.core.errors import ConfigError
-from rover_ncp.course.course import FAR_M
-from rover_ncp.course.reference import OMEGA_MAX, V_MAX
+from rover_ncp.course.course import FAR_M, OMEGA_MAX, V_MAX
 from rover_ncp.course.signals import unknown_signals
 
 _RANGES = {

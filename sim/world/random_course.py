@@ -11,8 +11,8 @@ import numpy as np
 
 from rover_ncp.core.geometry import Pose, wrap_angle
 from rover_ncp.core.streams import Domain, random_stream
-from rover_ncp.course.course import TICK_S, Checkpoint, Course, Obstacle
-from rover_ncp.course.reference import OMEGA_MAX, Reference, drive_profile
+from rover_ncp.course.course import OMEGA_MAX, TICK_S, Checkpoint, Course, Obstacle
+from rover_ncp.course.reference import Reference, drive_profile
 
 HORIZON_S = 32.0
 """As the paper's course."""

@@ -299,6 +299,13 @@ def test_no_bridge_is_one_line_and_exit_code_3(command, folder, monkeypatch, cap
     assert files(folder) == before
 
 
+def test_deploy_announces_long_planning_for_a_policy_that_follows_the_course(monkeypatch, capfd):
+    monkeypatch.setitem(CLIENT, "connect/timeout_ms", 100)
+    for policy, announced in (("course", True), ("parking", False)):
+        assert run(shlex.split(f"deploy {ROBOT} --course longer --policy {policy}")) == 3
+        assert ("planning the reference of longer" in capfd.readouterr().out) == announced
+
+
 @pytest.mark.parametrize("command", ["course check mine.yaml", "keys --out mine", "report drive.mcap"])
 def test_a_working_directory_that_is_gone_is_one_line(command, tmp_path, monkeypatch, capfd):
     gone = tmp_path / "gone"

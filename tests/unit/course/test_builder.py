@@ -10,7 +10,7 @@ from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.geometry import Pose, Velocity, compose, distance, relative
 from rover_ncp.course.builder import CoursePose, PoseList, course_yaml, make_course, read_poses
 from rover_ncp.course.course import Course, Obstacle
-from rover_ncp.course.feasibility import Cause
+from rover_ncp.course.feasibility import Cause, Drivability, Problem
 from rover_ncp.course.reference import drive_profile
 from rover_ncp.recording.recording import Recorded, RecordingWriter
 from rover_ncp.wire.messages import odometry
@@ -51,6 +51,19 @@ def test_problems_that_no_deadline_solves_are_reported():
     course, found = make_course("aside", "aside.csv", places((0, 0, 0), (0, 0.5, 0)))
     assert {problem.cause for problem in found.problems} == {Cause.SIDEWAYS}
     assert course.horizon_s < 60
+
+
+def test_first_course_is_reported_if_later_deadlines_exceed_the_limit_of_motion(monkeypatch):
+    sharp = Drivability(None, (), (Problem(2, 3.0, Cause.BEND, "x"),), None)
+    monkeypatch.setattr("rover_ncp.course.builder.check_course", lambda course: sharp)
+    ahead = places((0, 0, 0), (0.9, 0, 0))
+    first, _ = make_course("a", "a.csv", places((0, 0, 0), (0.9, 0, 0.01)))
+    monkeypatch.setattr("rover_ncp.course.course.MAX_MOVING_S", 15.0)
+    course, found = make_course("a", "a.csv", ahead)
+    assert course.moving_s < 15.0 < first.moving_s
+    assert found is sharp
+    with pytest.raises(ConfigError, match=r"^a\.csv: .* of motion, expected at most 15 s"):
+        make_course("a", "a.csv", places((0, 0, 0), (1.8, 0, 0)))
 
 
 def recording(path, stretches, start=START, rate=10):

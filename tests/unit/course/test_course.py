@@ -1,6 +1,7 @@
 """Courses, the verdict at their end, and the probability that it is right."""
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from hypothesis import strategies as st
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose
-from rover_ncp.course.course import load_course
+from rover_ncp.course.course import TICK_S, load_course
+from rover_ncp.course.reference import deviations, plan_reference, planning_notice
 from rover_ncp.course.scoring import SURE, Failure, Parked, judge, probability_within
 
 COURSE = load_course("parking")
@@ -102,6 +104,45 @@ def test_a_wrong_course_is_refused_with_the_place(tmp_path, change, expected):
         load_course(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert expected in str(caught.value)
+
+
+def straight(pieces, rest_s, path):
+    """Write a course of ``pieces`` of 10 s and 0.9 m, each after a rest."""
+    points, t = [{"t": 0, "x": 0, "y": 0, "theta": 0}], 0.0
+    for piece in range(pieces):
+        points += [{"t": t + rest_s, "x": 0.9 * piece, "y": 0, "theta": 0}] * (rest_s > 0)
+        t += rest_s + 10.0
+        points.append({"t": t, "x": 0.9 * (piece + 1), "y": 0, "theta": 0})
+    fields = {"name": "straight", "start_signal_s": 0.0, "horizon_s": t + 8.0, "checkpoints": points}
+    path.write_text(dump_yaml(fields))
+    return path
+
+
+def test_course_with_too_much_motion_to_plan_is_refused(tmp_path):
+    path = straight(19, 0.0, tmp_path / "far.yaml")
+    with pytest.raises(ConfigError, match=r"far\.yaml: 190 s of motion, expected at most 180 s"):
+        load_course(path)
+    assert load_course(straight(18, 0.0, path)).moving_s == 180.0
+
+
+def test_course_of_an_hour_that_mostly_rests_is_planned_in_little_memory(tmp_path):
+    course = load_course(straight(3, 1180.0, tmp_path / "rests.yaml"))
+    assert course.horizon_s > 3570.0
+    assert course.moving_s == 30.0
+    tracemalloc.start()
+    reference = plan_reference(course)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 50e6
+    moving_s = TICK_S * np.count_nonzero(reference.motion.any(axis=1))
+    assert 20.0 < moving_s < 30.0
+    assert max(miss.error_m for miss in deviations(course, reference)) < 0.01
+
+
+def test_long_planning_is_announced(tmp_path):
+    assert planning_notice(COURSE) == ""
+    words = planning_notice(load_course(straight(12, 0.0, tmp_path / "far.yaml")))
+    assert words == "planning the reference of straight: 120 s of motion"
 
 
 def of_stds(*stds):

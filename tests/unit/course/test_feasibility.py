@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 
 from rover_ncp.core.files import shipped_names
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
-from rover_ncp.course.course import Checkpoint, Course, Obstacle, load_course
+from rover_ncp.course.course import OMEGA_MAX, V_MAX, Checkpoint, Course, Obstacle, load_course
 from rover_ncp.course.feasibility import Cause, check_course, clearance_at
-from rover_ncp.course.reference import OMEGA_MAX, V_MAX
 from rover_ncp.robot.description import load_description
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, rover_body

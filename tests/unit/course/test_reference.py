@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
-from rover_ncp.course.course import TICK_S, Checkpoint, Course, load_course
-from rover_ncp.course.reference import OMEGA_MAX, V_MAX, deviations, drive_profile, plan_reference
+from rover_ncp.course.course import OMEGA_MAX, TICK_S, V_MAX, Checkpoint, Course, load_course
+from rover_ncp.course.reference import deviations, drive_profile, plan_reference
 from rover_ncp.course.signals import REFERENCE_SIGNALS, SIGNALS, signals
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rover_ncp.core.errors import ConfigError
-from rover_ncp.course.course import load_course
-from rover_ncp.course.reference import COMMAND_MAX, OMEGA_MAX, V_MAX, plan_reference
+from rover_ncp.course.course import OMEGA_MAX, V_MAX, load_course
+from rover_ncp.course.reference import COMMAND_MAX, plan_reference
 from rover_ncp.course.slowdown import slowed
 from rover_ncp.robot.description import load_description
 

@@ -20,7 +20,7 @@ from deploy.keyboard import (
     Press,
 )
 from rover_ncp.core.geometry import STANDSTILL, Velocity
-from rover_ncp.course.reference import OMEGA_MAX, V_MAX
+from rover_ncp.course.course import OMEGA_MAX, V_MAX
 
 
 def presses(text):

@@ -15,8 +15,8 @@ from deploy.zenoh_client import with_covariance
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import FormatError, NoPose, UsageError
 from rover_ncp.core.geometry import ORIGIN, Pose, distance, wrap_angle
+from rover_ncp.course.course import OMEGA_MAX, V_MAX
 from rover_ncp.course.feasibility import Cause, check_course
-from rover_ncp.course.reference import OMEGA_MAX, V_MAX
 from rover_ncp.wire.messages import PoseSample, pose_stamped, pose_with_covariance, read_pose
 
 DIRECTIONS = "forward", "backward"

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from rover_ncp.course.course import load_course
+from rover_ncp.course.course import V_MAX, load_course
 from rover_ncp.course.feasibility import check_course
-from rover_ncp.course.reference import V_MAX, plan_reference
+from rover_ncp.course.reference import plan_reference
 from rover_ncp.robot.description import load_description
 from sim.evaluate.evaluate import _enlarged
 

@@ -317,7 +317,9 @@ def identify(
     Drives for a minute, forward and back by half a metre, then left and right, at walking pace, through the
     same lease and gate as 'rover-ncp deploy'; keep a circle of --fence metres around it free. Ctrl-C stops
     the rover. A recording of another drive determines fewer values: delays, gains and accelerations need
-    several steps of the command with pauses between. With --model, steps are no faster than the robot drives.
+    several steps of the command with pauses between. With --model, steps are no faster than the robot drives,
+    and mean speeds that some robots report are corrected. A recording of 'deploy' or 'identify' with --model
+    holds the description; give --model with one that does not, as of 'teleop'.
     Each value is shown ± its standard deviation. A value with too large a deviation is left out.
 
         rover-ncp identify --robot tcp/192.168.1.20 --out mine.yaml
@@ -343,14 +345,13 @@ def identify(
         assert recording is not None
         reject(
             "needs --robot",
-            model=model,
             fence=fence,
             record=record,
             overwrite=overwrite,
             namespace=namespace,
             zenoh_config=zenoh_config,
         )
-        return identify_recording(recording, out, output)
+        return identify_recording(recording, out, output, model=model)
     if record is None:
         reject("needs --record", overwrite=overwrite)
     address = BridgeAddress(robot, namespace, zenoh_config)

@@ -86,17 +86,18 @@ def attached(recording: Recording) -> tuple[Policy, Course, DriveConfig]:
     """Read policy, course and settings from a recording. Raises FileError and ConfigError."""
     return (
         attached_policy(recording),
-        parse_yaml(_text(recording, COURSE_FILE), Course, f"{recording.path}, {COURSE_FILE}"),
-        _drive_config(_text(recording, CONFIG_FILE), f"{recording.path}, {CONFIG_FILE}"),
+        parse_yaml(attached_text(recording, COURSE_FILE), Course, f"{recording.path}, {COURSE_FILE}"),
+        _drive_config(attached_text(recording, CONFIG_FILE), f"{recording.path}, {CONFIG_FILE}"),
     )
 
 
 def attached_policy(recording: Recording, name: str = POLICY_FILE) -> Policy:
     """Read a policy from a recording. Raises FileError and ConfigError."""
-    return policy_from_yaml(_text(recording, name), f"{recording.path}, {name}")
+    return policy_from_yaml(attached_text(recording, name), f"{recording.path}, {name}")
 
 
-def _text(recording: Recording, name: str) -> str:
+def attached_text(recording: Recording, name: str) -> str:
+    """Return an attachment that is text. Raises FileError."""
     try:
         return recording.attachment(name).decode()
     except UnicodeDecodeError as error:

@@ -8,6 +8,7 @@ from typing import Any
 from pydantic import Field
 
 from deploy.drive.measurements import Measurements
+from deploy.drive.records import CONFIG_FILE, attached_text
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.identify.excitation import excite, steps
@@ -15,16 +16,18 @@ from deploy.identify.fit import identify
 from deploy.identify.motion_log import motion_log
 from deploy.recorder import Recorder
 from deploy.zenoh_client import BridgeAddress
-from rover_ncp.core.config import dump_yaml, name_from
-from rover_ncp.core.console import Output
+from rover_ncp.core.config import dump_yaml, name_from, read_yaml, validated
+from rover_ncp.core.console import Output, reject
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import require_writable, write_atomic
 from rover_ncp.core.process import Interrupts
-from rover_ncp.recording.recording import Recorded, read_recording
-from rover_ncp.robot.description import RobotDescription
+from rover_ncp.recording.recording import Recorded, Recording, read_recording
+from rover_ncp.robot.description import RobotDescription, load_description
 from rover_ncp.robot.profile import RoverProfile
 
 SETTINGS_FILE = "identify.yaml"
+_DESCRIBED = "described"
+"""Key of the robot's description in the settings of a recording, as deploy's."""
 
 _WORDS: dict[str, tuple[str, float, str]] = {
     "delay_v_s": ("delay of the speed", 1000.0, "ms"),
@@ -58,10 +61,19 @@ class IdentifyResult(RoverProfile):
     out: str = Field(description="the file")
 
 
-def identify_recording(path: Path, out: Path, output: Output) -> int:
-    """Write a profile from the recording of a drive, and return the exit code. Raises RoverNcpError."""
+def identify_recording(path: Path, out: Path, output: Output, *, model: str | None = None) -> int:
+    """Write a profile from the recording of a drive, and return the exit code. Raises RoverNcpError.
+
+    ``model`` is the description of a robot whose recording holds none: it tells how odometry reports speeds.
+    """
     require_writable(out)
-    return _write_profile(list(read_recording(path).messages), str(path), out, output)
+    recording = read_recording(path)
+    robot = _recorded_robot(recording)
+    if robot is not None:
+        reject(f"{path} holds the description of its robot, {robot.name}", model=model)
+    elif model is not None:
+        robot = load_description(model)
+    return _write_profile(list(recording.messages), str(path), out, output, robot)
 
 
 def identify_robot(
@@ -88,9 +100,10 @@ def identify_robot(
         measurements = Measurements(link)
         monitor = SafetyMonitor(link, measurements, lambda: interrupts.raised)
         monitor.wait()
+        output.say(link.other_model(robot))
+        about: dict[str, Any] = {"version": version("rover-ncp"), "robot": address.robot}
         if robot is not None:
-            output.say(link.other_model(robot))
-        about = {"version": version("rover-ncp"), "robot": address.robot}
+            about[_DESCRIBED] = robot.model_dump(mode="json")
         recorder.open({SETTINGS_FILE: dump_yaml(about).encode()})
         seconds = sum(step.seconds for step in steps(robot))
         output.say(f"driving for {seconds:.0f} s within {fence_m} m of here; Ctrl-C stops the rover")
@@ -100,6 +113,18 @@ def identify_robot(
     if recorder.failure:  # the profile is not lost with it
         raise FileError(f"the recording failed: {recorder.failure}")
     return code
+
+
+def _recorded_robot(recording: Recording) -> RobotDescription | None:
+    """Return the description that deploy or identify recorded. Raises FileError and ConfigError."""
+    for name in (CONFIG_FILE, SETTINGS_FILE):
+        if name in recording.attachments:
+            where = f"{recording.path}, {name}"
+            settings = read_yaml(attached_text(recording, name), where)
+            described = settings.get(_DESCRIBED) if isinstance(settings, dict) else None
+            if described is not None:
+                return validated(described, RobotDescription, f"{where}, $.{_DESCRIBED}")
+    return None
 
 
 def _write_profile(

@@ -322,9 +322,9 @@ def identify(
     holds the description; give --model with one that does not, as of 'teleop'.
     Each value is shown ± its standard deviation. A value with too large a deviation is left out.
 
-        rover-ncp identify --robot tcp/192.168.1.20 --out mine.yaml
-        rover-ncp eval course --trials 300 --randomize full --profile mine.yaml
-        rover-ncp deploy --robot tcp/192.168.1.20 --policy course --profile mine.yaml
+        rover-ncp identify --robot tcp/192.168.1.20 --out profile.yaml
+        rover-ncp eval course --trials 300 --randomize full --profile profile.yaml
+        rover-ncp deploy --robot tcp/192.168.1.20 --policy course --profile profile.yaml
 
     Gains are those that odometry measures. With external poses on 'pose' during the drive, gains are
     separated from odometry's own errors, and slip, wheel mismatch and centre of rotation are measured too.

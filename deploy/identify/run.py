@@ -19,13 +19,14 @@ from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml, name_from, read_yaml, validated
 from rover_ncp.core.console import Output, reject
 from rover_ncp.core.errors import FileError
-from rover_ncp.core.files import require_writable, write_atomic
+from rover_ncp.core.files import Kind, require_writable, write_atomic
 from rover_ncp.core.process import Interrupts
 from rover_ncp.recording.recording import Recorded, Recording, read_recording
 from rover_ncp.robot.description import RobotDescription, load_description
-from rover_ncp.robot.profile import RoverProfile
+from rover_ncp.robot.profile import RoverProfile, load_profile
 
 SETTINGS_FILE = "identify.yaml"
+_PROFILE = Kind("a robot profile", load_profile)
 _DESCRIBED = "described"
 """Key of the robot's description in the settings of a recording, as deploy's."""
 
@@ -66,7 +67,7 @@ def identify_recording(path: Path, out: Path, output: Output, *, model: str | No
 
     ``model`` is the description of a robot whose recording holds none: it tells how odometry reports speeds.
     """
-    require_writable(out)
+    require_writable(out, kind=_PROFILE)
     recording = read_recording(path)
     robot = _recorded_robot(recording)
     if robot is not None:
@@ -89,7 +90,7 @@ def identify_robot(
 
     Raises RoverNcpError or KeyboardInterrupt; the rover was stopped before.
     """
-    require_writable(out)
+    require_writable(out, kind=_PROFILE)
     received: list[Recorded] = []
 
     def record(message: Recorded) -> None:

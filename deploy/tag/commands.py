@@ -55,11 +55,11 @@ def print_tags(
     """
     from deploy.tag.localiser import TagPrintResult
     from deploy.tag.sheet import BOARD_TAG_M, board_page, tag_pages
-    from rover_ncp.core.files import require_writable, write_atomic
+    from rover_ncp.core.files import PDF, begins_with, require_writable, write_atomic
 
     if out.suffix != ".pdf":
         raise UsageError(f"--out {out}: expected a .pdf")
-    require_writable(out)
+    require_writable(out, kind=begins_with("a PDF", PDF))
     numbers = [] if board else parse_ids(ids)
     write_atomic(out, board_page(page) if board else tag_pages(numbers, size, page))
     result = TagPrintResult(out=str(out), ids=tuple(numbers), size=BOARD_TAG_M if board else size, page=page)

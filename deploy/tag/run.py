@@ -17,7 +17,7 @@ from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.config import dump_yaml, load_yaml
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FormatError, UsageError
-from rover_ncp.core.files import require_writable, write_atomic
+from rover_ncp.core.files import JPEG, begins_with, require_writable, write_atomic
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
@@ -52,7 +52,7 @@ def run_localiser(
     else:
         raise UsageError("--camera-file: expected the camera's file; only a camera of ROS may do without it")
     if picture is not None:
-        require_writable(picture)
+        require_writable(picture, kind=begins_with("a picture (JPEG)", JPEG))
     localiser, shown = Localiser(camera, tag_map, decimate), 0.0
     with Interrupts() as interrupts, contextlib.ExitStack() as stack:
         link = stack.enter_context(PoseLink(address)) if address is not None else None

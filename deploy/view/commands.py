@@ -37,8 +37,8 @@ def course(
     meet. check compares any course with the motors, the rover's size and the obstacles; for a robot that is
     slower than a circuit's commands it takes longer, as in 'deploy'.
 
-        rover-ncp course new poses.csv --out mine.yaml
-        rover-ncp course check mine.yaml --out mine.png
+        rover-ncp course new poses.csv --out course.yaml
+        rover-ncp course check course.yaml --out course.png
 
     Ends with 1 if the course cannot be driven; new writes its file all the same.
     """
@@ -108,16 +108,18 @@ def report(
 
 
 def _new(source: Path, out: Path | None, name: str | None, say: Callable[[str], None]) -> Any:
-    from rover_ncp.core.config import name_from
-    from rover_ncp.core.files import require_writable, write_atomic
+    from rover_ncp.core.config import load_yaml, name_from
+    from rover_ncp.core.files import Kind, require_writable, write_atomic
     from rover_ncp.course.builder import course_yaml, make_course, read_poses
+    from rover_ncp.course.course import Course
 
     if out is None or out.suffix not in {".yaml", ".yml"}:
         raise UsageError("--out: expected the new course's file, .yaml")
     name = name or re.sub(r"[^a-z0-9_-]+", "-", name_from(out, "course").lower()).strip("-_") or "course"
     if not re.fullmatch(r"[a-z0-9][a-z0-9_-]{0,63}", name):
         raise UsageError(f"--name {name}: expected small letters, digits, - and _, at most 64")
-    require_writable(out)
+    kind = Kind("a course", lambda path: load_yaml(path, Course))
+    require_writable(out, kind=kind, inputs=[source])
     made, found = make_course(name, source.name, read_poses(source), say)
     write_atomic(out, course_yaml(made))
     return made, found
@@ -126,9 +128,9 @@ def _new(source: Path, out: Path | None, name: str | None, say: Callable[[str], 
 def _draw(out: Path, made: Any, found: Any, robot: Any) -> None:
     from deploy.view.pictures import course_picture, render
     from deploy.view.shapes import outline_of
-    from rover_ncp.core.files import require_writable, write_atomic
+    from rover_ncp.core.files import PNG, SVG, begins_with, require_writable, write_atomic
 
     if out.suffix not in {".png", ".svg"}:
         raise UsageError(f"--out {out}: expected a picture, .png or .svg")
-    require_writable(out)
+    require_writable(out, kind=begins_with("a picture", PNG, SVG))
     write_atomic(out, render(course_picture(made, found, outline_of(robot)), out.suffix[1:]))

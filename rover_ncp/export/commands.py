@@ -53,7 +53,7 @@ def export(
     To yaml: NAME.yaml, the policy file, to begin one of your own with (train --circuit NAME.yaml).
     """
     from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
-    from rover_ncp.core.files import require_writable, write_atomic
+    from rover_ncp.core.files import Kind, require_writable, write_atomic
     from rover_ncp.course.course import load_course
     from rover_ncp.export.vectors import c_files
 
@@ -61,11 +61,12 @@ def export(
         reject("--to yaml needs no course", course=course)
     name = re.sub(r"[^a-z0-9]+", "_", Path(policy).stem.lower()).strip("_")[:64]
     name = name if name[:1].isalpha() else f"policy_{name}".rstrip("_")
-    require_writable(out / name)
     loaded = load_policy(policy)
     if to is Target.YAML:
+        require_writable(out / f"{name}.yaml", kind=Kind("a policy", load_policy), inputs=[Path(policy)])
         files = {f"{name}.yaml": policy_to_yaml(loaded)}
     else:
+        require_writable(out / f"{name}.c")
         files = c_files(loaded, name, load_course(course or "parking"))
     for file, content in files.items():
         write_atomic(out / file, content)

@@ -171,7 +171,7 @@ def train(options: TrainOptions) -> None:
     drive a part of the rollouts.
 
         rover-ncp train --randomize full --out runs/robust
-        rover-ncp train --randomize full --profile mine.yaml --out runs/for-mine
+        rover-ncp train --randomize full --profile profile.yaml --out runs/for-mine
 
     With --refine, a policy that parks already learns the robots of the trials in a third of the episodes.
 

@@ -162,14 +162,14 @@ def report_experiments(
         rover-ncp paper report
         rover-ncp paper report --curves curves.png
     """
-    from rover_ncp.core.files import require_writable, write_atomic
+    from rover_ncp.core.files import PNG, begins_with, require_writable, write_atomic
     from sim.paper.claims import judge_claims, load_claims
     from sim.paper.curves import curves_png
     from sim.paper.report import ReportResult, coverage, long_report, short_report
     from sim.paper.results import ResultStore
 
     if curves is not None:
-        require_writable(curves)
+        require_writable(curves, kind=begins_with("a picture (PNG)", PNG))
     if not results.is_dir():
         raise FileError(f"{results}: no such folder")
     store, file = ResultStore(results), load_claims()

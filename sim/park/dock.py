@@ -14,7 +14,7 @@ from deploy.place.place import load_place
 from deploy.view.page import drive_page
 from deploy.view.recorded_drive import read_drive
 from rover_ncp.core.console import Output
-from rover_ncp.core.files import require_creatable, resolve, write_atomic
+from rover_ncp.core.files import read_bytes, require_creatable, resolve, write_atomic
 from rover_ncp.core.geometry import Pose
 from rover_ncp.recording.recording import read_recording, rewrite
 from sim.live.live_run import LiveRun
@@ -45,8 +45,11 @@ def run_dock(output: Output, out: Path, *, overwrite: bool) -> int:
     """Run ``park --dock`` and return its exit code. Raises RoverNcpError when a process fails."""
     for name in ("run.mcap", f"log/{TRUTH}"):
         require_creatable(out / name, overwrite=overwrite)
-    out.mkdir(parents=True, exist_ok=True)
     files = {name: out / f"{name}.yaml" for name in ("camera", "tags", "place")}
+    for name, path in files.items():  # the files of an earlier, failed run are the same
+        same = path.is_file() and read_bytes(path) == read_bytes(resolve("dock", name))
+        require_creatable(path, overwrite=overwrite or same)
+    out.mkdir(parents=True, exist_ok=True)
     for name, path in files.items():
         shutil.copyfile(resolve("dock", name), path)
     place = load_place(str(files["place"]))

@@ -89,6 +89,22 @@ TABLE = [
     ("report drive.mcap --out drive.mcap", "drive.mcap: is a recording; choose another file"),
     ("identify drive.mcap --out drive.mcap", "drive.mcap: is a recording; choose another file"),
     ("mock --truth file", "file: exists already"),
+    # hand-written files that a result would replace
+    (
+        "identify drive.mcap --out robot.yaml",
+        "robot.yaml: exists and is not a robot profile; choose another file",
+    ),
+    (f"identify {ROBOT} --out poses.yaml", "poses.yaml: exists and is not a robot profile"),
+    ("course new poses.yaml --out poses.yaml", "poses.yaml: is the command's own input; choose another file"),
+    ("course new poses.yaml --out robot.yaml", "robot.yaml: exists and is not a course"),
+    ("course check parking --out notes.png", "notes.png: exists and is not a picture"),
+    ("report drive.mcap --out robot.yaml", "robot.yaml: exists and is not a page (HTML)"),
+    ("tag print --out notes.pdf", "notes.pdf: exists and is not a PDF"),
+    ("export ./forward.yaml --to yaml --out .", "forward.yaml: is the command's own input"),
+    ("export FORWARD --to yaml --out written", "written/forward.yaml: exists and is not a policy"),
+    (f"deploy {ROBOT} --record robot.yaml --overwrite", "robot.yaml: exists and is not a recording"),
+    ("recover drive.mcap --out robot.yaml --overwrite", "robot.yaml: exists and is not a recording"),
+    ("park --dock --out docked", "docked/tags.yaml: exists already; choose another file, or use --overwrite"),
     ("park --policy parking --out done", "done/run.mcap: exists already"),
     ("park --out done", "done/run.mcap: exists already"),
     ("park --policy task.yaml --out none", "policy wall"),
@@ -228,7 +244,7 @@ def folder(tmp_path_factory):
     for name in ("file", "noise.mcap"):
         (folder / name).write_text("not a recording")
     write_drive(folder / "drive.mcap", course=SHORT)
-    for made in ("done/run.mcap", "trained/train/settings.yaml"):
+    for made in ("done/run.mcap", "trained/train/settings.yaml", "docked/tags.yaml", "written/forward.yaml"):
         (folder / made).parent.mkdir(parents=True)
         (folder / made).write_text("x")
     row = "- {{t: {}, x: {}, y: 0, theta: 0}}\n"
@@ -244,6 +260,11 @@ def folder(tmp_path_factory):
         "blocked.yaml": short + "obstacles: [{x: 0.2, y: 0, length: 0.1, width: 0.1}]\n",
         "typo.yaml": short.replace("horizon_s", "horizon"),
         "poses.yaml": "poses:\n- {x: 0, y: 0, theta: 0}\n- {x: 1, y: 0, theta: 0}\n",
+        "robot.yaml": "name: mine\nbased_on: turtlebot4\n",
+        "notes.png": "by hand",
+        "notes.pdf": "by hand",
+        "forward.yaml": forward,
+        "FORWARD": forward,
         "poses.csv": "x,y,theta\n0,0,0\n1,0,0\n",
         "far.csv": "x,y,theta\n0,0,0\n1e300,0,0\n",
         "slow.csv": "x,y,theta\n0,0,0\n900,0,0\n",

@@ -16,7 +16,7 @@ def test_the_examples_of_the_python_page_run(tmp_path, monkeypatch, capsys):
     for block in blocks:
         exec(block, names)
     assert names["result"].policy_path.is_file()
-    assert (tmp_path / "mine.yaml").is_file()
+    assert (tmp_path / "policy.yaml").is_file()
     assert len(names["potentials_mV"]) == 12
     assert "'t', 'PVD'" in capsys.readouterr().out
     names["envs"].close()

@@ -21,6 +21,8 @@ from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import pose_with_covariance, read_text, text
 from sim.live.processes import wait_for
 
+EARLIER = b"\x89MCAP0\r\n, an earlier recording"
+
 
 def note(words, now_ns=None):
     now = now_ns or time.time_ns()
@@ -187,11 +189,11 @@ def test_recording_that_fails_before_the_drive_begins_has_its_name_at_the_end(tm
     monkeypatch.setattr("deploy.recorder.FLUSH_S", 0.02)
     monkeypatch.setattr(RecordingWriter, "sync", fail)
     path = tmp_path / "run.mcap"
-    path.write_bytes(b"earlier")
+    path.write_bytes(EARLIER)
     recorder = Recorder(path, overwrite=True)
     recorder.open({"policy.yaml": b"x"})
     wait_for(lambda: recorder.failure, 20.0)
-    assert path.read_bytes() == b"earlier"
+    assert path.read_bytes() == EARLIER
     recorder.begin()
     recorder.close()
     assert read_recording(path).attachment("policy.yaml") == b"x"
@@ -200,14 +202,14 @@ def test_recording_that_fails_before_the_drive_begins_has_its_name_at_the_end(tm
 
 def test_drive_that_does_not_begin_leaves_the_earlier_recording(tmp_path, monkeypatch):
     path = tmp_path / "run.mcap"
-    path.write_bytes(b"earlier")
+    path.write_bytes(EARLIER)
     virtual = VirtualDrive(pose="required", pose_wait_s=0.5)
     virtual.use_in(app, monkeypatch)
     drive = {"policy": virtual.policy, "course": virtual.course, "config": virtual.config}
     recorder = Recorder(path, overwrite=True)
     with pytest.raises(NoPose):
         app.run(BridgeAddress("virtual"), Output(as_json=True), recorder=recorder, **drive)
-    assert path.read_bytes() == b"earlier"
+    assert path.read_bytes() == EARLIER
     assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
 
 

@@ -187,6 +187,7 @@ def test_a_ros_node_drives_while_its_commands_are_fresh_within_the_limits(domain
     options = ["--ros", "rmw-zenoh", "--accept-ros", "--namespace", "/bot1", "--limits", str(limits)]
     with LiveRun(tmp_path, bridge=options) as rig, RosDriver(rig.robot) as ros:
         with Driver(rig.robot, "bot1") as watching:
+            wait_for(lambda: ros.odom)  # a publisher that does not pause must begin after the base's report
             deadline = time.monotonic() + 5.0
             while ros.speed < 0.09:
                 assert time.monotonic() < deadline

@@ -349,7 +349,7 @@ def _untagged(state: GateState, command: VelocityCommand, limits: Limits) -> _Ad
 
     A valid one gets its lease without a request. A pause or a zero command must come first, as when a user
     releases a stick: a publisher that never paused drives nothing after a lease or a hazard. The time before
-    the base's first report is one: a bridge that was restarted knows of no stop before.
+    the base's first report counts as a hazard: a restart of the bridge forgets a stop.
     """
     age = 0.0 if command.age_s is None else command.age_s
     if not abs(age) <= ROS_AGE_S:

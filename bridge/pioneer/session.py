@@ -220,9 +220,9 @@ class Session:
         return self._chosen or ROBOTS.get(self._names[2].lower())
 
     def _contradicts(self) -> bool:
-        """Whether the base says that it is another model than the chosen one: it would have other units.
+        """Whether the base's name is that of another shipped model than the chosen one: of other units.
 
-        A file of one's own may describe a base that calls itself something else.
+        A user's own description may be of a base with any name.
         """
         reported, chosen = self._names[2].lower(), self._chosen
         return reported in ROBOTS and chosen is not None and chosen.name in ROBOTS.keys() - {reported}

@@ -197,7 +197,7 @@ class Ros2Base:
 
     def health(self) -> LinkHealth:
         counters = self._odometer.counters | {"imu left out": self._turns.left_out}
-        silent = tuple(self._line.topic(topic) for topic in sorted(self._hazards.unheard))
+        silent = tuple(self._line.topic(topic) for topic in sorted(self._hazards.silent))
         return LinkHealth(counters["unreadable"] > 0, counters, silent)
 
     @property
@@ -277,7 +277,7 @@ class Ros2Base:
             age_s=moved.age_s,
             battery_v=battery.voltage,
             charging=battery.charging,
-            battery_age_s=now - self._battery_s if battery is self._battery else 0.0,
+            battery_age_s=now - self._battery_s if battery is not _NO_BATTERY else 0.0,
             stop_pressed=stop_pressed,
             stalled=(STALL in hazards, STALL in hazards),
             # Bumpers and cliff sensors are in front. With a dropped wheel no direction is free.

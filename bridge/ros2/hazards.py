@@ -12,7 +12,7 @@ class Hazards:
     def __init__(self, topics: Topics) -> None:
         self._stop = topics.stop
         self.topics = frozenset(topic for topic in (topics.stop, topics.hazards) if topic is not None)
-        self.unheard = set(self.topics)
+        self.silent = set(self.topics)
         """Topics on which no message came."""
         self.unreadable: dict[str, str] = {}
         """Topics whose last message cannot be read, and why not."""
@@ -21,7 +21,7 @@ class Hazards:
 
     def take(self, topic: str, payload: bytes) -> None:
         """Take a stop or hazards. Raises FormatError."""
-        self.unheard.discard(topic)
+        self.silent.discard(topic)
         try:
             if topic == self._stop:
                 self._pressed = bool(decode(BOOL, payload).data)

@@ -171,6 +171,7 @@ class RosOdometer:
         if len(self._seen) == 2 and jumped and not self._jumps(sample.pose, 0, arrived_s):
             # Back at the track of the message before the last: two robots report in turn.
             self._alternations.append(arrived_s)
+            jumped = False
         elif len(self._seen) == 2 and self._jumped and not jumped:
             self.jumps += self._jumps(sample.pose, 0, arrived_s)
         self._jumped = jumped

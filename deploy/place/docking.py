@@ -55,6 +55,8 @@ BOUNCE_S = 2.0
 """How long a bumper may open and close as the rover begins to back out; it can only drive away."""
 CHARGE_S = 25.0
 """How long a docked rover waits for the charge, which some robots report each 10 s or later."""
+LATE_S = 35.0
+"""How much longer where the last report, which is older, says that it charges."""
 MIN_POSES = 3
 """External poses that a median needs."""
 KEPT_POSES = 300
@@ -213,8 +215,8 @@ class Docking:
                 self._gives_up = True
                 words = "battery_state does not tell whether the battery charges: unknown, or full"
                 self._missed(index, estimate.pose, DockError.FAILED_TO_CHARGE, words)
-            case Stage.WAIT_FOR_CHARGE if t >= self._charge_until:
-                words = f"no {'charge' if is_new else 'new battery_state'} within {CHARGE_S:g} s"
+            case Stage.WAIT_FOR_CHARGE if t >= self._charge_until + (LATE_S if charging else 0.0):
+                words = "no new battery_state" if charging else f"no charge within {CHARGE_S:g} s"
                 self._missed(index, estimate.pose, DockError.FAILED_TO_CHARGE, words)
             case Stage.RETRY if ended and (self._gives_up or self._tries > self.place.retries):
                 self.over = True

@@ -87,7 +87,9 @@ class Feed:
                 if self._is_of_a_new_drive(status):
                     self._begin()
                     self._timeline.take(message)
-                if not self._timeline.other or status.state.startswith(STAGES):
+                # A driver that is refused after its first status sends no last one.
+                undecided = not (self._timeline.other and self._timeline.ticks)
+                if undecided or status.state.startswith(STAGES):
                     self._timeline.other = self._other_than(status)
                 self._ended = status.state in FINAL
                 if status.tick >= self._tick:

@@ -28,8 +28,7 @@ MAX_CHECKPOINTS = 1000
 """Limit of checkpoints, and of obstacles: planning a course takes longer with each."""
 MAX_HORIZON_S = 3600
 MAX_MOVING_S = 180.0
-"""Limit of a course's motion: it is planned in about half a minute, and twice as much takes eight times as
-long."""
+"""Limit of a course's motion: it is planned in about half a minute."""
 FAR_M = 1000.0
 """No rover gets farther within the longest horizon, an hour."""
 SAME = 1e-6
@@ -152,10 +151,14 @@ class Course(StrictModel):
             raise ConfigError(
                 source or f"course {self.name}",
                 [
-                    f"{self.moving_s:.0f} s of motion, expected at most {MAX_MOVING_S:.0f} s, for which a "
-                    "reference can be planned; divide the course"
+                    f"{self.moving_s:.0f} s of motion{self._slower_words}, expected at most "
+                    f"{MAX_MOVING_S:.0f} s, for which a reference can be planned; divide the course"
                 ],
             )
+
+    @property
+    def _slower_words(self) -> str:
+        return f" ({self.slower:.2g} times the file's, for a slow robot)" if self.slower > 1.0 else ""
 
     def scaled(self, size: float, slower: float) -> "Course":
         """Scale the course in space by ``size`` and in speed by 1 / ``slower``.

@@ -38,7 +38,7 @@ _MARGIN = 0.05
 _KNOTS_WITH_RESTS = 1200
 """Ten minutes. The matrices of longer courses have no rows for rests."""
 _QUICK_S = 30.0
-"""A course with less motion is planned in about a second."""
+"""A course with less motion is planned in less than a second."""
 
 
 class Deviation(NamedTuple):

@@ -133,7 +133,7 @@ def _free_variable(value: Any) -> str:
 @functools.cache
 def _sources(name: str) -> str:
     """Return the digest of a module's file and of those of our packages, or its own, that it imports."""
-    packages = {"rover_ncp", "sim", name.partition(".")[0]}
+    packages = {"rover_ncp", "deploy", "sim", name.partition(".")[0]}
     waiting, found = [name], dict[str, bytes]()
     while waiting:
         path = getattr(sys.modules.get(one := waiting.pop()), "__file__", None)
@@ -143,6 +143,7 @@ def _sources(name: str) -> str:
     return hashlib.sha256(repr(sorted(found.items())).encode()).hexdigest()
 
 
+@functools.cache
 def _imported(name: str, source: bytes) -> list[str]:
     """Return the full names of everything that a module imports while it is loaded; some are modules.
 

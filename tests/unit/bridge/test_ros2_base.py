@@ -178,6 +178,12 @@ def test_battery_is_known_for_a_minute(ready, status, charging):
     assert (ready.reports[-1].battery_v, ready.reports[-1].charging) == (0.0, None)
 
 
+def test_a_battery_that_has_not_reported_has_no_age(ready):
+    ready.run(1.0)
+    report = ready.reports[-1]
+    assert (report.battery_v, report.charging, report.battery_age_s) == (0.0, None, 0.0)
+
+
 # Bad input.
 
 

@@ -97,12 +97,15 @@ def test_comparison_is_better_on_par_or_open(store):
     fill(store, "pendulum", "random", [100.0, 200.0, 300.0, 1100.0, 50.0])
     fill(store, "pendulum", "mlp", [1101.0, 1112.0, 1121.0, 1132.0, 1141.0])
     fill(store, "pendulum", "lstm", [1191.0, 1192.0, 1193.0, 1194.0, 1199.0])
+    fill(store, "pendulum", "ppo", [1150.0, 1155.0, 1160.0, 1165.0, 1170.0], budget="gradients")
     pendulum = {"task": "pendulum"}
     assert verdict(store, "compare", other="random", better=True, **pendulum).verdict is Verdict.REPRODUCED
     assert verdict(store, "compare", other="mlp", better=True, **pendulum).verdict is Verdict.INCONCLUSIVE
     assert verdict(store, "compare", other="mlp", **pendulum).verdict is Verdict.REPRODUCED
     assert verdict(store, "compare", other="lstm", **pendulum).verdict is Verdict.DIFFERS
-    assert verdict(store, "compare", other="ppo", **pendulum).verdict is Verdict.NOT_TESTED
+    nearly = verdict(store, "compare", other="ppo", other_budget="gradients", **pendulum)
+    assert nearly.verdict is Verdict.REPRODUCED  # surely worse, and surely by less than the margin
+    assert verdict(store, "compare", other="a2c", **pendulum).verdict is Verdict.NOT_TESTED
 
 
 def test_p_is_corrected_for_the_claims_of_one_place(store):

@@ -241,8 +241,11 @@ def test_drive_of_another_policy_or_course_is_neither_judged_nor_explained(short
     assert "start" not in {event["kind"] for event in found["events"]}
 
 
-def test_drive_of_the_pages_own_policy_and_course_is_judged_and_explained(short, feed):
+@pytest.mark.parametrize("refused_before", [False, True])
+def test_drive_of_the_pages_own_policy_and_course_is_judged_and_explained(short, feed, refused_before):
     own = {"policy": short.policy.circuit.name, "course": short.course.name}
+    if refused_before:  # a driver of another policy, which sends no last status
+        feed.take(state(DriverStatus(state="armed", policy="another", course="bay"), 1))
     for message in named(short.messages, **own):
         feed.take(message)
     found = feed.updates(Cursor())

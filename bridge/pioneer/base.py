@@ -3,16 +3,7 @@
 from collections.abc import Sequence
 from typing import Protocol
 
-from bridge.base import (
-    BaseEvent,
-    BaseTimeout,
-    Failed,
-    LinkHealth,
-    Lost,
-    Notice,
-    Ready,
-    Setpoint,
-)
+from bridge.base import BaseEvent, BaseTimeout, Failed, LinkHealth, Lost, Notice, Ready, Setpoint
 from bridge.pioneer.base_connection import Broken, Opened, Received
 from bridge.pioneer.session import BaudChanged, Session, SessionEvent
 from rover_ncp.core.geometry import STANDSTILL

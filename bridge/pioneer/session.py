@@ -225,7 +225,9 @@ class Session:
         A user's own description may be of a base with any name.
         """
         reported, chosen = self._names[2].lower(), self._chosen
-        return reported in ROBOTS and chosen is not None and chosen.name in ROBOTS.keys() - {reported}
+        if chosen is None or chosen.name == reported:
+            return False
+        return chosen.name in ROBOTS and reported in ROBOTS
 
     # Actions.
 

@@ -271,13 +271,14 @@ class Ros2Base:
         x, y, theta = moved.pose
         ahead, behind = self._room.clear(now) if self._room is not None else (math.nan, math.nan)
         stop_pressed, hazards = self._hazards.since_last()
-        battery = self._battery if now - self._battery_s <= BATTERY_S else _NO_BATTERY
+        age_s = now - self._battery_s
+        battery, age_s = (self._battery, age_s) if age_s <= BATTERY_S else (_NO_BATTERY, 0.0)
         report = BaseReport(
             *(x, y, theta, v, omega),
             age_s=moved.age_s,
             battery_v=battery.voltage,
             charging=battery.charging,
-            battery_age_s=now - self._battery_s if battery is not _NO_BATTERY else 0.0,
+            battery_age_s=age_s,
             stop_pressed=stop_pressed,
             stalled=(STALL in hazards, STALL in hazards),
             # Bumpers and cliff sensors are in front. With a dropped wheel no direction is free.

@@ -16,19 +16,17 @@ from deploy.identify.fit import identify
 from deploy.identify.motion_log import motion_log
 from deploy.recorder import Recorder
 from deploy.zenoh_client import BridgeAddress
-from rover_ncp.core.config import dump_yaml, name_from, read_yaml, validated
+from rover_ncp.core.config import dump_yaml, name_from, read_yaml
 from rover_ncp.core.console import Output, reject
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import Kind, require_writable, write_atomic
 from rover_ncp.core.process import Interrupts
 from rover_ncp.recording.recording import Recorded, Recording, read_recording
-from rover_ncp.robot.description import RobotDescription, load_description
+from rover_ncp.robot.description import RobotDescription, load_description, recorded_robot
 from rover_ncp.robot.profile import RoverProfile, load_profile
 
 SETTINGS_FILE = "identify.yaml"
 _PROFILE = Kind("a robot profile", load_profile)
-_DESCRIBED = "described"
-"""Key of the robot's description in the settings of a recording, as deploy's."""
 
 _WORDS: dict[str, tuple[str, float, str]] = {
     "delay_v_s": ("delay of the speed", 1000.0, "ms"),
@@ -104,7 +102,7 @@ def identify_robot(
         output.say(link.other_model(robot))
         about: dict[str, Any] = {"version": version("rover-ncp"), "robot": address.robot}
         if robot is not None:
-            about[_DESCRIBED] = robot.model_dump(mode="json")
+            about["described"] = robot.model_dump(mode="json")
         recorder.open({SETTINGS_FILE: dump_yaml(about).encode()})
         seconds = sum(step.seconds for step in steps(robot))
         output.say(f"driving for {seconds:.0f} s within {fence_m} m of here; Ctrl-C stops the rover")
@@ -122,9 +120,9 @@ def _recorded_robot(recording: Recording) -> RobotDescription | None:
         if name in recording.attachments:
             where = f"{recording.path}, {name}"
             settings = read_yaml(attached_text(recording, name), where)
-            described = settings.get(_DESCRIBED) if isinstance(settings, dict) else None
-            if described is not None:
-                return validated(described, RobotDescription, f"{where}, $.{_DESCRIBED}")
+            robot = recorded_robot(settings, where) if isinstance(settings, dict) else None
+            if robot is not None:
+                return robot
     return None
 
 

@@ -11,14 +11,14 @@ from deploy.view.shapes import OUTLINE, FloatArray, outline_of
 from deploy.view.timeline import TOPICS, Moved, Tick, Timeline
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml
-from rover_ncp.core.config import parse_yaml, read_yaml, validated
+from rover_ncp.core.config import parse_yaml, read_yaml
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import relative
 from rover_ncp.course.course import Course
 from rover_ncp.course.scoring import Parked, Verdict
 from rover_ncp.recording.recorded import steady
 from rover_ncp.recording.recording import Recording, read_recording
-from rover_ncp.robot.description import RobotDescription
+from rover_ncp.robot.description import RobotDescription, recorded_robot
 from rover_ncp.wire.protocol import DriverStatus
 
 Rows = tuple[tuple[str, str], ...]
@@ -60,15 +60,13 @@ class Drive:
     @property
     def robot(self) -> RobotDescription | None:
         """The robot that the driver's settings describe; None without ``--model``."""
-        described = self.settings.get("described")
-        if described is None:
-            return None
-        return validated(described, RobotDescription, f"{self.path}, deploy.yaml, $.described")
+        return recorded_robot(self.settings, f"{self.path}, deploy.yaml")
 
     @property
     def outline(self) -> FloatArray:
         """The outline of the described robot, or of a Pioneer 3-AT."""
-        return OUTLINE if self.robot is None else outline_of(self.robot)
+        robot = self.robot
+        return OUTLINE if robot is None else outline_of(robot)
 
 
 class Summary(NamedTuple):

@@ -5,6 +5,7 @@ one. A measured robot of that model is a `rover_ncp.robot.profile`.
 """
 
 import math
+from collections.abc import Mapping
 from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -316,6 +317,12 @@ class RobotDescription(StrictModel):
 def load_description(name_or_path: str | Path) -> RobotDescription:
     """Load a shipped description by name or a file by path. Raises FileError or ConfigError."""
     return validated(_merged(str(name_or_path), _DEPTH), RobotDescription, str(name_or_path))
+
+
+def recorded_robot(settings: Mapping[str, Any], source: str) -> RobotDescription | None:
+    """Return the robot of a recording's settings, None if they describe none. Raises ConfigError."""
+    described = settings.get("described")
+    return None if described is None else validated(described, RobotDescription, f"{source}, $.described")
 
 
 def _merged(name_or_path: str, depth: int) -> dict[str, Any]:

@@ -1,20 +1,19 @@
-"""Whether the certificates of a Zenoh configuration are valid now, by this computer's clock."""
+"""Whether the certificates of a Zenoh configuration are valid now, by this computer's clock.
+
+The library ``cryptography`` of the extra ``drive`` reads them. Without it TLS alone rejects an invalid one.
+"""
 
 import base64
 import binascii
 import json
-import ssl
 from collections.abc import Iterator
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from rover_ncp.core.errors import FileError
 
 _TLS = "transport/link/tls"
-_VERSION, _UTC_TIME = 0xA0, 0x17
-_VALIDITY = 3
-"""Its place in a certificate without version, after serial number, algorithm and issuer (RFC 5280)."""
 
 
 def require_valid(settings: Any, role: str, file: Path | None, now: datetime) -> None:
@@ -23,7 +22,7 @@ def require_valid(settings: Any, role: str, file: Path | None, now: datetime) ->
     ``settings`` is a zenoh.Config. A certificate that cannot be read is left to Zenoh.
     """
     for name in (f"{role}_certificate", "root_ca_certificate"):
-        for begin, end in map(validity, _certificates(settings, name)):
+        for begin, end in _validity(settings, name):
             if not begin <= now <= end:
                 fault = "expired" if now > end else "not yet valid"
                 raise FileError(
@@ -33,42 +32,16 @@ def require_valid(settings: Any, role: str, file: Path | None, now: datetime) ->
                 )
 
 
-def validity(pem: str) -> tuple[datetime, datetime]:
-    """Return begin and end of a certificate's validity. Raises ValueError for what is none."""
-    try:
-        certificate = next(_elements(ssl.PEM_cert_to_DER_cert(pem)))[1]
-        parts = [part for part in _elements(next(_elements(certificate))[1]) if part[0] != _VERSION]
-        begin, end = (_time(tag, content) for tag, content in _elements(parts[_VALIDITY][1]))
-    except (IndexError, StopIteration) as error:
-        raise ValueError("not a certificate") from error
-    return begin, end
-
-
-def _certificates(settings: Any, name: str) -> Iterator[str]:
-    """Yield the first certificate of a setting, a file or base64, if there is one that can be read."""
+def _validity(settings: Any, name: str) -> Iterator[tuple[datetime, datetime]]:
+    """Yield begin and end of the first certificate of a setting (a file or base64) that can be read."""
     path, encoded = (json.loads(settings.get_json(f"{_TLS}/{key}")) for key in (name, f"{name}_base64"))
-    try:
-        text = base64.b64decode(encoded).decode() if encoded else Path(path).read_text() if path else ""
-        pem = text[text.index(ssl.PEM_HEADER) : text.index(ssl.PEM_FOOTER)] + ssl.PEM_FOOTER
-        validity(pem)
-    except (OSError, ValueError, binascii.Error):
+    if not path and not encoded:
         return
-    yield pem
+    try:
+        from cryptography import x509
 
-
-def _elements(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield tag and content of each element of DER."""
-    at = 0
-    while at < len(data):
-        tag, length, at = data[at], data[at + 1], at + 2
-        if length & 0x80:
-            size = length & 0x7F
-            length, at = int.from_bytes(data[at : at + size]), at + size
-        yield tag, data[at : at + length]
-        at += length
-
-
-def _time(tag: int, content: bytes) -> datetime:
-    text = content.decode()
-    century = ("19" if text >= "50" else "20") if tag == _UTC_TIME else ""
-    return datetime.strptime(century + text, "%Y%m%d%H%M%SZ").replace(tzinfo=UTC)
+        pem = base64.b64decode(encoded) if encoded else Path(path).read_bytes()
+        certificate = x509.load_pem_x509_certificate(pem)
+    except (ImportError, OSError, ValueError, binascii.Error):
+        return
+    yield certificate.not_valid_before_utc, certificate.not_valid_after_utc

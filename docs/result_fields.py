@@ -24,7 +24,6 @@ RESULTS = {
     "eval --stack --to": "sim.evaluate.docking_runs:DockingResult",
     "eval --task, a benchmark of the paper": "sim.evaluate.results:BenchmarkResult",
     "eval --task, an environment": "sim.evaluate.results:EnvironmentResult",
-    "bench deploy": "sim.benchmarks.deploy:BenchResult",
     "paper run": "sim.paper.results:MadeResult",
     "paper replay": "sim.paper.results:ReplayResult",
     "paper report": "sim.paper.report:ReportResult",

@@ -1,20 +1,17 @@
-"""The benchmark of the driver, with real processes: that it measures what it says, not how fast it is."""
+"""The benchmark of the driver's delays drives real processes."""
+
+import subprocess
+import sys
 
 import pytest
+from kit.paths import ROOT
 
-from sim.benchmarks import deploy as bench_deploy
-
-pytestmark = pytest.mark.timed
+pytestmark = [pytest.mark.long, pytest.mark.timed]
 
 
-def test_it_measures_the_driver(run_json, monkeypatch):
-    monkeypatch.setattr(bench_deploy, "RATES_HZ", (100.0,))
-    monkeypatch.setattr(bench_deploy, "CIRCUIT_REPEATS", 2)
-    code, found = run_json("bench deploy --seconds 3")
-    assert code == 0
-    assert found["circuit_us"] > 0.0
-    (rate,) = found["rates"]
-    assert rate["ticks"] + rate["missed"] == 320  # the course is no shorter than that
-    assert rate["samples"] == rate["ticks"]
-    assert 0.0 < rate["odometry_to_command_ms"]["p50"] <= rate["odometry_to_command_ms"]["p99"]
-    assert 0.0 < rate["cpu_share"] < 2.0
+def test_every_rate_is_measured():
+    command = [sys.executable, "-m", "benchmarks.deploy", "--seconds", "3"]
+    rows = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=280).stdout
+    rates = [line.split() for line in rows.splitlines() if " Hz " in line]
+    assert [rate[0] for rate in rates] == ["10", "50", "100"]
+    assert all(float(rate[2]) > 0.0 and int(rate[5]) >= 20 for rate in rates)

@@ -6,12 +6,12 @@ import importlib
 import pytest
 from kit.paths import ROOT
 
+from benchmarks import deploy as bench_deploy
 from benchmarks import search as bench_search
-from sim.benchmarks import deploy as bench_deploy
+from deploy.drive.measurements import SampleRef
 from sim.learn.agents import AgentState, Batch
 from sim.learn.record import TrainSettings, resolve_task
 from sim.learn.train import training_plan
-from sim.live.processes import ProcessError
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda path: path.stem)
@@ -41,30 +41,13 @@ def test_the_searches_are_compared_by_what_training_gives(monkeypatch):
     assert said[0].endswith(f"{past[0]} past -30, {past[1]} past -8 of 3")
 
 
-def test_rates_that_were_measured_are_kept_when_a_safety_rule_stops_another(monkeypatch, run_json):
-    def measure(rate_hz, seconds):
-        if rate_hz == 50.0:
-            raise ProcessError("deploy", 4, "stopped by odometry: it is 0.45 s old")
-        drive = {"ticks": 9, "predicted": 0, "missed": 0, "tick_rate_hz": rate_hz, "cpu_share": 0.1}
-        times = {"p50": 1.0, "p99": 2.0, "max": 3.0}
-        return bench_deploy.RateResult(rate_hz=rate_hz, **drive, odometry_to_command_ms=times)
-
-    monkeypatch.setattr(bench_deploy, "_measure", measure)
-    monkeypatch.setattr(bench_deploy, "_circuit_us", lambda: 5.0)
-    code, found = run_json("bench deploy")
-    assert code == 1
-    assert [(rate["rate_hz"], bool(rate["stopped"])) for rate in found["rates"]] == [
-        (10.0, False),
-        (50.0, True),
-        (100.0, False),
-    ]
-    assert "0.45 s old" in found["rates"][1]["stopped"]
-    assert found["rates"][2]["odometry_to_command_ms"]["p99"] == 2.0
-
-
-def test_a_command_is_compared_with_the_odometry_before_it():
+def test_a_command_is_timed_from_its_own_odometry_sample_also_when_later_ones_were_sent():
     ms = 1_000_000
-    commands, odometry = [1 * ms, 102 * ms, 203 * ms, 304 * ms], [0, 100 * ms, 200 * ms, 300 * ms]
-    found = bench_deploy.delays(commands, odometry)
-    assert found.p50 == pytest.approx(2.5)
-    assert found.max == pytest.approx(4.0)
+    record = {"now_ns": 0, "wall_ns": 0, "predicted": False, "estimate": (0.0,) * 5, "command": (0.0, 0.0)}
+    refs = [SampleRef(stamp_ns=stamp, crc=0, measured_ns=0, topic="odom") for stamp in (1, 2)]
+    ticks = [
+        bench_deploy.TickRecord(index=0, samples=tuple(refs), sequence=7, **record),
+        bench_deploy.TickRecord(index=1, samples=(), sequence=8, **record),
+    ]
+    sent = {1: 0, 2: 100 * ms, 3: 200 * ms}
+    assert bench_deploy.delays_ms(ticks, sent, {7: 250 * ms, 8: 260 * ms}) == [150.0]

@@ -1,1 +1,0 @@
-"""Benchmarks behind ``rover-ncp bench``."""

@@ -17,6 +17,7 @@ from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.signed_lease import ACCEPTED_S, NOT_ACCEPTED
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.identify.excitation import ramps
+from deploy.publishers import INPUTS, Publishers
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import FormatError, RoverNcpError, SafetyStop
@@ -79,7 +80,9 @@ def run(address: BridgeAddress, robot: RobotDescription | None = None) -> CheckR
         measurements = Measurements(link)
         monitor = SafetyMonitor(link, measurements, lambda: interrupts.raised)
         monitor.wait_for_bridge()
-        findings = Preflight(link, measurements, monitor, battery, robot=robot).run()
+        publishers = Publishers()
+        link.listen(INPUTS, publishers.note)
+        findings = Preflight(link, measurements, monitor, battery, publishers, robot=robot).run()
         ready = all(finding.ok for finding in findings)
         return CheckResult(ready=ready, findings=findings, robot=link.robot)
 
@@ -108,12 +111,14 @@ class Preflight:
         measurements: Measurements,
         monitor: SafetyMonitor,
         battery: Battery,
+        publishers: Publishers | None = None,
         *,
         robot: RobotDescription | None = None,
         clock: Clock = time,
     ) -> None:
         self._link, self._measurements, self._robot = link, measurements, robot
         self._monitor, self._battery, self._clock = monitor, battery, clock
+        self._publishers = publishers or Publishers()
 
     def run(self) -> list[Finding]:
         """Run all checks, in this order. Raises KeyboardInterrupt after a termination signal."""
@@ -152,8 +157,9 @@ class Preflight:
 
     def _check_inputs(self) -> tuple[bool, str]:
         ok, words = self._check_odometry()
-        second = "; ".join(self._link.sources.second.values())
-        return (False, second) if ok and second else (ok, words)
+        problems = list(self._publishers.problems(self._link.namespace))
+        keep_out = "keep others out with 'rover-ncp keys'"
+        return (False, f"{'; '.join(problems)}: {keep_out}") if ok and problems else (ok, words)
 
     def _check_odometry(self) -> tuple[bool, str]:
         minimum, rate = RATE_HZ, 0.0

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from deploy.drive.link import INPUTS, Sources
 from rover_ncp.core.errors import FormatError, NoBridge, NotAuthorised, UnreachableError
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.recording.recording import header_stamp_ns
@@ -62,7 +61,6 @@ class ZenohClient(ClosedAtExit):
         self._ending = queue.SimpleQueue[threading.Thread]()
         """The threads of subscriptions that have ended, or are about to."""
         self._receive = receive
-        self.sources = Sources()
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
@@ -119,6 +117,19 @@ class ZenohClient(ClosedAtExit):
             raise NoBridge(f"the bridge at {self.robot} does not answer in time")
         return None
 
+    def listen(self, names: Collection[str], note: Callable[[str, str, bytes], None]) -> None:
+        """Call ``note`` with key expression, publisher's id and content of each message that is received.
+
+        It may be called twice for a message on one of the keys of ``names``.
+        """
+
+        def receive(sample: zenoh.Sample) -> None:
+            note(str(sample.key_expr), _source(sample), sample.payload.to_bytes())
+
+        # Access control rejects the first, and a peer in another namespace then cannot send either.
+        for key_expr in ("**", *map(self.key, names)):
+            self._subscribe(self._session.declare_subscriber, key_expr, receive)
+
     def _declare(self) -> None:
         """Declare what a subclass sends, before the first message arrives."""
 
@@ -135,8 +146,6 @@ class ZenohClient(ClosedAtExit):
         def receive(sample: zenoh.Sample) -> None:
             data = sample.payload.to_bytes()
             if len(data) <= row.max_bytes:
-                if row.name in INPUTS:
-                    self.sources.note(row.name, _source(sample), header_stamp_ns(row.type, data) or 0)
                 self._receive(row, with_covariance(data) if row.name == "pose" else data)
 
         return receive

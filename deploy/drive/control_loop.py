@@ -96,7 +96,6 @@ class Drive:
         """Whether external poses gave the start pose."""
         self._poses_used, self._blind_ns, self._looked_ns = 0, 0, 0
         """External poses that the filter accepted, the motion since the last one, and the last look at it."""
-        self._warned = ""
         self.keeper = RateKeeper(self._period_ns, 0)
         self.phase = Phase.WAITING
         self.reason = ""
@@ -108,12 +107,6 @@ class Drive:
         """Predicted error of the estimate at the goal without further poses, in 95 % of drives."""
         self.latencies_ns: list[int] = []
         """From the arrival of odometry to its command on the wire."""
-
-    @property
-    def warning(self) -> str:
-        """Inputs that have a second publisher, in words; "" if none has."""
-        words = "; ".join(self._link.sources.second.values())
-        return words and f"{words}: the estimate may be wrong; keep others out with 'rover-ncp keys'"
 
     @property
     def progress(self) -> str:
@@ -355,12 +348,9 @@ class Drive:
         self._publish_status()
 
     def _publish_status(self) -> None:
-        keeper, warning = self.keeper, self.warning
+        keeper = self.keeper
         driving = self.phase is Phase.DRIVING
         stage = self._docking.words if self._docking is not None and driving else None
-        if warning != self._warned:
-            self._warned = warning
-            _LOGGER.info(f"warning: {warning}")
         self._publisher.status(
             DriverStatus(
                 state=self.phase.value if stage is None else stage,
@@ -370,7 +360,6 @@ class Drive:
                 tick=keeper.index,
                 t_s=keeper.index * TICK_S,
                 overruns=keeper.overruns,
-                warning=warning,
                 error_95_m=None if self.estimate is None else self.estimate.error_95_m,
                 probability=None if self.verdict is None else self.verdict.probability,
             )

@@ -1,6 +1,6 @@
 """A driver's link to a bridge, without its transport: `zenoh_link` implements it, and the stack simulation.
 
-A link stores what arrives in an `Inbox` for each kind of measurement, and watches for a second publisher.
+A link stores what arrives in an `Inbox` for each kind of measurement.
 """
 
 import contextlib
@@ -17,15 +17,6 @@ from rover_ncp.wire.protocol import GateStatus, MotorsReply, parse_json
 
 ItemT = TypeVar("ItemT")
 INBOX_LENGTH = 1000
-OF_BRIDGE = "odom", "imu"
-INPUTS = frozenset({*OF_BRIDGE, "pose"})
-"""The topics whose messages the estimate is made of."""
-REMEMBERED = 16
-"""Ids of each topic that are kept."""
-LAST, STEPS_BACK = 20, 4
-"""Number of the last messages whose stamps are compared, and the steps back that show two publishers."""
-
-
 CHARGING_NS = 3_000_000_000
 """Longest time without a message of the battery: the bridge sends it once a second."""
 REPEATED_NS = 500_000_000
@@ -65,49 +56,17 @@ class Inbox(Generic[ItemT]):
             return items
 
 
-class Sources:
-    """The publishers of each input; ``second`` describes each input that two publishers send.
-
-    The bridge marks its messages with its id. An id that comes back after another one shows two publishers:
-    a bridge that restarts has a new id and does not go back. Two publishers without an id show only by stamps
-    that go back again and again.
-    """
-
-    def __init__(self) -> None:
-        self.second: dict[str, str] = {}
-        self._seen: dict[str, list[str]] = {}
-        self._stamps: dict[str, tuple[int, deque[bool]]] = {}
-
-    def note(self, topic: str, source: str, stamp_ns: int) -> None:
-        """Take in a message of an input: the id of its publisher ("" without one), and its stamp."""
-        self._note_id(topic, source)
-        if topic in OF_BRIDGE:  # a base without a gyro sends no imu: then a false one is the only one
-            self._note_id(" and ".join(OF_BRIDGE), source)
-        last_ns, backward = self._stamps.get(topic, (stamp_ns, deque[bool](maxlen=LAST)))
-        backward.append(stamp_ns < last_ns)
-        self._stamps[topic] = stamp_ns, backward
-        if sum(backward) >= STEPS_BACK:
-            self.second.setdefault(topic, f"two publishers send {topic}, or one sends it out of order")
-
-    def _note_id(self, what: str, source: str) -> None:
-        seen = self._seen.setdefault(what, [])
-        if source in seen[:-1]:
-            self.second.setdefault(what, f"two publishers send {what}")
-        elif source not in seen:
-            self._seen[what] = [*seen, source][-REMEMBERED:]
-
-
 class Link(ABC):
     """An open link to one bridge: what arrived, and the lease. A subclass has the transport.
 
-    ``robot`` is the bridge's address and ``where`` the namespace, both for messages. ``bridge_alive`` tells
-    whether the bridge shows its liveliness token.
+    ``robot`` is the bridge's address and ``where`` its ``namespace`` in words, for messages. ``bridge_alive``
+    tells whether the bridge shows its liveliness token.
     """
 
     robot: str
     where: str
+    namespace: str = ""
     bridge_alive: bool
-    sources: Sources
 
     def __init__(self) -> None:
         self.odometry, self.gyro, self.poses = Inbox[Arrival](1), Inbox[Arrival](), Inbox[Arrival]()

@@ -72,7 +72,6 @@ class DriveResult(RecordingResult):
     state: str = Field(description="in which the drive ended")
     reason: str = Field(description="in words")
     stopped_by: str | None = Field(description="the safety rule")
-    warning: str | None = Field(description="a second publisher of odom, imu or pose")
     contact: str | None = Field(description="that the base reported: a pressed bumper or a stall")
     predicted_error_m: float | None = Field(
         description="in 95 % of drives, by the filter's covariance, if no external pose comes after the start"
@@ -120,8 +119,6 @@ class DriveResult(RecordingResult):
             f"{self.ticks} ticks at {self.tick_rate_hz:.2f} Hz, {self.overruns} overruns; "
             f"odometry to command {latency.p50:.1f} ms (median), {latency.p99:.1f} ms (99 %)",
         ]
-        if self.warning:
-            lines.append(f"warning: {self.warning}")
         if self.pose.taken and not self.pose.placed:
             lines.append("external poses came, but none while the rover stood at the start: none was used")
         if self.recording:
@@ -153,7 +150,6 @@ def result_of(drive: Drive, recording: Mapping[str, Any]) -> DriveResult:
         state=drive.phase.value,
         reason=drive.reason,
         stopped_by=drive.stop.rule if drive.stop else None,
-        warning=drive.warning or None,
         contact=drive.monitor.contact or None,
         predicted_error_m=drive.predicted_error_m,
         estimate_error_m=verdict.error_m if verdict else None,

@@ -56,6 +56,7 @@ class ZenohLink(Link, ZenohClient):
     def __init__(self, address: BridgeAddress, record: Callable[[Recorded], None]) -> None:
         Link.__init__(self)
         self._record, self.where = record, address.where
+        self.namespace = address.namespace.strip("/")
         self._token: Any = None
         ZenohClient.__init__(self, address, self._take, own=_OWN)
 

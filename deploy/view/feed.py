@@ -189,8 +189,6 @@ class Feed:
             notes += [f"the gate holds the rover, {in_words(gate.held)}"] if gate.held else []
         elif gate:
             notes.append("no driver holds the lease")
-        if status and status.warning:
-            notes.append(status.warning)
         if timeline.other:
             notes.append(timeline.other)
         elif timeline.foreign:

@@ -320,11 +320,13 @@ class GateStatus(StrictModel):
 
 
 class DriverStatus(StrictModel):
-    """Status of the driving process on ``rover/status``; ``warning`` says what may make the drive wrong.
+    """Status of the driving process on ``rover/status``.
 
     ``error_95_m`` is the position error that 95 % of estimates like the present one do not exceed.
     ``probability``, at the end, is that of the rover being within the tolerances, by the estimate.
     """
+
+    model_config = ConfigDict(extra="ignore")  # recordings of earlier versions have more fields
 
     state: str
     reason: str = ""
@@ -333,7 +335,6 @@ class DriverStatus(StrictModel):
     tick: int = 0
     t_s: float = 0.0
     overruns: int = 0
-    warning: str = ""
     error_95_m: float | None = None
     probability: float | None = None
 

@@ -13,7 +13,7 @@ from bridge.gate.limits import Limits
 from bridge.inbox import CommandMessage, Query
 from bridge.node import Node
 from deploy.drive.controller import Tick
-from deploy.drive.link import Arrival, Inbox, Link, Sources
+from deploy.drive.link import Arrival, Inbox, Link
 from deploy.drive.records import TickRecord
 from deploy.drive.tick_messages import Publisher
 from deploy.estimator.estimator import Estimate
@@ -179,7 +179,7 @@ class VirtualLink(Link):
     ) -> None:
         super().__init__()
         self._bridge, self._start, self._record = bridge, start, record
-        self.odometry, self.sources = _OdometryInbox(bridge), Sources()
+        self.odometry = _OdometryInbox(bridge)
         self.first_command_ns: int | None = None
         """When the first command was sent."""
         self._requested = False

@@ -7,7 +7,6 @@ import pytest
 from kit.virtual_drive import LONG, LOST, VirtualDrive, short_course
 
 from bridge.base import Lost
-from deploy.drive.link import STEPS_BACK
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.view.recorded_drive import read_drive
@@ -213,24 +212,6 @@ def test_bumper_that_was_pressed_before_the_lease_does_not_count():
     assert virtual.run().verdict is Parked.YES
 
 
-def test_second_publisher_is_in_the_log_the_status_and_the_result(virtual, caplog):
-    link, words = virtual.link, "two publishers send odom, or one sends it out of order"
-
-    def harm():
-        for stamp_ns in (1, 0) * STEPS_BACK:
-            link.sources.note("odom", "", stamp_ns)
-
-    link.harm = harm
-    with caplog.at_level("INFO", "rover_ncp"):
-        result = virtual.run()
-    assert result.stopped_by is None
-    assert words in result.warning
-    assert result.warning in result.words
-    assert [message for message in caplog.messages if "warning" in message] == [f"warning: {result.warning}"]
-    warnings = [status.warning for status in link.statuses]
-    assert (warnings[0], warnings[-1]) == ("", result.warning)
-
-
 def test_commands_of_an_attacker_change_nothing(virtual):
     """Beside each command: one without a tag, old ones again, and forged ones."""
     undisturbed = VirtualDrive()
@@ -259,7 +240,7 @@ def test_commands_of_an_attacker_change_nothing(virtual):
 def test_drive_without_a_fault_ends_with_a_standing_rover(virtual):
     result = virtual.run()
     assert (result.exit_code, result.state, result.stopped_by) == (1, "ended", None)
-    assert (result.warning, result.contact, result.recording) == (None, None, None)
+    assert (result.contact, result.recording) == (None, None)
     assert result.ticks == 20
     assert result.estimate_error_m > 6
     assert "from the goal" in result.reason

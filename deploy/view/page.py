@@ -22,7 +22,6 @@ from deploy.view.page_data import (
     columns,
     course_data,
     event_rows,
-    mean_activity,
     rings,
     trace_columns,
 )
@@ -121,15 +120,6 @@ def run_page(
             **findings_html(findings),
         },
         tables=tables,
-    )
-
-
-def circuit_svg(findings: Findings) -> str:
-    """Return a run's circuit as a picture: mean potentials, mean currents, ranges of the time constants."""
-    return _TEMPLATES.get_template("circuit.svg").render(
-        data=circuit_data(findings.trace.policy),
-        rings=fragment("rings", rings(findings)),
-        means=mean_activity(findings.trace),
     )
 
 

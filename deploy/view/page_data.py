@@ -135,17 +135,6 @@ def trace_columns(trace: Trace) -> dict[str, dict[str, Any]]:
     }
 
 
-def mean_activity(trace: Trace) -> dict[str, list[float]]:
-    """Return the mean share 0 to 1 of its range for each neuron, and the width of each synapse's line."""
-    current = np.abs(synapse_currents(trace.policy.circuit, trace.potentials).current).mean(axis=0)
-    strongest = max(float(current.max(initial=0.0)), 1e-12)
-    levels = np.clip((trace.potentials.mean(axis=0) - LOW_MV) / (HIGH_MV - LOW_MV), 0.0, 1.0)
-    return {
-        "levels": levels.round(3).tolist(),
-        "widths": (0.6 + 6.4 * np.sqrt(current / strongest)).round(2).tolist(),
-    }
-
-
 def event_rows(timeline: Timeline) -> list[dict[str, Any]]:
     """Return the events with their times."""
     if timeline.began_ns is None:

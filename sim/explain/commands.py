@@ -40,16 +40,16 @@ def explain(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for a page, tables (CSV, Markdown) and the circuit (SVG)."),
+        typer.Option(help="Folder for the page (HTML) and all numbers (JSON)."),
     ] = None,
     json: Json = False,
 ) -> None:
     """Explain how a circuit drives: the effect of each neuron, and the parts that the circuit needs.
 
-    The output has a sentence for each phase of the manoeuvre, the contribution of each neuron to each motor
-    neuron (Definition 1 of the paper, with its counts), and the range of each time constant. It also has the
-    drive simulated again without each neuron and each synapse, and the sensitivity of the return to each
-    parameter.
+    The terminal shows a sentence for each phase of the manoeuvre. The page and the JSON add the contribution
+    of each neuron to each motor neuron (Definition 1 of the paper, with its counts), the range of each time
+    constant, the drive simulated again without each neuron and each synapse, and the sensitivity of the
+    return to each parameter.
 
     With --task, the phases are those of the circuit's outputs in one episode, and the returns are means of a
     few. Without a policy, the best stored circuit of the paper's benchmark is explained.
@@ -61,16 +61,14 @@ def explain(
         rover-ncp explain --task mountain-car --out runs/why-mountain-car
         rover-ncp explain runs/reach/policy.yaml --task my_task:Reach-v0
     """
-    from rich.table import Table
-
     from rover_ncp.core.files import require_writable
     from sim.explain.explain import explain as explain_source
-    from sim.explain.files import sections, write
+    from sim.explain.files import write
     from sim.explain.task import RUNS, explain_task
 
     output = Output(json)
     if out is not None:
-        require_writable(out / "explanation.md")
+        require_writable(out / "explanation.html")
     if task is None or source is not None:
         reject("needs --task, without a policy", runs=runs)
     if task is not None:
@@ -83,14 +81,6 @@ def explain(
         raise UsageError("explain needs a policy or a recording, or --task with a benchmark of the paper")
     for number, phase in enumerate(found.findings.phases, 1):
         output.say(f"{number}. {phase.sentence}")
-    for section in sections(found):
-        output.console.print()
-        output.say(section.before.replace("\n", " "))
-        table = Table(*section.header, title=section.title, title_justify="left")
-        for row in section.rows:
-            table.add_row(*row)
-        output.console.print(table)
-        output.say(section.after.replace("\n", " "))
     written = write(found, out) if out is not None else []
-    ending = f"{len(written)} files in {out}" if out is not None else "--out DIR writes a page and tables"
+    ending = f"{out}/explanation.html" if out is not None else "--out DIR writes the page"
     output.result(found.result(written), ending)

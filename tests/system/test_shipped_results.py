@@ -1,11 +1,8 @@
 """Results that are shipped or documented can be made again; too slow for the unit tests."""
 
 import pytest
-from kit.paths import ROOT
 
 from benchmarks.compare import compare
-from sim.explain.explain import explain
-from sim.explain.files import markdown
 
 
 @pytest.mark.parametrize("agent", ["mlp", "kanayama"])
@@ -19,9 +16,3 @@ def test_a_comparison_says_how_far_the_search_came_and_repeats_itself(agent):
 
 def test_what_knows_one_course_is_not_judged_on_others():
     assert "unseen" not in compare("paper", seed=1, generations=1, rollouts=1, trained_on="none")
-
-
-def test_the_default_policy_is_the_one_that_is_explained():
-    text = (ROOT / "docs" / "interpretation" / "course" / "explanation.md").read_text()
-    again = "rover-ncp explain course --out docs/interpretation/course, keep *.md and *.svg"
-    assert text == markdown(explain("course")), again

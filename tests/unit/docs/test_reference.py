@@ -15,15 +15,12 @@ from rover_ncp import api, cli
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.core.config import parse_yaml
 from sim import api as sim_api
-from sim.explain.explain import explain
-from sim.explain.files import markdown
 from sim.learn.record import TrainSettings, resolve_task
 from sim.paper.claims import load_claims
 
 EXAMPLES = ROOT / "docs" / "examples"
 # Examples that leave keys out: bodies of MuJoCo, what a robot is seldom measured for, a Pioneer's own.
 OPTIONAL = {"randomization", "robot", "rover", "limits"}
-INTERPRETATION = ROOT / "docs" / "interpretation"
 PAPER = paper_tables.PAGE.read_text()
 
 
@@ -82,17 +79,6 @@ def test_pages_have_the_options_bounds_and_notes_of_the_code():
         r"\| `command_timeout_s` \| number, > 0, ≤ 0\.4 \| `0\.3` \| A command is in force", page
     )
     assert re.search(r"\| `kind` \| `excitatory`, `inhibitory`, `gap` \| required", page)
-
-
-@pytest.mark.long
-def test_page_of_the_shipped_circuit_is_the_present_explanation():
-    again = "rover-ncp explain parking --out docs/interpretation, keep *.md and *.svg"
-    assert (INTERPRETATION / "explanation.md").read_text() == markdown(explain("parking")), again
-
-
-def test_every_picture_of_the_shipped_circuit_is_there():
-    shown = set(re.findall(r"\]\((\w+\.svg)\)", (INTERPRETATION / "explanation.md").read_text()))
-    assert shown == {path.name for path in INTERPRETATION.glob("*.svg")}
 
 
 def test_page_on_the_paper_has_the_present_tables_and_cites_claims_that_exist():

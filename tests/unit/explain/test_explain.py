@@ -1,15 +1,11 @@
-import csv
 import json
 import re
-import xml.etree.ElementTree as ET
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from kit.recorded_drives import write_drive
 
-from deploy.view.findings import analyse
-from deploy.view.page import circuit_svg
 from deploy.view.shapes import outline_of
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy_file import load_policy
@@ -18,7 +14,7 @@ from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
 from rover_ncp.course.scoring import Verdict
 from rover_ncp.robot.description import load_description
-from sim.explain.explain import explain, traced
+from sim.explain.explain import explain
 from sim.explain.files import page
 from sim.explain.what_if import parameter_names, sensitivities, without_neuron, without_synapse
 from sim.learn.engine.evaluator import Evaluator
@@ -96,29 +92,11 @@ def test_command_writes_files_and_json_and_a_recording_is_explained_alike(tmp_pa
     said = capsys.readouterr()
     fields = json.loads(said.out)
     assert len(fields["contributions"]) == 9 * 3
-    written = {path.name for path in out.iterdir()}
-    assert {path.rpartition(".")[2] for path in written} == {"csv", "html", "md", "svg"}
-    assert sorted(fields["files"]) == sorted(str(out / name) for name in written)
+    assert json.loads((out / "explanation.json").read_text()) == fields
+    assert sorted(fields["files"]) == sorted(map(str, out.iterdir()))
     sentence = fields["phases"][0]["sentence"]
-    assert sentence in (out / "explanation.md").read_text()
+    assert sentence in (out / "explanation.html").read_text()
     assert sentence in said.err
-    tables = {path.stem: [*csv.DictReader(path.read_text().splitlines())] for path in out.glob("*.csv")}
-    assert {name: len(rows) for name, rows in tables.items()} == {
-        "contributions": 12 * 11,
-        "knock_outs": 12 + 30,
-        "phases": len(fields["phases"]),
-        "potentials": 40,
-        "sensitivities": 94,
-        "time_constants": 8,
-    }
-
-    def of_pair(rows):
-        return next(row for row in rows if (row["source"], row["destination"]) == ("AVM", "RGT"))
-
-    row, same = of_pair(tables["contributions"]), of_pair(fields["contributions"])
-    assert (row["sign"], int(row["positive"])) == (same["sign"], same["positive"])
-    assert [int(row[f"bins_{k}"]) for k in range(10)] == same["bins"]
-    assert {"negative", "driving"} <= same.keys()
     # A recording of the same drive is explained in the same way.
     write_drive(tmp_path / "run.mcap", course=SHORT)
     recorded = json.loads(explain(str(tmp_path / "run.mcap")).result().model_dump_json())
@@ -157,33 +135,6 @@ def test_recording_of_a_described_robot_is_simulated_with_that_robot(tmp_path):
         re.search(r'<script id="data" type="application/json">(.*?)</script>', page(found), re.S)[1]
     )
     assert data["course"]["outline"] == outline_of(robot).round(4).tolist()
-
-
-def test_a_circuit_that_does_not_park_is_not_said_to_need_its_parts_for_it(tmp_path, capsys):
-    command = ["explain", "docs/examples/policy.yaml", "--course", SHORT]
-    assert run([*command, "--out", str(tmp_path)]) == 0
-    written, said = (tmp_path / "explanation.md").read_text(), capsys.readouterr().out
-    assert f"Made by `rover-ncp {' '.join(command)} --out FOLDER`." in written
-    assert "it does not park:" not in written
-    assert "The whole circuit does not park in simulation" in written
-    (total,) = re.findall(r"its return is (−\d+\.\d+)\.", written)
-    rows = re.findall(r"^\| ([^|]+) \| (−\d+\.\d+) \| \d[^|]+\|$", written, re.MULTILINE)
-    assert rows
-    assert all(float(one.replace("−", "-")) < float(total.replace("−", "-")) for _, one in rows)
-    assert "The whole circuit does not park in simulation" in said
-    assert "\\n" not in said
-
-
-def test_picture_of_the_circuit_is_an_image_with_the_same_bytes_each_time(parking):
-    findings = analyse(traced(parking, rollout(parking, load_course(SHORT))))
-    picture = circuit_svg(findings)
-    assert picture == circuit_svg(findings)
-    drawing, levels = ET.fromstring(picture), []
-    for part in drawing.iter():
-        levels += [float(part.get("height"))] if part.get("class") == "level" else []
-    assert len(levels) == 12
-    assert 0 < min(levels) < max(levels) <= 60
-    assert "http" not in picture.replace("http://www.w3.org/2000/svg", "")
 
 
 def test_page_of_a_simulated_drive_has_its_what_ifs(explained):

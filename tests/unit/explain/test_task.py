@@ -13,7 +13,7 @@ from rover_ncp.core.errors import ConfigError, UsageError
 from rover_ncp.core.files import resolve
 from rover_ncp.core.streams import Domain, episode_seeds
 from sim import api
-from sim.explain.files import markdown, page
+from sim.explain.files import page
 from sim.explain.task import explain_task, stored_policy
 from sim.explain.what_if import without_neuron
 from sim.learn.engine.environment import EnvironmentEvaluator
@@ -42,10 +42,9 @@ def test_command_explains_a_policy_on_an_environment(folder, capsys):
     assert len(fields["knock_outs"]) == 6 + 6
     labels = {phase["label"] for phase in fields["phases"]}
     assert labels <= {"turn positive", "turn negative", "turn about 0"}
-    text = (folder / "why" / "explanation.md").read_text()
-    assert text.startswith("# Policy wall on wall:FollowWall-v0\n")
-    assert "`rover-ncp explain wall.yaml --task wall:FollowWall-v0 --out FOLDER`" in text
-    assert (folder / "why" / "circuit.svg").exists()
+    text = (folder / "why" / "explanation.html").read_text()
+    assert "Policy wall on wall:FollowWall-v0" in text
+    assert "rover-ncp explain wall.yaml --task wall:FollowWall-v0" in text
 
 
 def test_a_knock_out_is_the_mean_return_of_the_same_episodes(folder, monkeypatch):
@@ -106,10 +105,9 @@ def test_the_paper_circuit_is_explained_in_words(monkeypatch):
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr("sim.explain.task.EPISODES", 2)
     found = api.explain_task(None, "cart-pole")
-    text = markdown(found)
-    assert "`rover-ncp explain --task cart-pole --out FOLDER`" in text
-    assert "Action positive" in text
-    assert re.search(r"\[(angle|rate) [<>] 0\]", text)
     shown = page(found)
+    assert "rover-ncp explain --task cart-pole" in shown
+    assert "Action positive" in shown
+    assert re.search(r"\[(angle|rate) (<|>|&lt;|&gt;) 0\]", shown)
     assert 'id="path-plot"' not in shown
     assert '"outputs":[["output0","action"]]' in shown

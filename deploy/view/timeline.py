@@ -5,7 +5,6 @@ records only whether a tick ran on prediction. A message that cannot be decoded 
 are ns of one clock that is never set: in a recording that of `steady`, live the viewer's monotonic clock.
 """
 
-import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -13,6 +12,7 @@ from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
+from pydantic import BaseModel
 
 from deploy.place.outcome import DOCK_TOPIC, DockResult, Stage
 from deploy.view.trace import FloatArray, Trace, motor_outputs
@@ -78,6 +78,13 @@ class Event(NamedTuple):
     wall_ns: int
     kind: str
     text: str
+
+
+class _TickRecord(BaseModel):
+    """What the page needs of a tick's record; recordings of older versions have it too."""
+
+    index: int
+    predicted: bool
 
 
 class Timeline:
@@ -275,14 +282,10 @@ class Timeline:
         self.dock = parse_json(DockResult, read_text(message.data))
 
     def _read_record(self, message: Recorded) -> None:
-        try:
-            record = json.loads(read_text(message.data))
-            predicted, index = bool(record["predicted"]), int(record["index"])
-        except (ValueError, KeyError, TypeError) as error:
-            raise FormatError(f"{TICKS_TOPIC}: {error}") from error
-        if predicted:
+        tick = parse_json(_TickRecord, read_text(message.data))
+        if tick.predicted:
             self.predicted += 1
-            words = f"no odometry in time: tick {index} ran on prediction; the drive went on"
+            words = f"no odometry in time: tick {tick.index} ran on prediction; the drive went on"
             self._events.append(Event(message.log_ns, "late", words))
 
 

@@ -2,9 +2,11 @@
 
 A configuration is a frozen pydantic model with SI units in its fields. Unknown keys are errors, so that a
 typo is found; infinities and NaN are errors everywhere. Only a number is a number: ``yes``, ``1:30``, ``010``
-and ``"1"`` are none, and ``1e3`` is one.
+and ``"1"`` are none, and ``1e3`` is one. A key is text. Files of strangers are read too, so their size is
+limited with each alias counted as all that it stands for.
 """
 
+import math
 import re
 import reprlib
 import unicodedata
@@ -73,23 +75,24 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]  # the C loader is optional
-    """A safe loader that rejects duplicate keys, which YAML would silently merge."""
+    """A safe loader whose keys are text; it rejects duplicate keys, which YAML would silently merge."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen = set()
         for key_node, _ in node.value:
             if isinstance(key_node, yaml.ScalarNode):
+                if key_node.tag != _MERGE:
+                    key_node.tag = _TEXT  # a file can choose numbers whose hashes are all the same
                 if key_node.value in seen:
-                    raise yaml.constructor.ConstructorError(
-                        None, None, f"key {key_node.value!r} appears twice", key_node.start_mark
-                    )
+                    problem = f"key {_SHORT.repr(key_node.value)} appears twice"
+                    raise yaml.constructor.ConstructorError(None, None, problem, key_node.start_mark)
                 seen.add(key_node.value)
         return super().construct_mapping(node, deep)  # type: ignore[no-any-return]
 
 
-_FLOAT = "tag:yaml.org,2002:float"
+_INT, _FLOAT, _TEXT, _MERGE = (f"tag:yaml.org,2002:{name}" for name in ("int", "float", "str", "merge"))
 _NUMBERS = {
-    "tag:yaml.org,2002:int": re.compile(r"[-+]?(0|[1-9][0-9]*)$"),
+    _INT: re.compile(r"[-+]?(0|[1-9][0-9]*)$"),
     _FLOAT: re.compile(
         r"[-+]?(([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[0-9]+[eE][-+]?[0-9]+|\.(inf|nan))$",
         re.IGNORECASE,
@@ -103,6 +106,21 @@ _Loader.yaml_implicit_resolvers = {
 }
 for _tag, _regexp in _NUMBERS.items():
     _Loader.add_implicit_resolver(_tag, _regexp, list("-+.0123456789"))
+
+
+MAX_DIGITS = 19
+"""Digits of an integer: more than any field, seed or time of ours has. Python's integers have no limit."""
+
+
+def _integer(loader: Any, node: yaml.ScalarNode) -> int:
+    text = loader.construct_scalar(node)
+    if len(text.lstrip("+-")) > MAX_DIGITS:
+        problem = f"an integer of more than {MAX_DIGITS} digits"
+        raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+    return int(text)
+
+
+_Loader.add_constructor(_INT, _integer)
 
 
 class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]  # the C dumper is optional
@@ -121,7 +139,7 @@ def _represent_list(dumper: Any, data: list[Any]) -> Any:
 def _represent_text(dumper: Any, data: str) -> Any:
     """Represent text; bytes of a file's name that are not UTF-8 have no other place in a text file."""
     text = data.encode(errors="surrogateescape").decode(errors="replace")
-    return dumper.represent_scalar("tag:yaml.org,2002:str", text)
+    return dumper.represent_scalar(_TEXT, text)
 
 
 _Dumper.add_representer(str, _represent_text)
@@ -130,14 +148,14 @@ _Dumper.add_representer(list, _represent_list)
 _Dumper.add_representer(tuple, _represent_list)
 
 
-# A few lines of YAML can stand for more than any memory holds, by naming what names what names something.
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 100
+_CUT = 200
 
 
-MAX_CHARACTERS, MAX_DEPTH = 1 << 20, 100
-"""Limits of a YAML file: characters, and nesting of lists and mappings. libyaml's C code ends the process
-on a nesting of 100,000; our own files have 5."""
+MAX_CHARACTERS, MAX_VALUES, MAX_DEPTH = 1 << 20, 100_000, 100
+"""Limits of a YAML file: characters, values (keys count too), and nesting of lists and mappings. libyaml's C
+code ends the process on a nesting of 100,000. Our own files have 1,300 values and a nesting of 5."""
 
 
 def read_yaml(text: str, source: str) -> Any:
@@ -145,17 +163,55 @@ def read_yaml(text: str, source: str) -> Any:
     if len(text) > MAX_CHARACTERS:
         raise ConfigError(source, [f"{len(text)} characters, expected {MAX_CHARACTERS} at most"])
     try:
-        deep = 0
-        for event in yaml.parse(text, Loader=_Loader):
-            deep += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            if deep > MAX_DEPTH:
-                raise ConfigError(source, [f"more than {MAX_DEPTH} lists or mappings in each other"])
+        _require_small(text)
         return yaml.load(text, Loader=_Loader)  # _Loader is a SafeLoader
     except (yaml.YAMLError, ValueError) as error:
         mark = getattr(error, "problem_mark", None)
         where = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         problem = getattr(error, "problem", None) or str(error).splitlines()[0]
-        raise ConfigError(source, [f"not valid YAML{where}: {problem}"]) from error
+        raise ConfigError(source, [f"not valid YAML{where}: {_cut(problem)}"]) from error
+
+
+def _require_small(text: str) -> None:
+    """Raise YAMLError for YAML beyond the limits or with tags, which turn short text into long values.
+
+    An alias, a merged one too, counts as all that it stands for, which may be more than any memory holds.
+    """
+    total, sizes = 0.0, dict[str | None, tuple[float, float]]()  # values and nesting of each anchor
+    started, nestings = list[tuple[str | None, float]](), [0.0]
+    for event in yaml.parse(text, Loader=_Loader):
+        nesting = 0.0
+        if (tag := getattr(event, "tag", None)) is not None:
+            raise _invalid(f"the tag {_SHORT.repr(tag)} is not supported", event)
+        if isinstance(event, yaml.CollectionStartEvent):
+            sizes[event.anchor] = math.inf, math.inf  # until it ends: what contains itself has no limit
+            started.append((event.anchor, total))
+            nestings.append(0.0)
+            total += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = started.pop()
+            nesting = nestings.pop() + 1
+            sizes[anchor] = total - before, nesting
+        elif isinstance(event, yaml.AliasEvent):
+            values, nesting = sizes.get(event.anchor, (1.0, 0.0))  # the loader rejects an unknown one
+            total += values
+        elif isinstance(event, yaml.ScalarEvent):
+            sizes[event.anchor] = 1.0, 0.0
+            total += 1
+        nestings[-1] = max(nestings[-1], nesting)
+        if len(started) + nesting > MAX_DEPTH:
+            raise _invalid(f"more than {MAX_DEPTH} lists or mappings in each other, aliases included", event)
+        if total > MAX_VALUES:
+            raise _invalid(f"more than {MAX_VALUES} values, aliases counted as what they stand for", event)
+
+
+def _invalid(problem: str, event: Any) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(None, None, problem, event.start_mark)
+
+
+def _cut(text: str) -> str:
+    """Return text of a file or a library, shortened for a message."""
+    return text if len(text) <= _CUT else f"{text[: _CUT - 3]}..."
 
 
 def parse_yaml(text: str, model: type[ModelT], source: str) -> ModelT:
@@ -199,8 +255,8 @@ def _lines(errors: Sequence[Any]) -> list[str]:
     errors = [item for item in errors if item["type"] != "too_short" or item["loc"] not in inside]
     lines = []
     for item in errors:
-        path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in item["loc"])
-        lines.append(f"${path}: {_text(item)}")
+        parts = (f"[{part}]" if isinstance(part, int) else f".{_cut(part)}" for part in item["loc"])
+        lines.append(f"${''.join(parts)}: {_text(item)}")
     return lines
 
 

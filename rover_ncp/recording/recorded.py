@@ -6,16 +6,18 @@ the previous one means that the clock was set back.
 """
 
 import functools
-import json
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Annotated
+
+from pydantic import BaseModel, Field
 
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import FormatError
 from rover_ncp.wire.cdr import definition
 from rover_ncp.wire.messages import read_text
+from rover_ncp.wire.protocol import parse_json
 
 TICKS_TOPIC = "deploy/ticks"
 SET_NS = 1_000_000_000
@@ -58,9 +60,14 @@ def header_stamp_ns(ros_type: str, data: bytes) -> int | None:
     return int(seconds * NS_PER_S + nanoseconds)
 
 
-class _Tick(NamedTuple):
-    now_ns: int
-    wall_ns: int
+_TimeNs = Annotated[int, Field(strict=True, ge=0, lt=_MAX_NS)]
+
+
+class _Tick(BaseModel):
+    """A tick's moment, on the driver's monotonic clock and on the wall clock."""
+
+    now_ns: _TimeNs
+    wall_ns: _TimeNs
 
 
 def steady(messages: Iterable[Recorded]) -> Iterator[Recorded]:
@@ -83,11 +90,9 @@ def _tick(message: Recorded) -> _Tick | None:
     if message.topic != TICKS_TOPIC:
         return None
     try:
-        record = json.loads(read_text(message.data))
-        tick = _Tick(record["now_ns"], record["wall_ns"])
-    except (FormatError, ValueError, KeyError, TypeError, RecursionError):
+        return parse_json(_Tick, read_text(message.data))
+    except FormatError:
         return None
-    return tick if all(type(time) is int and 0 <= time < _MAX_NS for time in tick) else None
 
 
 class _Clock:

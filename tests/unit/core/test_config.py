@@ -71,8 +71,9 @@ def test_many_problems_are_counted():
         ("wheels: []\nwheels: []\n", "appears twice"),
         ("wheels: !!python/object/apply:os.system ['true']\n", "not valid YAML"),
         ("speed: \x07\n", "not valid YAML"),
-        ("speed: &a [*a]\n", "$.speed"),
+        ("speed: &a [*a]\n", "aliases included"),
         ("? {a: 1}\n: 2\n", "not valid YAML"),
+        ("speed: !!int 1_000\n", "the tag"),
     ],
 )
 def test_bad_yaml_is_one_line_naming_source_and_place(text, expected):
@@ -111,10 +112,40 @@ def test_names_that_look_like_numbers_survive_yaml(name):
     assert parse_yaml(dump_yaml({"name": name, "radius_m": 1}), Wheel, "x").name == name
 
 
-def test_yaml_that_stands_for_more_than_memory_holds_is_one_line_too():
-    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
-    lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 12)]
-    assert len(str(refused("\n".join([*lines, "wheels: *a11", "speed: *a11"]), Base))) < 5000
+def nested(first, row):
+    """Return 200 lines of YAML, each of which names the one before it."""
+    lines = [f"a{n}: &a{n} {row.replace('*', f'*a{n - 1}')}" for n in range(1, 200)]
+    return "\n".join([f"a0: &a0 {first}", *lines, "speed: *a199"])
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (nested("[x, x]", "[*, *]"), "aliases"),
+        (nested("{x: 1}", "{<<: [*, *]}"), "aliases"),
+        (nested("{x: 1}", "{<<: *, y: *}"), "aliases"),
+        (nested("[x]", "[*]"), "aliases included"),  # a nesting that no line has
+        ("sides: [&a [" + "1," * 3000 + "], " + "*a, " * 3000 + "]", "aliases"),
+        ("sides: [" + "1," * 300_000 + "]", "more than 100000 values"),
+        ("speed: !!int 1" + ":1" * 300_000, "the tag"),
+        ("count: " + "9" * 400, "an integer of more than"),
+        ("? " + "k" * 900_000 + "\n: 1", "unknown key"),
+        ("? " + "k" * 400_000 + "\n: 1\n? " + "k" * 400_000 + "\n: 1", "appears twice"),
+        ("speed: !" + "t" * 900_000 + " 1", "the tag"),
+    ],
+    ids=lambda text: text[:30].split("\n")[0],
+)
+def test_short_yaml_that_stands_for_much_is_a_short_error(text, expected):
+    error = str(refused(text, Numbers))
+    assert expected in error
+    assert len(error) < 5000
+
+
+def test_aliases_merge_keys_and_keys_that_look_like_numbers_are_read():
+    text = "wheels: [&left {name: left, radius_m: 1}, {<<: *left, name: right}, *left]"
+    assert [wheel.name for wheel in parse_yaml(text, Base, "x").wheels] == ["left", "right", "left"]
+    assert parse_yaml("by_name: {1: 2, on: 3}", Numbers, "x").by_name == {"1": 2.0, "on": 3.0}
 
 
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1))

@@ -89,7 +89,17 @@ def test_start_signal_and_predicted_ticks_are_events(short):
 
 @pytest.mark.parametrize("topic", ["odom", "rover/neurons", "rover/estimate", "cmd_vel", "rover/gate"])
 def test_unreadable_messages_are_counted_and_skipped(short, topic):
-    garbage = Recorded(topic, STRING, b"\x00\x01garbage", BEGAN_NS, BEGAN_NS)
+    require_skipped(short, topic, b"\x00\x01garbage")
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"predicted": true, "index": Infinity}', "[1]"])
+def test_unreadable_json_is_counted_and_skipped(short, text):
+    for topic in ("deploy/ticks", "rover/status", "deploy/dock"):
+        require_skipped(short, topic, messages.text(text))
+
+
+def require_skipped(short, topic, data):
+    garbage = Recorded(topic, STRING, data, BEGAN_NS, BEGAN_NS)
     timeline = timeline_of(short, [garbage, *short.messages])
     assert timeline.unreadable == {topic: 1}
     assert len(timeline.ticks) == short.course.ticks

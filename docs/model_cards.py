@@ -65,6 +65,10 @@ def _facts(policy: Policy) -> str:
     else:
         spent = f"the best of {settings['agents']} agents, {settings['iterations']:,} iterations each"
     versions = [f"{name} {version}" for name, version in made["made_with"].items() if name != "commit"]
+    command = f"`{made['command']}`"
+    if "rollouts" in settings:
+        commit = made["made_with"]["commit"][:8]
+        command += f" made it at commit {commit}; this version drives other random trials, and makes another"
     rows = {
         "circuit": f"{len(circuit.neurons)} neurons, {len(circuit.kind)} synapses",
         "observes": ", ".join(f"`{name}`" for name in policy.sensing.inputs),
@@ -72,7 +76,7 @@ def _facts(policy: Policy) -> str:
         "trained on": f"course `{settings['course']}`, "
         + (f"randomization `{settings['randomize']}`" if "randomize" in settings else "the nominal rover"),
         "training": spent,
-        "command": f"`{made['command']}`",
+        "command": command,
         "made with": ", ".join(versions),
     }
     return "\n".join(["| | |", "|---|---|", *(f"| {key} | {value} |" for key, value in rows.items())])

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.drive.dead_zone import DeadZone
+from deploy.drive.hold import HOLD, hold_from_s, holds
 from deploy.estimator.estimator import Estimate, Estimator, error_95_m
 from deploy.estimator.measurements import Outcome
 from deploy.estimator.settings import TURN_GAINS, EstimatorSettings
@@ -35,11 +36,6 @@ from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
 
 FORECAST_TICKS = 2
 """Steps of a forecast; a gyro's readings may be 0.25 s apart."""
-HOLD = Velocity(0.004, math.radians(1.0))
-"""Near the end of a course, commands below both follow only noise of the estimate: a parked rover holds. It
-also holds where commands would be pulses, as each moves the rover by more than was asked."""
-COMING_TO_REST_S = 1.0
-"""Time to come to rest before the verdict's standstill; until then, small commands correct the pose."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +88,7 @@ class Controller:
     ) -> None:
         self._interface = RoverInterface(policy)
         self._course = course
-        self._hold_s = course.horizon_s - course.parked.still_s - COMING_TO_REST_S
+        self._hold_from_s = hold_from_s(course)
         self._holds = False
         if reference is None and self._interface.needs_reference:
             reference = plan_reference(course)
@@ -156,9 +152,8 @@ class Controller:
         turn_gain = float(np.clip(estimate.turn_gain, *TURN_GAINS))
         command = Velocity(float(v) / self._gains.v, float(omega) / (self._gains.omega * turn_gain))
         self._rests = self._rests or (index > self._last_moving and _slower(command, HOLD))
-        if index * TICK_S > self._hold_s:
-            slow = _slower(command, self._hold)
-            self._holds = (slow or self._holds) and self._is_parked(estimate.pose)
+        if index * TICK_S > self._hold_from_s:
+            self._holds = holds(*command, self._hold, self._is_parked(estimate.pose), self._holds)
             command = STANDSTILL if self._holds else command
         sent = self._dead_zone.pass_on(command)
         return Tick(index, index * TICK_S, estimate, sent, self._runner.potentials)

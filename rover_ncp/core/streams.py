@@ -21,7 +21,6 @@ class Domain(Enum):
     BASE_SENSORS = (2, 1)
     IDENTIFICATION = (3,)
     COURSE = (5,)
-    TRIAL_SKID = (6,)
     TRAINING = (7,)
     CMA_GENERATION = (8,)
     TRAINING_EPISODES = (9,)
@@ -35,6 +34,9 @@ class Domain(Enum):
     STUDY = (17,)
     PICTURES = (18,)
     DOCKING = (19,)
+    TRIAL_NOISE = (20,)
+    TRIAL_LOSSES = (21,)
+    TRIAL_AGES = (22,)
 
 
 def stream_seed(seed: int, domain: Domain, index: int = 0) -> np.random.SeedSequence:

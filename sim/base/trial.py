@@ -14,7 +14,7 @@ from rover_ncp.core.geometry import ORIGIN, Pose, Velocity
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.robot.description import RobotDescription
 from sim.world.described import described_rover
-from sim.world.motion_errors import apply_base_errors, base_errors, odometry_errors
+from sim.world.motion_errors import apply_base_errors, base_errors, odometry_errors, push_tick
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import Randomization, Trials, draw_trials, trial_body
 from sim.world.rover import SUBSTEP_S, Rover, RoverModel
@@ -72,8 +72,9 @@ class BaseTrial:
     @property
     def push(self) -> Pose | None:
         """Displacement of the rover by a push at the start of this tick."""
-        when, *push = self._trials.bump[0].tolist()
-        return Pose(*push) if self.tick == when and any(push) else None
+        share, *push = self._trials.bump[0].tolist()
+        due = push_tick(share, self._trials.lost.shape[1])
+        return Pose(*push) if self.tick == due and any(push) else None
 
 
 def rover_of(trials: Trials, model: RoverModel, ground: Ground) -> PymunkRover:

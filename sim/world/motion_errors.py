@@ -12,7 +12,7 @@ from sim.world.randomization import Trials
 
 
 class BaseErrors(NamedTuple):
-    """Errors between command and motion; gains, rad/m, s; of the motors m/s, rad/s, m, rad/m, a share."""
+    """Errors between command and motion; gains, rad/m, s; of the motors m/s, rad/s, m, a share."""
 
     gain_v: float
     gain_omega: float
@@ -23,8 +23,6 @@ class BaseErrors(NamedTuple):
     wheel_min: float = 0.0
     slow_wheel: float = 0.0
     half_track: float = 1.0
-    creep: float = 0.0
-    pull: float = 0.0
     stiction: float = 0.0
 
 
@@ -45,6 +43,11 @@ def quantise(value: float, step: float) -> float:
     return value if step == 0.0 else step * math.floor(value / step + 0.5)
 
 
+def push_tick(share: float, ticks: int) -> int:
+    """Return the tick at whose start a push comes, after a share of all ticks."""
+    return math.floor(share * ticks)
+
+
 def base_errors(trials: Trials, row: int) -> BaseErrors:
     """Return the errors of a trial's base."""
     gain_v, gain_omega = float(trials.gain[row, 0]), float(trials.gain[row, 1])
@@ -60,8 +63,6 @@ def base_errors(trials: Trials, row: int) -> BaseErrors:
         float(motors[3]),
         float(motors[4]),
         float(motors[5]),
-        float(motors[6]),
-        float(motors[7]),
     )
 
 
@@ -98,12 +99,7 @@ def apply_base_errors(
         if abs(right) < base.wheel_min:
             right = 0.0 if right == 0.0 else math.copysign(base.slow_wheel, right)
         v, omega = 0.5 * (left + right), 0.5 * (right - left) / base.half_track
-    forward = base.gain_v * v
-    if v == 0.0 and base.creep != 0.0:
-        forward = base.creep
-    turn = base.gain_omega * omega
-    if base.pull != 0.0:
-        turn += base.pull * forward
+    forward, turn = base.gain_v * v, base.gain_omega * omega
     return forward, turn * (1.0 - base.slip * abs(turn)) + base.wheel_mismatch * forward
 
 

@@ -1,12 +1,14 @@
 """Randomization of trials: perturbations of rover, odometry and commands, drawn before the trial.
 
-A trial has a random stream of its own, from the root seed and its number, and draws from it in a fixed order.
-So trial 7 of seed 1 is the same perturbed robot for every driver and every set of trials. Harder presets
-stretch the same draws. Parameters are uniform in their ranges; noise is Gaussian.
+A trial has random streams of its own, from the root seed and its number: one for the robot, and one for each
+value that changes from tick to tick. A longer course continues these streams. So trial 7 of seed 1 is the
+same perturbed robot for every driver, every course and every set of trials. Harder presets stretch the same
+draws. Parameters are uniform in their ranges; noise is Gaussian.
 """
 
+import math
 from pathlib import Path
-from typing import Literal, NamedTuple, Self
+from typing import Annotated, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +22,7 @@ from rover_ncp.course.course import TICK_S
 from rover_ncp.robot.profile import RoverProfile
 from sim.world.bodies import PRESETS, Body
 from sim.world.rover import SUBSTEP_S, RoverModel
-from sim.world.skid_robot import SkidRanges
+from sim.world.skid_robot import Range, SkidRanges
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -30,6 +32,21 @@ Sensors = Literal["encoders", "gyro", "camera"]
 """Sources of the observed pose: encoders; encoders and a gyro's turn; or the true pose with noise."""
 
 
+Delay = Annotated[float, Field(ge=0, le=2)]
+TurnGain = Annotated[float, Field(ge=0.2, le=5)]
+Speed = Annotated[float, Field(ge=0, le=0.5)]
+TurnRate = Annotated[float, Field(ge=0, le=2)]
+
+_OF_PYMUNK = {
+    "turn_gain": "the ground makes its turn gain",
+    "rotation_center_m": "its weight (skid_steer.mass_center_m) makes its centre of rotation",
+    "speed_step_m_s": "the mock's firmware makes the steps",
+    "turn_step_rad_s": "the mock's firmware makes the steps",
+    "sensors": "--sensors names the driver's",
+}
+"""Keys without effect on the body mujoco, and why."""
+
+
 class Randomization(StrictModel):
     """Ranges of deviations from the model; ± unless stated otherwise. The defaults change nothing."""
 
@@ -37,52 +54,38 @@ class Randomization(StrictModel):
     name: str = Field(min_length=1, description="of these ranges, for messages and results")
     body: Body = Field(default=Body.PYMUNK, description="the simulator of the rover")
     skid_steer: SkidRanges | None = Field(default=None, description="of the body mujoco, and only there")
-    start_m: float = Field(default=0.0, ge=0, description="start in x and in y, known to the rover")
-    start_rad: float = Field(default=0.0, ge=0, description="start heading, known to the rover")
-    delay_v_s: tuple[float, float] | None = Field(default=None, description="least and most, not the model's")
-    delay_omega_s: tuple[float, float] | None = Field(
-        default=None, description="least and most for turn commands"
-    )
+    start_m: float = Field(default=0.0, ge=0, le=100, description="start in x and in y, known to the rover")
+    start_rad: float = Field(default=0.0, ge=0, le=math.pi, description="start heading, known to the rover")
+    delay_v_s: Range[Delay] | None = Field(default=None, description="least and most, not the model's")
+    delay_omega_s: Range[Delay] | None = Field(default=None, description="least and most for turn commands")
     acceleration: float = Field(default=0.0, ge=0, lt=1, description="share, forward and turning")
     gain: float = Field(default=0.0, ge=0, lt=1, description="share of speed and of turn rate")
     odometry_scale: float = Field(default=0.0, ge=0, lt=1, description="share, in distance and in heading")
-    noise_m: float = Field(default=0.0, ge=0, description="standard deviation of an observed x and y")
-    noise_rad: float = Field(default=0.0, ge=0, description="standard deviation of an observed heading")
+    noise_m: float = Field(default=0.0, ge=0, le=1, description="standard deviation of an observed x and y")
+    noise_rad: float = Field(default=0.0, ge=0, le=1, description="standard deviation of an observed heading")
     lost: float = Field(default=0.0, ge=0, lt=1, description="share of commands that do not arrive")
-    burst: float = Field(default=1.0, ge=1, description="mean number of commands lost in a row")
+    burst: float = Field(default=1.0, ge=1, le=1000, description="mean number of commands lost in a row")
     wheel_mismatch_rad_m: float = Field(
-        default=0.0, ge=0, description="wheel mismatch: turn per metre that no encoder measures"
+        default=0.0, ge=0, le=1, description="wheel mismatch: turn per metre that no encoder measures"
     )
-    slip_s: float = Field(default=0.0, ge=0, description="0..: lost share of a turn per rad/s, unseen")
-    speed_step_m_s: float = Field(default=0.0, ge=0, description="commands come in whole steps")
-    turn_step_rad_s: float = Field(default=0.0, ge=0, description="turn commands come in whole steps")
+    slip_s: float = Field(
+        default=0.0, ge=0, le=0.5, description="0..: lost share of a turn per rad/s, unseen"
+    )
+    speed_step_m_s: float = Field(default=0.0, ge=0, le=0.5, description="commands come in whole steps")
+    turn_step_rad_s: float = Field(default=0.0, ge=0, le=2, description="turn commands come in whole steps")
     jitter_s: float = Field(default=0.0, ge=0, le=TICK_S, description="0..: age of an observed pose")
-    drift_rad_s: float = Field(default=0.0, ge=0, description="of the observed heading")
-    bump_m: float = Field(default=0.0, ge=0, description="one push on the way, unseen")
-    bump_rad: float = Field(default=0.0, ge=0, description="turn of that push")
-    turn_gain: tuple[float, float] | None = Field(
-        default=None, description="least and most; of the wheels' turn"
-    )
-    rotation_center_m: float = Field(default=0.0, ge=0, description="behind the middle, or ahead")
-    dead_band_m_s: tuple[float, float] | None = Field(
+    drift_rad_s: float = Field(default=0.0, ge=0, le=1, description="of the observed heading")
+    bump_m: float = Field(default=0.0, ge=0, le=1, description="one push on the way, unseen")
+    bump_rad: float = Field(default=0.0, ge=0, le=math.pi, description="turn of that push")
+    turn_gain: Range[TurnGain] | None = Field(default=None, description="least and most; of the wheels' turn")
+    rotation_center_m: float = Field(default=0.0, ge=0, le=0.5, description="behind the middle, or ahead")
+    dead_band_m_s: Range[Speed] | None = Field(
         default=None, description="least and most; smaller speed commands are not followed"
     )
-    dead_band_rad_s: tuple[float, float] | None = Field(
+    dead_band_rad_s: Range[TurnRate] | None = Field(
         default=None, description="least and most; smaller turn commands are not followed"
     )
-    wheel_min_m_s: tuple[float, float] | None = Field(
-        default=None, description="least and most; of the slowest speed of a turning wheel"
-    )
-    stiction: tuple[float, float] | None = Field(
-        default=None, description="least and most; share by which the dead band of a moving base is narrower"
-    )
-    banded: float = Field(
-        default=1.0, ge=0, le=1, description="share of robots with dead bands and a least wheel speed"
-    )
-    creep_m_s: float = Field(default=0.0, ge=0, description="speed of a base with motors on at command 0")
-    pull_rad_m: float = Field(
-        default=0.0, ge=0, description="turn per metre of wheels with different gains, which encoders measure"
-    )
+    banded: float = Field(default=1.0, ge=0, le=1, description="share of robots with dead bands")
     sensors: Sensors = Field(default="encoders", description="of the observed pose, but for the stack")
     rover: RoverProfile | None = Field(default=None, description="what is known, and so not drawn")
 
@@ -90,6 +93,11 @@ class Randomization(StrictModel):
     def _fits_its_body(self) -> Self:
         if (self.skid_steer is not None) != (self.body is Body.MUJOCO):
             raise ValueError("a randomization has the key skid_steer if its body is mujoco, and only then")
+        unread = [key for key in _OF_PYMUNK if key in self.model_fields_set]
+        if self.body is Body.MUJOCO and unread:
+            raise ValueError(
+                f"remove {unread[0]}, which the body mujoco does not use: {_OF_PYMUNK[unread[0]]}"
+            )
         return self
 
     @property
@@ -138,7 +146,7 @@ class Trials(NamedTuple):
     turning: FloatArray
     """(N, 2) turn gain, and the centre of rotation in m."""
     bump: FloatArray
-    """(N, 4): the tick at whose start it comes, then x, y, theta in m and rad."""
+    """(N, 4): the share of the drive's ticks after which it comes, then x, y, theta in m and rad."""
     noise: FloatArray
     """(N, T + 1, 3) what is added to the pose seen at the start of each tick."""
     age: FloatArray
@@ -148,8 +156,8 @@ class Trials(NamedTuple):
     step: FloatArray
     """(2,) of v and omega; 0 for none."""
     motors: FloatArray
-    """(N, 8) dead band of v and of omega, least wheel speed, speed of a slower wheel, half the track, creep,
-    pull, stiction."""
+    """(N, 6) dead band of v and of omega, least wheel speed, speed of a slower wheel, half the track,
+    stiction."""
 
     @property
     def size(self) -> int:
@@ -179,14 +187,16 @@ def draw_trials(
     """Draw trials ``first``, ``first`` + 1, ... of a seed, each for ``ticks`` ticks or fewer."""
     if ranges.rover is not None:
         return _of_known(ranges, ranges.rover, model, seed, count=count, ticks=ticks, first=first)
-    streams = [random_stream(seed, Domain.TRIAL, first + i) for i in range(count)]
-    # (N, 17) in −1..1.
-    u = np.array([stream.uniform(-1.0, 1.0, 17) for stream in streams])
-    noise = np.array([stream.normal(size=(ticks + 1, 3)) for stream in streams])
-    chance = np.array([stream.random((ticks + 1, 2)) for stream in streams])
-    # From other streams: more draws of the first ones would change the noise, or depend on the ticks.
-    others = [random_stream(seed, Domain.TRIAL_SKID, first + i) for i in range(count)]
-    skid, motors = np.hsplit(np.array([other.uniform(-1.0, 1.0, 9) for other in others]), [2])
+    numbers = range(first, first + count)
+
+    def streams(domain: Domain) -> list[np.random.Generator]:
+        return [random_stream(seed, domain, number) for number in numbers]
+
+    # (N, 23) in −1..1. A new value is drawn after the others, so that they stay.
+    u = np.array([stream.uniform(-1.0, 1.0, 23) for stream in streams(Domain.TRIAL)])
+    noise = np.array([stream.normal(size=(ticks + 1, 3)) for stream in streams(Domain.TRIAL_NOISE)])
+    losses = np.array([stream.random(ticks) for stream in streams(Domain.TRIAL_LOSSES)])
+    ages = np.array([stream.random(ticks + 1) for stream in streams(Domain.TRIAL_AGES)])
     nominal = (model.delay_v_s, model.delay_v_s), (model.delay_omega_s, model.delay_omega_s)
     least, most = np.array([ranges.delay_v_s or nominal[0], ranges.delay_omega_s or nominal[1]]).T
     delay_s = least + (most - least) * 0.5 * (1.0 + u[:, 3:5])
@@ -215,38 +225,31 @@ def draw_trials(
         wheel_mismatch=ranges.wheel_mismatch_rad_m * u[:, 11],
         slip=ranges.slip_s * 0.5 * (1.0 + u[:, 12]),
         drift=ranges.drift_rad_s * u[:, 13],
-        # On the way: in the first half of the time there is, which on our courses is spent driving.
-        bump=np.column_stack([np.floor(ticks * 0.25 * (1.0 + chance[:, ticks, 0])), push * u[:, 14:17]]),
+        # On the way: in the second quarter of the time, which on our courses is spent driving.
+        bump=np.column_stack([0.125 * (3.0 + u[:, 17]), push * u[:, 14:17]]),
         noise=sigma * noise,
-        age=ranges.jitter_s / TICK_S * chance[:, :, 1],
-        lost=_lost(ranges, chance[:, :ticks, 0]),
+        age=ranges.jitter_s / TICK_S * ages,
+        lost=_lost(ranges, losses),
         step=np.array([ranges.speed_step_m_s, ranges.turn_step_rad_s]),
         turning=np.column_stack(
             [
-                least_gain + (most_gain - least_gain) * 0.5 * (1.0 + skid[:, 0]),
-                model.rotation_center_m + ranges.rotation_center_m * skid[:, 1],
+                least_gain + (most_gain - least_gain) * 0.5 * (1.0 + u[:, 18]),
+                model.rotation_center_m + ranges.rotation_center_m * u[:, 19],
             ]
         ),
-        motors=_motors(ranges, model, motors),
+        motors=_motors(ranges, model, u[:, 20:23]),
     )
 
 
 def _motors(ranges: Randomization, model: RoverModel, u: FloatArray) -> FloatArray:
-    """Return ``Trials.motors`` of draws (N, 7) in −1..1."""
-    named = (
-        (ranges.dead_band_m_s, model.dead_band_v),
-        (ranges.dead_band_rad_s, model.dead_band_omega),
-        (ranges.wheel_min_m_s, model.wheel_min),
-    )
+    """Return ``Trials.motors`` of draws (N, 3) in −1..1."""
+    named = (ranges.dead_band_m_s, model.dead_band_v), (ranges.dead_band_rad_s, model.dead_band_omega)
     least, most = np.array([given or (own, own) for given, own in named]).T
-    drawn = least + (most - least) * 0.5 * (1.0 + u[:, :3])
-    drawn[0.5 * (1.0 + u[:, 5]) >= ranges.banded] = 0.0
-    slow = drawn[:, 2] if model.slow_wheels_turn else np.zeros(len(u))
-    half_track = np.full(len(u), model.half_track_m)
-    least, most = ranges.stiction or (model.stiction, model.stiction)
-    stiction = least + (most - least) * 0.5 * (1.0 + u[:, 6])
-    creep, pull = ranges.creep_m_s * u[:, 3], ranges.pull_rad_m * u[:, 4]
-    return np.column_stack([drawn, slow, half_track, creep, pull, stiction])
+    bands = least + (most - least) * 0.5 * (1.0 + u[:, :2])
+    bands[0.5 * (1.0 + u[:, 2]) >= ranges.banded] = 0.0
+    slow = model.wheel_min if model.slow_wheels_turn else 0.0
+    own = np.array([model.wheel_min, slow, model.half_track_m, model.stiction])
+    return np.hstack([bands, np.tile(own, (len(u), 1))])
 
 
 def _of_known(

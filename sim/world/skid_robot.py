@@ -1,12 +1,27 @@
 """Parameters of a skid-steered rigid body and of the ground below it, and the ranges they are drawn from."""
 
 import math
+from typing import Annotated, TypeVar
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.robot.description import RobotDescription
+
+ValueT = TypeVar("ValueT")
+
+
+def _rising(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] > ends[1]:
+        raise ValueError(f"a range is [least, most], got [{ends[0]:g}, {ends[1]:g}]")
+    return ends
+
+
+Range = Annotated[tuple[ValueT, ValueT], AfterValidator(_rising)]
+"""Least and greatest value of what is drawn."""
+Friction = Annotated[float, Field(gt=0, le=5)]
+Slope = Annotated[float, Field(ge=0, lt=0.5)]
 
 
 class Contact(StrictModel):
@@ -52,15 +67,17 @@ class SkidRanges(StrictModel):
     """Ranges of a ``SkidRobot``; ± unless stated otherwise. The defaults change nothing."""
 
     mass: float = Field(default=0.0, ge=0, lt=1, description="share")
-    friction: tuple[float, float] = Field(default=(0.7, 0.7), description="least and most")
+    friction: Range[Friction] = Field(default=(0.7, 0.7), description="least and most")
     mass_center_m: float = Field(
         default=0.0, ge=0, lt=0.1, description="0..: distance from the middle, in any direction"
     )
     wheel_radius: float = Field(default=0.0, ge=0, lt=0.1, description="share, each wheel")
     track: float = Field(default=0.0, ge=0, lt=1, description="share")
-    slope_rad: tuple[float, float] = Field(default=(0.0, 0.0), description="least and most, any direction")
+    slope_rad: Range[Slope] = Field(default=(0.0, 0.0), description="least and most, any direction")
     cables: int = Field(default=0, ge=0, le=100, description="on the ground near the start")
-    cables_within_m: float = Field(default=1.0, gt=0, description="distance of their middles from the start")
+    cables_within_m: float = Field(
+        default=1.0, gt=0, le=100, description="distance of their middles from the start"
+    )
     contact: Contact = Field(default=Contact(), description="not drawn")
 
     @property

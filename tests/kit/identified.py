@@ -37,9 +37,9 @@ class Error(NamedTuple):
     std: float
 
 
-def robot(ranges: Randomization, seed: int, number: int) -> Trials:
-    """Draw a robot, as row 0."""
-    return draw_trials(ranges, default_rover(), seed, count=1, ticks=TICKS, first=number)
+def robot(ranges: Randomization, seed: int, number: int, **different: float) -> Trials:
+    """Draw a robot, as row 0, of the default model with ``different`` values."""
+    return draw_trials(ranges, default_rover(**different), seed, count=1, ticks=TICKS, first=number)
 
 
 class Driven(NamedTuple):

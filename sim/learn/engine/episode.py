@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from deploy.drive.dead_zone import STEP, Pulse, clear_of, pulsed
+from deploy.drive.hold import HOLD, holds
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.signals import signals
 from rover_ncp.kernels.jit import inlined_kernel, kernel, without_refcounts
@@ -27,7 +28,14 @@ from sim.world.fleet import (
     set_delay,
     wrapped,
 )
-from sim.world.motion_errors import apply_base_errors, base_errors, dead_reckon, odometry_errors, quantise
+from sim.world.motion_errors import (
+    apply_base_errors,
+    base_errors,
+    dead_reckon,
+    odometry_errors,
+    push_tick,
+    quantise,
+)
 from sim.world.randomization import Trials
 from sim.world.rover import SUBSTEP_S
 
@@ -35,7 +43,8 @@ _signals = kernel(signals)
 _base_errors, _odometry_errors = inlined_kernel(base_errors), inlined_kernel(odometry_errors)
 _apply_base_errors = kernel(apply_base_errors)
 _dead_reckon = kernel(dead_reckon)
-_quantise = kernel(quantise)
+_quantise, _push_tick = kernel(quantise), kernel(push_tick)
+_holds = kernel(holds)
 _clear_of, _pulsed = kernel(clear_of), kernel(pulsed)
 
 
@@ -81,7 +90,7 @@ def episode_kernel(start_lane: Any, tick_lanes: Any) -> Any:
             for lane in range(len(episodes)):
                 before[lane] = episodes[lane]
             tick_lanes(arrays, lanes.observations, lanes.commands)
-            pass_commands(trials, lanes)
+            pass_commands(tasks, trials, lanes)
             send(fleet, lanes.driven)
             advance(fleet)
             read_poses(fleet, lanes.poses)
@@ -141,6 +150,7 @@ def start_episode(
     lanes.task[lane], lanes.trial[lane] = task, trial
     lanes.tick[lane] = WARMING_UP
     lanes.total[lane] = 0.0
+    lanes.holds[lane] = False
     for axis in range(3):
         lanes.odometry[axis, lane] = lanes.earlier[axis, lane] = trials.start[trial, axis]
     for axis in range(2):
@@ -188,6 +198,10 @@ def observe(
             seen[axis] += trials.noise[trial, tick, axis] - old
     if not trials.exact:
         seen[2] = wrapped(seen[2])
+        goal, (position_m, heading_rad) = tasks.goal[task], tasks.near[task]
+        away_m = np.hypot(seen[0] - goal[0], seen[1] - goal[1])
+        turned = abs(wrapped(seen[2] - goal[2]))
+        lanes.near_goal[lane] = away_m <= position_m and turned <= heading_rad
     pose = Pose(seen[0], seen[1], seen[2])
     if tasks.has_reference:
         values = _signals(pose, signal, (Pose(row[0], row[1], row[2]), Velocity(row[3], row[4])))
@@ -200,7 +214,7 @@ def observe(
 
 
 @inlined_kernel
-def pass_commands(trials: Trials, lanes: Lanes) -> None:
+def pass_commands(tasks: Tasks, trials: Trials, lanes: Lanes) -> None:
     """Bring the commands to the bases, but for those lost; rovers stay whose circuit warms up or is idle."""
     commands, held, episode, tick, rows = lanes.commands, lanes.held, lanes.episode, lanes.tick, lanes.trial
     for lane in range(len(episode)):
@@ -209,8 +223,17 @@ def pass_commands(trials: Trials, lanes: Lanes) -> None:
             continue
         trial = rows[lane]
         base = _base_errors(trials, trial)
-        v = send_pulse(lanes, 0, lane, commands[0, lane], _clear_of(base.dead_band_v, STEP.v))
-        omega = send_pulse(lanes, 1, lane, commands[1, lane], _clear_of(base.dead_band_omega, STEP.omega))
+        least_v, least_omega = (
+            _clear_of(base.dead_band_v, STEP.v),
+            _clear_of(base.dead_band_omega, STEP.omega),
+        )
+        v, omega = commands[0, lane], commands[1, lane]
+        if not trials.exact and tick[lane] >= tasks.hold[lanes.task[lane]]:
+            hold = Velocity(max(HOLD.v, least_v), max(HOLD.omega, least_omega))
+            lanes.holds[lane] = _holds(v, omega, hold, lanes.near_goal[lane], lanes.holds[lane])
+        if lanes.holds[lane]:
+            v = omega = 0.0
+        v, omega = send_pulse(lanes, 0, lane, v, least_v), send_pulse(lanes, 1, lane, omega, least_omega)
         if not trials.lost[trial, np.uint64(tick[lane])]:
             held[0, lane] = _quantise(v, trials.step[0])
             held[1, lane] = _quantise(omega, trials.step[1])
@@ -272,7 +295,7 @@ def finish_tick(
             dtheta = wrapped(poses[2, lane] - where[2])
             lanes.tracking[0, lane] += dx * dx + dy * dy
             lanes.tracking[1, lane] += dtheta * dtheta
-        keep_pose(trials, lanes, fleet, trial, lane, next_tick)
+        keep_pose(trials, lanes, fleet, trial, lane, next_tick, tasks.ticks[task])
         if before + 1 == tasks.ticks[task] or total[lane] < queue.stop_below[episode]:
             conclude(tasks, lanes, fleet, task, lane, queue.results[episode])
             episodes[lane] = IDLE
@@ -285,9 +308,9 @@ def finish_tick(
 
 @inlined_kernel
 def keep_pose(
-    trials: Trials, lanes: Lanes, fleet: FleetArrays, trial: int, lane: int, ticks_done: int
+    trials: Trials, lanes: Lanes, fleet: FleetArrays, trial: int, lane: int, ticks_done: int, ticks: int
 ) -> None:
-    """Move odometry by a tick, push the rover if that is due, and keep its pose."""
+    """Move odometry by a tick, push the rover if that is due, and keep its pose; a course has ``ticks``."""
     poses, odometry, tail, latest = lanes.poses, lanes.odometry, lanes.tail, lanes.latest
     sees_pose = trials.exact or trials.sensors[1]
     if not trials.exact:
@@ -301,7 +324,7 @@ def keep_pose(
             Pose(poses[0, lane], poses[1, lane], poses[2, lane]),
             _odometry_errors(trials, trial),
         )
-    if not trials.exact and ticks_done == trials.bump[trial, 0]:
+    if not trials.exact and ticks_done == _push_tick(trials.bump[trial, 0], ticks):
         bump(trials, lanes, fleet, trial, lane)
     row = latest[lane] + np.uint64(1)
     if row == tail.shape[1]:

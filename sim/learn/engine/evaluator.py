@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from deploy.drive.hold import hold_from_s
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.course.course import TICK_S, Course
@@ -205,6 +206,8 @@ class Evaluator:
             held=np.zeros((2, width)),
             driven=np.zeros((2, width)),
             pulses=np.zeros((2, 3, width)),
+            near_goal=np.zeros(width, np.bool_),
+            holds=np.zeros(width, np.bool_),
             odometry=np.zeros((3, width)),
             earlier=np.zeros((3, width)),
             episode=np.full(width, IDLE),
@@ -295,6 +298,8 @@ def _tasks(courses: Sequence[Course], references: Sequence[Reference] | None, mo
     tasks = Tasks(
         ticks=np.array([course.ticks for course in courses]),
         still=np.array([round(course.parked.still_s / TICK_S) for course in courses]),
+        hold=np.array([_hold_tick(course) for course in courses]),
+        near=np.array([(course.parked.position_m, course.parked.heading_rad) for course in courses]),
         signal=np.zeros((len(courses), most + 1)),
         due=np.full((len(courses), most), -1, np.int64),
         checkpoints=np.zeros((len(courses), points, 3)),
@@ -313,6 +318,11 @@ def _tasks(courses: Sequence[Course], references: Sequence[Reference] | None, mo
                 pose, motion = references[row].tick(tick)
                 tasks.reference[row, tick] = *pose, *motion
     return tasks
+
+
+def _hold_tick(course: Course) -> int:
+    """Return the first tick in which a rover on the course may hold."""
+    return next(tick for tick in range(course.ticks + 1) if TICK_S * tick > hold_from_s(course))
 
 
 def _width(count: int) -> int:

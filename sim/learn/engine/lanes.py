@@ -9,6 +9,7 @@ from rover_ncp.kernels.vectors import RowArray
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 IDLE = -1
 WARMING_UP = -1
@@ -25,6 +26,10 @@ class Tasks(NamedTuple):
     ticks: IntArray
     still: IntArray
     """(C,) each."""
+    hold: IntArray
+    """(C,) the first tick in which a rover may hold."""
+    near: FloatArray
+    """(C, 2) position in m and heading in rad within which it may."""
     signal: FloatArray
     """(C, T + 1) start signal at the start of each tick."""
     due: IntArray
@@ -52,6 +57,9 @@ class Lanes(NamedTuple):
     """(2, L) each: the command that arrived last, and the motion that the base makes of it."""
     pulses: FloatArray
     """(2, 3, L) the driver's ``Pulse`` of v and of omega."""
+    near_goal: BoolArray
+    holds: BoolArray
+    """(L,) each: whether the observed pose is near the goal, and whether the rover holds."""
     odometry: FloatArray
     earlier: FloatArray
     """(3, L) each: the pose by odometry, heading not wrapped, now and a tick ago."""

@@ -5,7 +5,8 @@ start observation without the start signal, its motors ignored. Then in each con
 pose at its start, its command is sent, ten physics substeps follow, and at its end the checkpoint that is due
 is judged. In a trial (``sim/world/randomization.py``) the circuit sees what odometry believes, the command
 may get lost, and the base makes of it what it can. A base with a dead band gets pulses, as from a driver that
-knows the band. ``evaluator.py`` does the same for many candidates at once and gives the same bits.
+knows the band. Where the observation errs, the rover holds at the end of the course, as the driver's does.
+``evaluator.py`` does the same for many candidates at once and gives the same bits.
 """
 
 import math
@@ -16,16 +17,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.drive.dead_zone import STEP, Pulse, clear_of, pulsed
+from deploy.drive.hold import HOLD, hold_from_s, holds
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import FunctionRunner, RoverInterface
 from rover_ncp.circuit.runner import Runner
-from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.core.geometry import Pose, Velocity, distance, near, wrap_angle
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.reference import Reference, plan_reference
 from rover_ncp.course.scoring import Verdict, due_checkpoints, judge, reward
 from sim.learn.engine.lane_runner import OneLaneRunner
 from sim.world.described import default_rover
-from sim.world.motion_errors import apply_base_errors, base_errors, dead_reckon, odometry_errors, quantise
+from sim.world.motion_errors import (
+    apply_base_errors,
+    base_errors,
+    dead_reckon,
+    odometry_errors,
+    push_tick,
+    quantise,
+)
 from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
 from sim.world.randomization import Trials, nominal_trials, trial_model
 from sim.world.rover import SUBSTEPS, RoverModel
@@ -44,7 +53,7 @@ class Rollout:
     seen: FloatArray
     """(T, 3) what the circuit was shown at the start of each tick."""
     commands: FloatArray
-    """(T, 2): v in m/s and omega in rad/s, as sent at the start of each tick."""
+    """(T, 2): v in m/s and omega in rad/s, as the policy commands them at the start of each tick."""
     potentials: FloatArray
     """(T, n) mV, after each tick."""
     touched: bool
@@ -123,13 +132,19 @@ def rollout(
     runner.tick(observation(0, 0.0))
     base = base_errors(trials, row)
     least = clear_of(base.dead_band_v, STEP.v), clear_of(base.dead_band_omega, STEP.omega)
-    held, driven, pulses = (0.0, 0.0), (0.0, 0.0), (Pulse(), Pulse())
+    held, driven, pulses, stays = (0.0, 0.0), (0.0, 0.0), (Pulse(), Pulse()), False
+    hold, rule = Velocity(max(HOLD.v, least[0]), max(HOLD.omega, least[1])), course.parked
     poses, seen, commands, potentials, distances = [rover.pose], [], [], [], []
     touched, total = False, 0.0
+    pushed_at = push_tick(float(trials.bump[row, 0]), course.ticks)
     for tick, checkpoint in enumerate(due_checkpoints(course)):
         seen.append(odometry.seen(tick))
         v, omega = runner.tick(observation(tick, course.start_signal(TICK_S * tick)))
-        pulses = pulsed(v, least[0], pulses[0]), pulsed(omega, least[1], pulses[1])
+        if not trials.exact and TICK_S * tick > hold_from_s(course):
+            parked = near(odometry.seen(tick), course.goal, rule.position_m, rule.heading_rad)
+            stays = holds(v, omega, hold, parked, stays)
+        wanted = (0.0, 0.0) if stays else (v, omega)
+        pulses = pulsed(wanted[0], least[0], pulses[0]), pulsed(wanted[1], least[1], pulses[1])
         if not trials.lost[row, tick]:
             held = (
                 quantise(pulses[0].sent, float(trials.step[0])),
@@ -145,7 +160,7 @@ def rollout(
             total += reward(rover.pose, target)
             distances.append(distance(rover.pose, target))
         odometry.moved(rover.pose)
-        if tick + 1 == trials.bump[row, 0] and not trials.exact:
+        if tick + 1 == pushed_at and not trials.exact:
             push = Pose(*trials.bump[row, 1:].tolist())
             rover.push(push)
             odometry.pushed(rover.pose)

@@ -33,9 +33,8 @@ def drive(preset, number=0, *, outside=False):
     """Return the drive of a random robot, its profile, the errors of that, and the robot."""
     ranges = load_randomization("full" if preset == "dead band" else preset)
     if preset == "dead band":
-        bands = {"dead_band_m_s": (0.03, 0.03), "dead_band_rad_s": (0.1, 0.1), "stiction": (0.4, 0.4)}
-        ranges = ranges.model_copy(update=bands)
-    trials = robot(ranges, SEED, number)
+        ranges = ranges.model_copy(update={"dead_band_m_s": (0.03, 0.03), "dead_band_rad_s": (0.1, 0.1)})
+    trials = robot(ranges, SEED, number, stiction=0.4 if preset == "dead band" else 0.0)
     done = driven(trials, outside=outside)
     found = identify(motion_log(done.messages), "mock")
     return done, found, errors(found, truth(ranges, trials)), trials
@@ -120,7 +119,7 @@ def test_tyres_that_rock_after_a_motion_do_not_hide_how_a_robot_skids():
 
 
 def test_external_poses_show_how_a_robot_skids():
-    _, found, off, _ = drive("skid", outside=True)
+    _, found, off, _ = drive("skid", 1, outside=True)
     assert {"odometry_heading", "rotation_center_m", "alpha"} <= set(off)
     assert all(abs(error) < 3.0 * std for error, std in off.values())
     assert found.odometry_heading < 0.95  # this robot turns more than its wheels say

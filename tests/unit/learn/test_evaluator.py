@@ -122,10 +122,6 @@ def test_other_rovers_other_returns():
 MOTORS = {
     "dead_band_m_s": (0.01, 0.06),
     "dead_band_rad_s": (0.01, 0.14),
-    "wheel_min_m_s": (0.01, 0.03),
-    "creep_m_s": 0.004,
-    "pull_rad_m": 0.1,
-    "stiction": (0.0, 0.6),
 }
 
 
@@ -140,7 +136,9 @@ MOTORS = {
     ],
 )
 def test_trials_end_as_a_rover_alone_does(policy, level, changed):
-    model = default_rover(slow_wheels_turn=True)
+    model = default_rover(
+        **({"slow_wheels_turn": True, "wheel_min": 0.02, "stiction": 0.3} if changed else {})
+    )
     ranges = load_randomization(level).model_copy(update=changed)
     trials = draw_trials(ranges, model, 5, count=2, ticks=COURSE.ticks)
     vectors = candidates(2, seed=5, policy=policy)

@@ -23,7 +23,7 @@ def test_motors_of_a_description_are_those_of_the_mock_alone():
     assert (base.wheel_min, base.slow_wheels_turn, base.half_track_m) == (0.03, True, 0.1165)
     assert described_rover(robot).wheel_min == 0.0
     (motors,) = draw_trials(ranges_of(robot), base, 1, count=1, ticks=1).motors
-    assert motors.tolist() == [0.0, 0.0, 0.03, 0.03, 0.1165, 0.0, 0.0, 0.0]
+    assert motors.tolist() == [0.0, 0.0, 0.03, 0.03, 0.1165, 0.0]
 
 
 @pytest.mark.parametrize("name", ["turtlebot3-burger", "husky-a200", "p3at-sh"])

@@ -11,12 +11,13 @@ from kit.paths import DATA
 from rover_ncp.circuit.policy import course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, save_policy
 from rover_ncp.cli import run
+from rover_ncp.course.builder import PoseList, make_course
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
 from sim import api as sim_api
 from sim.evaluate import evaluate
 from sim.evaluate.evaluate import unseen_courses
-from sim.learn.engine.driver import circuit_driver
+from sim.learn.engine.driver import circuit_driver, load_driver
 from sim.learn.engine.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.randomization import draw_trials, load_randomization
@@ -172,6 +173,16 @@ def test_outcomes_do_not_depend_on_the_batch_size(monkeypatch):
     whole = found()
     monkeypatch.setattr(evaluate, "_BATCH", 4)  # so that the second part begins on the second course
     assert found() == whole
+
+
+def test_parked_rover_holds_against_the_noise_of_its_odometry():
+    """The course of the tutorial: without the driver's hold, three of these robots were still moving."""
+    poses = [(0.0, 0.0, 0.0), (0.6, 0.2, 0.6), (1.2, 0.5, 0.2)]
+    listed = PoseList(poses=[dict(zip(["x", "y", "theta"], pose, strict=True)) for pose in poses])
+    course, _ = make_course("tutorial", "poses", listed)
+    full, policy = load_randomization("full"), load_driver("course")
+    found = evaluate.drive_trials(policy, [course], full, trials=20, seed=0)
+    assert [trial.reason for trial in found if trial.reason] == []
 
 
 def test_a_law_drives_once_and_in_trials(run_json):

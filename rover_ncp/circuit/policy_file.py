@@ -213,6 +213,7 @@ def _circuit(file: _Circuit, source: str, where: str) -> Circuit:
     ]
     if problems:
         raise ConfigError(source, problems)
+    sigma_without = DEFAULTS[ParameterKind.SIGMA]
     try:
         return Circuit(
             name=file.name,
@@ -221,7 +222,9 @@ def _circuit(file: _Circuit, source: str, where: str) -> Circuit:
             source=np.array([neurons.index(s.source) for s in file.synapses], np.int64),
             destination=np.array([neurons.index(s.destination) for s in file.synapses], np.int64),
             weight=np.array([s.weight for s in file.synapses], np.float64),
-            sigma=np.array([s.sigma or DEFAULTS[ParameterKind.SIGMA] for s in file.synapses], np.float64),
+            sigma=np.array(
+                [sigma_without if s.sigma is None else s.sigma for s in file.synapses], np.float64
+            ),
             leak_potential=np.array([n.leak_potential for n in file.neurons]),
             leak=np.array([n.leak for n in file.neurons]),
             capacitance=np.array([n.capacitance for n in file.neurons]),

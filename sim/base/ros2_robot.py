@@ -161,7 +161,8 @@ class Ros2Robot(SimulatedBase):
         while topics.imu and self._readings and now >= self._readings[0][0] - 1e-9:
             self._emit(topics.imu, self._readings.popleft()[1])
         if topics.battery_state in due:
-            volts = self._fault("low-battery") or self.robot.battery.nominal_v
+            low = self._fault("low-battery")
+            volts = self.robot.battery.nominal_v if low is None else low
             self._emit(topics.battery_state, messages.battery_state(volts, self._stamp_ns()))
         if topics.stop in due:
             self._emit(topics.stop, encode(messages.BOOL, data=self._fault("stop-button") is not None))

@@ -155,6 +155,7 @@ NEURON, SYNAPSE = ("circuit", "neurons", 3), ("circuit", "synapses", 2)
         ([((*NEURON, "name"), "PVD")], ["$.circuit.synapses[4].source: there is no neuron 'AVD'"]),
         ([((*SYNAPSE, "source"), "XYZ")], ["$.circuit.synapses[2].source: there is no neuron 'XYZ'"]),
         ([((*SYNAPSE, "sigma"), None)], ["$.circuit.synapses[2]: a chemical synapse needs sigma"]),
+        ([((*SYNAPSE, "sigma"), 0.0)], ["sigma 0 is outside 0.05"]),
         ([((*SYNAPSE, "kind"), "gap")], ["$.circuit.synapses[2]: a chemical synapse needs sigma"]),
         ([((*SYNAPSE, "kind"), "magic")], ["$.circuit.synapses[2].kind: input should be 'excitatory'"]),
         ([(("input_layer",), [[1.0]])], ["$.input_layer: needs 4 rows of 4 numbers, got the shape (1, 1)"]),

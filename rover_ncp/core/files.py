@@ -40,10 +40,11 @@ def shipped_names(kind: str) -> list[str]:
     )
 
 
-def resolve(kind: str, name_or_path: str | Path) -> Path:
-    """Find a shipped file by its bare name, or a file by its path.
+def resolve(kind: str, name_or_path: str | Path, folder: Path = Path()) -> Path:
+    """Find a shipped file by its bare name, or a file by its path from ``folder``.
 
-    A bare name has neither a separator nor a suffix. Raises FileError when there is no such file.
+    A bare name has neither a separator nor a suffix. A file that names another one passes its own folder.
+    Raises FileError when there is no such file.
     """
     text = str(name_or_path)
     if not text:
@@ -52,10 +53,10 @@ def resolve(kind: str, name_or_path: str | Path) -> Path:
         shipped = Path(str(_DATA / kind / f"{text}.yaml"))
         if shipped.is_file():
             return shipped
-        if not _exists(Path(text)):
+        if not _exists(folder / text):
             shipped_list = ", ".join(shipped_names(kind))
             raise FileError(f"{text}: no such file, and none of the shipped {kind} ({shipped_list})")
-    return existing_file(Path(text))
+    return existing_file(folder / text)
 
 
 def existing_file(path: Path) -> Path:

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from rover_ncp.core.config import StrictModel, read_yaml, validated
-from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.files import read_text, resolve
 from rover_ncp.core.geometry import Pose
 
@@ -238,7 +238,7 @@ class RobotDescription(StrictModel):
     format: Literal[1] = 1
     name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")
     based_on: str | None = None
-    """Name or file of the description that gives what this one leaves out."""
+    """Name of the description that gives what this one leaves out, or its path from this file's folder."""
     footprint: Rectangle | Circle
     height_m: Metres
     """Height of the robot's top above the ground."""
@@ -316,7 +316,8 @@ class RobotDescription(StrictModel):
 
 def load_description(name_or_path: str | Path) -> RobotDescription:
     """Load a shipped description by name or a file by path. Raises FileError or ConfigError."""
-    return validated(_merged(str(name_or_path), _DEPTH), RobotDescription, str(name_or_path))
+    data = _merged(resolve("robots", name_or_path), _DEPTH)
+    return validated(data, RobotDescription, str(name_or_path))
 
 
 def recorded_robot(settings: Mapping[str, Any], source: str) -> RobotDescription | None:
@@ -325,19 +326,23 @@ def recorded_robot(settings: Mapping[str, Any], source: str) -> RobotDescription
     return None if described is None else validated(described, RobotDescription, f"{source}, $.described")
 
 
-def _merged(name_or_path: str, depth: int) -> dict[str, Any]:
+def _merged(path: Path, depth: int) -> dict[str, Any]:
     """Return a file's data over that of the file it is based on, section by section."""
-    data = read_yaml(read_text(resolve("robots", name_or_path)), name_or_path)
+    data = read_yaml(read_text(path), str(path))
     if not isinstance(data, dict):
-        raise ConfigError(name_or_path, [f"expected a mapping of keys, got {type(data).__name__}"])
+        raise ConfigError(str(path), [f"expected a mapping of keys, got {type(data).__name__}"])
     base = data.get("based_on")
     if base is None:
         return data
     if not isinstance(base, str) or not depth:
         raise ConfigError(
-            name_or_path, [f"$.based_on: expected a description's name, in {_DEPTH} steps at most"]
+            str(path), [f"$.based_on: expected a description's name, in {_DEPTH} steps at most"]
         )
-    merged = _merged(base, depth - 1)
+    try:
+        base_path = resolve("robots", base, path.parent)
+    except FileError as error:
+        raise ConfigError(str(path), [f"$.based_on: {error}"]) from error
+    merged = _merged(base_path, depth - 1)
     merged.pop("measured_base_timeout_s", None)  # that robot was measured, not this one
     for key, value in data.items():
         known = merged.get(key)

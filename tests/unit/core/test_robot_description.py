@@ -51,6 +51,21 @@ def test_a_new_robot_takes_one_file(tmp_path):
     assert choose_base("ros2/tcp/robot", str(file)).description == mine
 
 
+def test_a_description_is_based_on_a_file_beside_it_whatever_the_working_folder(tmp_path, monkeypatch):
+    robots = tmp_path / "robots"
+    (robots / "shared").mkdir(parents=True)
+    (robots / "mine.yaml").write_text("name: mine\nbased_on: shared/base.yaml\n")
+    (robots / "shared/base.yaml").write_text("name: base\nbased_on: ../root.yaml\n")
+    (robots / "root.yaml").write_text("name: root\nbased_on: p3at\nmass_kg: 7\n")
+    (tmp_path / "root.yaml").write_text("name: wrong\nbased_on: p3at\nmass_kg: 8\n")
+    for folder in (tmp_path, robots):
+        monkeypatch.chdir(folder)
+        assert load_description(robots / "mine.yaml").mass_kg == 7.0
+    (robots / "root.yaml").unlink()
+    with pytest.raises(ConfigError, match=r"shared/base\.yaml: \$\.based_on: .*root\.yaml: no such file"):
+        load_description(robots / "mine.yaml")
+
+
 @pytest.mark.parametrize(
     ("text", "expected"),
     [

@@ -53,7 +53,7 @@ def export(
     To yaml: NAME.yaml, the policy file, to begin one of your own with (train --circuit NAME.yaml).
     """
     from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
-    from rover_ncp.core.files import Kind, require_writable, write_atomic
+    from rover_ncp.core.files import Kind, begins_with, require_writable, write_atomic
     from rover_ncp.course.course import load_course
     from rover_ncp.export.vectors import c_files
 
@@ -63,11 +63,12 @@ def export(
     name = name if name[:1].isalpha() else f"policy_{name}".rstrip("_")
     loaded = load_policy(policy)
     if to is Target.YAML:
-        require_writable(out / f"{name}.yaml", kind=Kind("a policy", load_policy), inputs=[Path(policy)])
-        files = {f"{name}.yaml": policy_to_yaml(loaded)}
+        kind, files = Kind("a policy", load_policy), {f"{name}.yaml": policy_to_yaml(loaded)}
     else:
-        require_writable(out / f"{name}.c")
+        kind = begins_with("an exported C file", b"/*")
         files = c_files(loaded, name, load_course(course or "parking"))
+    for file in files:
+        require_writable(out / file, kind=kind, inputs=[Path(policy)])
     for file, content in files.items():
         write_atomic(out / file, content)
     paths = [str(out / file) for file in files]

@@ -63,12 +63,13 @@ def explain(
     """
     from rover_ncp.core.files import require_writable
     from sim.explain.explain import explain as explain_source
-    from sim.explain.files import write
+    from sim.explain.files import NAMES, write
     from sim.explain.task import RUNS, explain_task
 
     output = Output(json)
     if out is not None:
-        require_writable(out / "explanation.html")
+        for name in NAMES:
+            require_writable(out / name)
     if task is None or source is not None:
         reject("needs --task, without a policy", runs=runs)
     if task is not None:

@@ -13,9 +13,13 @@ SHOWN = 25
 SENSITIVITIES = f"Change of the return when a parameter moves by {100 * STEP:g} % of its range"
 
 
+NAMES = ("explanation.html", "explanation.json")
+"""Files of an explanation."""
+
+
 def write(found: Explanation, folder: Path) -> list[Path]:
-    """Write ``explanation.html`` and ``explanation.json``; return their paths. Raises FileError."""
-    files = [folder / "explanation.html", folder / "explanation.json"]
+    """Write the page and the numbers; return their paths. Raises FileError."""
+    files = [folder / name for name in NAMES]
     write_atomic(files[0], page(found))
     write_atomic(files[1], found.result(files).model_dump_json(by_alias=True, indent=2) + "\n")
     return files

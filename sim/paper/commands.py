@@ -97,7 +97,8 @@ def run_experiments(
         )
 
     if left:
-        require_writable(store.path(left[0].task, budget))
+        for path in {store.path(name.task, budget) for name in left}:
+            require_writable(path)
         make_runs(left, store, processes=processes, cluster=cluster, on_result=on_result)
     found = MadeResult(made=made, found=len(names) - len(left))
     output.result(found, f"{len(made)} runs made")

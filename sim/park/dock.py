@@ -43,7 +43,7 @@ class DockedResult(BaseModel):
 
 def run_dock(output: Output, out: Path, *, overwrite: bool) -> int:
     """Run ``park --dock`` and return its exit code. Raises RoverNcpError when a process fails."""
-    for name in ("run.mcap", f"log/{TRUTH}"):
+    for name in ("run.mcap", "view.jpg", "run.html", f"log/{TRUTH}"):
         require_creatable(out / name, overwrite=overwrite)
     files = {name: out / f"{name}.yaml" for name in ("camera", "tags", "place")}
     for name, path in files.items():  # the files of an earlier, failed run are the same

@@ -105,7 +105,7 @@ def run_park(
         reject(f"nothing is trained for a ROS 2 robot: policy {TRACKING_POLICY} parks {model}", seed=seed)
         policy = TRACKING_POLICY
     slow_course, pace = slowed(load_course(course), robot)
-    for name in ("run.mcap", f"log/{TRUTH}"):  # before a long training
+    for name in ("run.mcap", "trajectory.png", "run.html", f"log/{TRUTH}"):  # before a long training
         require_creatable(out / name, overwrite=overwrite)
     training: ParkTraining | None = None
     if policy is None:

@@ -108,6 +108,10 @@ TABLE = [
     ("park --policy parking --out done", "done/run.mcap: exists already"),
     ("park --out done", "done/run.mcap: exists already"),
     ("park --policy task.yaml --out none", "policy wall"),
+    ("park --policy parking --out last", "last/trajectory.png: cannot be written"),
+    ("park --dock --out last", "last/view.jpg: cannot be written"),
+    ("explain parking --out last", "last/explanation.json: cannot be written: Is a directory"),
+    ("export parking --to c --out last", "last/parking_check.c: cannot be written: Is a directory"),
     ("park --out trained", "trained/train: exists already"),
     ("train --resume --out done", "done: holds no training run to resume"),
     # YAML and courses
@@ -247,6 +251,8 @@ def folder(tmp_path_factory):
     for made in ("done/run.mcap", "trained/train/settings.yaml", "docked/tags.yaml", "written/forward.yaml"):
         (folder / made).parent.mkdir(parents=True)
         (folder / made).write_text("x")
+    for name in ("trajectory.png", "view.jpg", "explanation.json", "parking_check.c"):
+        (folder / "last" / name).mkdir(parents=True)
     row = "- {{t: {}, x: {}, y: 0, theta: 0}}\n"
     head = "name: a\nstart_signal_s: 0\nhorizon_s: 3600\ncheckpoints:\n"
     short, parking = SHORT.read_text(), circuit_to_bnn(load_circuit("parking"))

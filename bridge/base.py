@@ -121,6 +121,7 @@ class LinkHealth(NamedTuple):
     """Quality of the line to the base, for diagnostics."""
 
     damaged: bool
+    """Whether messages were damaged or could not be read lately."""
     counters: Mapping[str, int]
     silent: tuple[str, ...] = ()
     """What should report hazards and has not reported anything."""

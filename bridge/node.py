@@ -111,7 +111,7 @@ class Node:
         self._report: BaseReport | None = None
         self._robot: RobotDescription | None = None
         self._errors: OdometryErrors | None = None
-        self._hardware = ""
+        self._hardware, self._early = "", False
         self._act_now = self._commanded = False
         self._log: list[str] = []
         """Events of the gate to log after the base has got its setpoint."""
@@ -186,9 +186,7 @@ class Node:
         for event in events:
             match event:
                 case BaseReport():
-                    self._report = event
-                    self._judge(event, arrived_s)
-                    self._publish_report(event, arrived_s)
+                    self._take_report(event, arrived_s)
                 case TurnRate(rate, age_s) if self._robot is not None:
                     stamp_ns = self._wall_ns(arrived_s - age_s)
                     self._link.publish("imu", ros.turn_rate(rate, self._robot, stamp_ns))
@@ -262,8 +260,15 @@ class Node:
             self._log.append(words)
         self._suspended_s += max(slept_s, 0.0)
 
-    def _publish_report(self, report: BaseReport, arrived_s: float) -> None:
-        assert self._robot is not None and self._errors is not None  # a base is ready before it reports
+    def _take_report(self, report: BaseReport, arrived_s: float) -> None:
+        """Pass a report to the gate and publish it."""
+        if self._robot is None or self._errors is None:
+            if not self._early:
+                _LOGGER.warning("the base reports before it is ready: these reports are not used")
+            self._early = True
+            return
+        self._report = report
+        self._judge(report, arrived_s)
         stamp_ns = self._wall_ns(arrived_s - report.age_s)
         variances = self._errors.after(report)
         for name, data in ros.each_report(report, self._robot, stamp_ns, variances).items():

@@ -1,5 +1,6 @@
 """A Pioneer as a `Base`: an ARCOS session on a line."""
 
+import math
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -14,6 +15,9 @@ WATCHDOG_S = 2.0
 
 A lost base has halted after this time (``states.py``), before the bridge sends to it again.
 """
+
+DAMAGED_S = 10.0
+"""How long the line counts as damaged after a bad checksum."""
 
 
 class Connection(Protocol):
@@ -37,6 +41,7 @@ class ArcosBase:
         self._last = Setpoint(STANDSTILL, motors=False, emergency=False)
         self._was_ready = self._reopening = False
         self._refusal = ""
+        self._bad_checksums, self._damaged_until_s, self._now = 0, -math.inf, 0.0
 
     def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:
         events: list[SessionEvent] = []
@@ -55,6 +60,9 @@ class ArcosBase:
 
     def drive(self, setpoint: Setpoint, now: float) -> Sequence[BaseEvent]:
         last, self._last = self._last, setpoint
+        self._now, bad_checksums = now, self._session.decoder.bad_checksums
+        if bad_checksums > self._bad_checksums:
+            self._bad_checksums, self._damaged_until_s = bad_checksums, now + DAMAGED_S
         if setpoint.motors != last.motors or setpoint.lease not in {0, last.lease}:
             self._session.enable(setpoint.motors)
         if setpoint.emergency and not last.emergency:
@@ -68,7 +76,7 @@ class ArcosBase:
     def health(self) -> LinkHealth:
         decoder = self._session.decoder
         counters = {name: getattr(decoder, name) for name in ("packets", "bad_checksums", "skipped_bytes")}
-        return LinkHealth(decoder.bad_checksums > 0, counters)
+        return LinkHealth(self._now < self._damaged_until_s, counters)
 
     @property
     def base_timeout(self) -> BaseTimeout:

@@ -8,7 +8,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from rover_ncp.core.clock_offset import NS_PER_S, StampClock
+from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, relative, wrap_angle
 from rover_ncp.robot.description import Motion, Topics
@@ -25,8 +25,6 @@ CLOCK_BACK_S = 1.25
 """A clock that is set back by more than this may be that of a robot that restarted."""
 JUMP_M, JUMP_RAD = 0.05, 0.1
 """A pose farther from the last one than the robot can drive, and this, has jumped."""
-LATEST_NS = 2**31 * NS_PER_S - 1
-"""The latest time that a ROS stamp can hold."""
 ALTERNATIONS = 2
 CONFLICT_S = 1.0
 
@@ -129,12 +127,8 @@ class RosOdometer:
         return max(known, 2 if any(now - found[0] < CONFLICT_S for found in full) else 1)
 
     def robot_clock_ns(self, now: float) -> int:
-        """Return the present time on the robot's clock, at most a message's way behind; 0 if unknown.
-
-        A message of another's may have moved that clock to the end of time: the result always fits a stamp.
-        """
-        robot_ns = self._clock.sender_ns(round(now * 1e9))
-        return 0 if robot_ns is None else min(max(robot_ns, 0), LATEST_NS)
+        """Return the present time on the robot's clock, at most a message's way behind; 0 if unknown."""
+        return self._clock.sender_ns(round(now * 1e9)) or 0
 
     def _new_and_fresh(self, stamp_ns: int, arrived_s: float) -> bool:
         self._age_s = 0.0

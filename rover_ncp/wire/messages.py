@@ -5,6 +5,8 @@ counter-clockwise (REP-103). Stamps are ns since the epoch. `rover_ncp.wire.key_
 `rover_ncp.wire.protocol` the tags of commands and the JSON of queries, `rover_ncp.wire.cdr` the bytes.
 """
 
+import functools
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -16,6 +18,8 @@ from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.wire.cdr import decode, encode
+
+_LOGGER = logging.getLogger("rover_ncp")
 
 FloatArray = NDArray[np.float64]
 
@@ -361,9 +365,24 @@ def read_text(data: bytes) -> str:
 
 
 def header_of(stamp_ns: int, frame: str) -> dict[str, Any]:
-    """Return a Header, as `encode` takes one."""
+    """Return a Header, as `encode` takes one.
+
+    ROS has 32 bits for the seconds, until 2038-01-19. A later stamp becomes 0, which receivers take for a
+    publisher without a clock.
+    """
     seconds, nanoseconds = divmod(stamp_ns, NS_PER_S)
+    if not -(2**31) <= seconds < 2**31:
+        _warn_of_clock()
+        seconds = nanoseconds = 0
     return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame}
+
+
+@functools.cache
+def _warn_of_clock() -> None:
+    _LOGGER.warning(
+        "a clock is outside the time that ROS's stamps can hold (1901 to 2038-01-19): messages go out with "
+        "the stamp 0; set the clock of this computer, or of the robot"
+    )
 
 
 def read_stamp_ns(header: Any) -> int:

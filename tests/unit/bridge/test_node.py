@@ -8,10 +8,12 @@ from kit.ros2_world import BURGER
 from kit.virtual_bench import VirtualDriver, VirtualRig
 
 from bridge.gate.limits import Fence, Limits
+from bridge.pioneer.base_connection import Received
 from bridge.pioneer.framing import Command, Decoder
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.course.course import Obstacle
 from rover_ncp.robot.description import load_description
+from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.protocol import ResetReply, parse_json
 from sim.base.client_commands import decode_argument
 from sim.base.faults import parse_fault
@@ -115,6 +117,28 @@ def test_base_gets_the_published_setpoint_rounded_to_its_units(bridge, wanted):
     assert bridge.published[-1] == tuple(
         math.copysign(min(abs(each), limit), each) for each, limit in zip(wanted, limits, strict=True)
     )
+
+
+def test_a_drive_goes_on_although_its_stamps_no_longer_fit_ros(bridge):
+    bridge.set_ns = 2_300_000_000 * SECOND_NS - WALL_NS
+    bridge.driver.lease.end()
+    bridge.sleep(2.0)
+    assert bridge.driver.odom.stamp_ns == 0
+    assert bridge.driver.motors().granted
+    bridge.driver.drive(1.0, 0.2)
+    assert bridge.sent[-2:] == [(Command.VEL, 200), (Command.RVEL, 0)]
+
+
+def test_a_damaged_packet_is_a_warning_for_some_seconds(bridge):
+    levels = []
+    bridge.publish = lambda name, data: (
+        name != "diagnostics"
+        or levels.append(decode("diagnostic_msgs/msg/DiagnosticArray", data).status[0].level)
+    )
+    bridge.sleep(2.0)
+    bridge.connection.arrivals.append(Received(bytes.fromhex("fafb0632010203ffff")))
+    bridge.sleep(15.0)
+    assert (levels[0], max(levels), levels[-1]) == (0, 1, 0)
 
 
 # The motors

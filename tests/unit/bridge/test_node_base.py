@@ -133,6 +133,16 @@ def driving(caplog):
     return loop
 
 
+def test_reports_of_a_base_that_is_not_ready_are_not_used_and_named_once(caplog):
+    loop = Loop()
+    loop.base.reports = []
+    loop.turn(3)
+    assert not loop.driver.motors().granted
+    assert [message for message in caplog.messages if "before it is ready" in message] == [
+        "the base reports before it is ready: these reports are not used"
+    ]
+
+
 @pytest.mark.parametrize("fails", ["", "drive", "close"])
 def test_end_of_the_loop_drives_zero_with_motors_off_and_closes_whatever_fails(driving, fails, caplog):
     driving.base.fails[fails] = BrokenPipeError(32, "Broken pipe")

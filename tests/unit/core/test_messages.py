@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
+from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, Velocity, wrap_angle
 from rover_ncp.wire import messages
 from rover_ncp.wire.messages import imu, read_imu
 
@@ -154,9 +154,15 @@ def test_neurons_keep_their_names():
         messages.read_neurons(messages.neurons([1.0], ["A", "B"]))
 
 
+@pytest.mark.parametrize("stamp_ns", [2**31 * 10**9, 2**63 - 1, -(2**31) * 10**9 - 1])
+def test_a_stamp_that_ros_cannot_hold_is_sent_as_none_with_one_warning(stamp_ns, caplog):
+    messages._warn_of_clock.cache_clear()
+    for _ in range(2):
+        assert messages.read_odometry(messages.odometry(ORIGIN, STANDSTILL, stamp_ns)).stamp_ns == 0
+    assert len(caplog.messages) == 1
+
+
 def test_a_value_that_does_not_fit_is_refused_when_written():
-    with pytest.raises(FormatError, match="cannot be written"):
-        messages.twist_stamped(Velocity(0.0, 0.0), 2**31 * 10**9)
     with pytest.raises(FormatError, match="cannot be written"):
         messages.battery_state(1e300, STAMP)
 

@@ -70,7 +70,7 @@ def run(
 
     prepare_for_real_time()
     with Interrupts() as interrupts, recorder, ZenohLink(address, recorder.put) as link:
-        publisher = Publisher(link, record, policy.circuit.neurons)
+        publisher = Publisher(link, record, policy.circuit.neurons, frame=config.pose_frame)
         drive = Drive(link, controller, publisher, config, lambda: interrupts.raised, period_s=period_s)
         drive.wait()
         output.say(link.other_model(config.described))

@@ -30,7 +30,7 @@ from deploy.place.docking import Docking
 from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.geometry import Pose
 from rover_ncp.recording.recording import Recording, read_recording
-from rover_ncp.wire.messages import OdometrySample, read_neurons, read_text, read_twist
+from rover_ncp.wire.messages import OdometrySample, read_neurons, read_pose, read_text, read_twist
 from rover_ncp.wire.protocol import parse_json
 
 ESTIMATE = ("estimate x", "estimate y", "estimate theta", "estimate v", "estimate omega")
@@ -180,7 +180,7 @@ def _differences(
     index = record.index
     yield from _unequal(index, ESTIMATE, record.estimate, numbers(estimate))
     sent = messages.estimates.get(record.wall_ns)
-    if sent is not None and sent != estimate_message(estimate, record.wall_ns):
+    if sent is not None and sent != estimate_message(estimate, record.wall_ns, read_pose(sent).frame):
         yield _differs(index, "the estimate's covariance", "other bytes", "other bytes")
     if sent is None and messages.complete:
         yield _differs(index, "the message rover/estimate", ABSENT, "there")

@@ -1,5 +1,6 @@
 """Zenoh session of a client of the bridge: its subscriptions, the bridge's answers, its end."""
 
+import logging
 import queue
 import socket
 import threading
@@ -18,10 +19,11 @@ from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.recording.recording import header_stamp_ns
 from rover_ncp.wire.address import parse_address
 from rover_ncp.wire.cdr import decode
-from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, key, spec
+from rover_ncp.wire.key_table import BRIDGE, KEYS, KeySpec, Kind, key, spec
 from rover_ncp.wire.messages import POSE_STAMPED, pose_with_covariance, read_pose_stamped
 from rover_ncp.wire.zenoh import PORT, client_config
 
+_LOGGER = logging.getLogger("rover_ncp")
 PROBE_S = 1.0
 WITH_COVARIANCE_BYTES = 4 + 12 + 56 + 288
 """Length of a PoseWithCovarianceStamped with an empty frame, at least; a PoseStamped is shorter."""
@@ -46,6 +48,9 @@ class BridgeAddress:
 class ZenohClient(ClosedAtExit):
     """A session with one bridge. It gives every message of the bridge to ``receive``, except ``own`` ones.
 
+    Of the messages that only a bridge sends, those of the process at the address count (`bridge_answer`).
+    Behind a router the bridge is another process: then those of all peers count.
+
     ``receive`` runs in threads of Zenoh, and no more after `close`. Opening raises NoBridge when nothing
     answers at the address, and NotAuthorised when the bridge rejects the session.
     """
@@ -61,6 +66,12 @@ class ZenohClient(ClosedAtExit):
         self._ending = queue.SimpleQueue[threading.Thread]()
         """The threads of subscriptions that have ended, or are about to."""
         self._receive = receive
+        self.complaints: dict[str, str] = {}
+        """Why the first message of a topic that was not used could not be."""
+        self._connected: Collection[zenoh.ZenohId] = ()
+        """The process at the address, as far as it is known."""
+        self._is_bridge = False
+        """Whether that process has sent a message that only a bridge sends."""
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
@@ -145,10 +156,28 @@ class ZenohClient(ClosedAtExit):
     def _receiving(self, row: KeySpec) -> Callable[[zenoh.Sample], None]:
         def receive(sample: zenoh.Sample) -> None:
             data = sample.payload.to_bytes()
-            if len(data) <= row.max_bytes:
-                self._receive(row, with_covariance(data) if row.name == "pose" else data)
+            if len(data) > row.max_bytes:
+                self._complain(row, f"{len(data)} bytes, expected at most {row.max_bytes}")
+                return
+            if row.senders == BRIDGE and not row.latched and not self._is_of_bridge(sample):
+                self._complain(row, f"another peer than the bridge at {self.robot} sent it")
+                return
+            self._receive(row, with_covariance(data) if row.name == "pose" else data)
 
         return receive
+
+    def _is_of_bridge(self, sample: zenoh.Sample) -> bool:
+        source = None if sample.source_info is None else sample.source_info.source_id.zid
+        if source is not None and source not in self._connected:
+            self._connected = self._session.info.routers_zid()
+        if source in self._connected:
+            self._is_bridge = True
+        return source in self._connected or not self._is_bridge
+
+    def _complain(self, row: KeySpec, why: str) -> None:
+        if row.name not in self.complaints:
+            _LOGGER.info(f"a message on '{row.name}' is not used: {why}")
+        self.complaints.setdefault(row.name, why)
 
     def _bridge_token_changed(self, sample: zenoh.Sample) -> None:
         self.bridge_alive = sample.kind == zenoh.SampleKind.PUT

@@ -190,7 +190,7 @@ class Drive:
     def _check_no_pose(self) -> None:
         """Raise SafetyStop if external poses arrive of which none can be used."""
         heard = self.measurements
-        if heard.taken["pose"] or heard.unreadable["pose"]:
+        if heard.taken["pose"] or "pose" in heard.complaints:
             why = heard.complaints.get("pose", "too seldom, or without a valid covariance")
             raise SafetyStop("start-pose", f"external poses arrive, but none can be used: {why}")
 
@@ -325,8 +325,9 @@ class Drive:
     def _evidence(self, docking: Docking, now_ns: int) -> Evidence:
         """Give a docking what the base reports beside its motion, and return it for the record."""
         # What is pressed when the lease is granted does not end it.
-        touched = self._touched or (self.estimate is None and self._link.pressed[docking.leading_end])
-        evidence = Evidence(touched, self._link.charging(now_ns), self._link.battery_reports)
+        touched = self._touched or (self.estimate is None and self._link.bumpers.pressed[docking.leading_end])
+        charge = self._link.charge
+        evidence = Evidence(touched, charge.at(now_ns), charge.reports)
         docking.note(evidence)
         return evidence
 

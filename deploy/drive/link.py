@@ -3,7 +3,6 @@
 A link stores what arrives in an `Inbox` for each kind of measurement.
 """
 
-import contextlib
 import threading
 from abc import ABC, abstractmethod
 from collections import deque
@@ -28,6 +27,29 @@ class Arrival(NamedTuple):
 
     data: bytes
     arrival_ns: int
+
+
+class Bumpers(NamedTuple):
+    """The front and the rear bumper."""
+
+    pressed: tuple[bool, bool] = False, False
+    """Whether they are pressed, by the newest message."""
+    times: tuple[int, int] = 0, 0
+    """Number of messages that reported them as pressed."""
+
+
+class Charge(NamedTuple):
+    """What the newest message of the battery says of its charge."""
+
+    charging: bool | None = None
+    reports: int = 0
+    """Number of the battery's reports so far; a message may repeat the last."""
+    stamp_ns: int = 0
+    arrival_ns: int = 0
+
+    def at(self, now_ns: int) -> bool | None:
+        """Return whether the battery charges; None if that is not known, or the message is old."""
+        return self.charging if now_ns - self.arrival_ns <= CHARGING_NS else None
 
 
 class Inbox(Generic[ItemT]):
@@ -72,18 +94,21 @@ class Link(ABC):
         self.odometry, self.gyro, self.poses = Inbox[Arrival](1), Inbox[Arrival](), Inbox[Arrival]()
         self.gate = GateStatus()
         """The newest gate status."""
-        self.bumped = 0, 0
-        """Number of messages that reported a pressed front or rear bumper."""
-        self.pressed = False, False
-        """Whether they are pressed, by the newest message."""
+        self.bumpers = Bumpers()
+        self.charge = Charge()
         self.lease = DriverLease()
-        self._charging: tuple[bool | None, int] = None, 0
-        """Whether the battery charges by the newest message, and the moment of its arrival."""
-        self.battery_reports = self._battery_stamp_ns = 0
-        """Number of reports of the battery, of which a message may repeat the last, and that one's stamp."""
+        self.complaints: dict[str, str] = {}
+        """Why the first message of a topic that was not used could not be."""
 
     def receive(self, name: str, arrival: Arrival) -> None:
-        """Store a message of the bridge; an unreadable gate status is ignored."""
+        """Store a message; one that cannot be read is ignored, and is a complaint."""
+        try:
+            self._store(name, arrival)
+        except FormatError as error:
+            self.complaints.setdefault(name, str(error))
+
+    def _store(self, name: str, arrival: Arrival) -> None:
+        # The control loop runs in another thread: what it reads together is one object, replaced at once.
         match name:
             case "odom":
                 self.odometry.put(arrival)
@@ -92,18 +117,16 @@ class Link(ABC):
             case "pose":
                 self.poses.put(arrival)
             case "rover/gate":
-                with contextlib.suppress(FormatError):
-                    self.gate = parse_json(GateStatus, read_text(arrival.data))
+                self.gate = parse_json(GateStatus, read_text(arrival.data))
             case "battery_state":
-                with contextlib.suppress(FormatError):
-                    battery = read_battery(arrival.data)
-                    self._charging = battery.charging, arrival.arrival_ns
-                    self.battery_reports += abs(battery.stamp_ns - self._battery_stamp_ns) > REPEATED_NS
-                    self._battery_stamp_ns = battery.stamp_ns
+                battery, before = read_battery(arrival.data), self.charge
+                is_new = abs(battery.stamp_ns - before.stamp_ns) > REPEATED_NS
+                self.charge = Charge(
+                    battery.charging, before.reports + is_new, battery.stamp_ns, arrival.arrival_ns
+                )
             case "bumpers":
-                with contextlib.suppress(FormatError):
-                    front, rear = self.pressed = read_bumpers(arrival.data)
-                    self.bumped = self.bumped[0] + front, self.bumped[1] + rear
+                pressed, times = read_bumpers(arrival.data), self.bumpers.times
+                self.bumpers = Bumpers(pressed, (times[0] + pressed[0], times[1] + pressed[1]))
 
     @abstractmethod
     def authorised(self) -> bool:
@@ -119,11 +142,6 @@ class Link(ABC):
     @abstractmethod
     def release(self) -> None:
         """Stop the rover and release the lease, if this driver holds it; never raises."""
-
-    def charging(self, now_ns: int) -> bool | None:
-        """Return whether the battery charges by a report that is not old; None = not known."""
-        charging, arrival_ns = self._charging
-        return charging if now_ns - arrival_ns <= CHARGING_NS else None
 
     @abstractmethod
     def command(self, velocity: Velocity) -> int:

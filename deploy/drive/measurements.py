@@ -87,8 +87,7 @@ class Measurements:
         self.newest: Measurement[OdometrySample] | None = None
         self.taken: Counter[str] = Counter()
         self.unreadable: Counter[str] = Counter()
-        self.complaints: dict[str, str] = {}
-        """Why the first unreadable message of a topic is so."""
+        self.complaints = link.complaints
         self.doubtful: Counter[str] = Counter()
         """Samples that are not used because of their stamps."""
 
@@ -118,8 +117,8 @@ class Measurements:
             try:
                 sample = read(arrival.data)
             except FormatError as error:
+                self.complaints.setdefault(topic, str(error))
                 if not self.unreadable[topic]:
-                    self.complaints[topic] = str(error)
                     _LOGGER.info(f"a message on '{topic}' is not used: {error}")
                 self.unreadable[topic] += 1
                 continue

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from pydantic import Field
 
-from deploy.drive.link import Link
+from deploy.drive.link import Bumpers, Link
 from deploy.drive.measurements import Measurements
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.config import StrictModel
@@ -59,7 +59,7 @@ class SafetyMonitor:
         self._interrupted, self._clock = interrupted, clock
         self._timeouts = timeouts or Timeouts()
         self._granted_ns: int | None = None
-        self._granted_gate, self._granted_bumped = GateStatus(), (0, 0)
+        self._granted_gate, self._granted_bumped = GateStatus(), Bumpers().times
         self.contact = ""
         """The contact that the base reported since the lease was granted, in words."""
         self._confirmed: int | None = None
@@ -104,11 +104,11 @@ class SafetyMonitor:
     def granted(self) -> None:
         """Note that the lease is ours from now on; the gate has a limited time to confirm it."""
         self._granted_ns = self._checked_ns = self._clock.monotonic_ns()
-        self._granted_gate, self._granted_bumped = self._link.gate, self._link.bumped
+        self._granted_gate, self._granted_bumped = self._link.gate, self._link.bumpers.times
 
     def bumped(self, end: int) -> bool:
         """Return whether the bumper of an end (0 front, 1 rear) was pressed since the lease was granted."""
-        return self._link.bumped[end] > self._granted_bumped[end]
+        return self._link.bumpers.times[end] > self._granted_bumped[end]
 
     def check(self) -> None:
         """Check bridge, age of odometry and lease. Raises SafetyStop or KeyboardInterrupt."""

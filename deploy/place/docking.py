@@ -128,10 +128,10 @@ class Docking:
         off, out_m = self.place.errors(pose), self.place.out_m(pose)
         in_line = abs(off.lateral_m) <= STAGED_M and abs(off.yaw_rad) <= STAGED_RAD
         # Whatever it begins with, the rover may drive the approach, or all of it backward.
-        if blocked := in_the_way(self.place, self._approach.way, self._config.described):
-            raise SafetyStop("start-pose", blocked)
-        problem = ""
-        if in_line and CONTACT_M < out_m < self.place.staging_m - STAGED_M:
+        problem = in_the_way(self.place, self._approach.way, self._config.described)
+        if problem:
+            self._end(DockError.FAILED_TO_CONTROL, problem)
+        elif in_line and CONTACT_M < out_m < self.place.staging_m - STAGED_M:
             # It may stand in the dock: it does not turn on the spot there.
             self._begin(Stage.CONTROLLING if self._undock else Stage.RETRY, self._way_out(out_m), 0, pose)
         elif in_line and abs(out_m) <= CONTACT_M and self._undock:
@@ -140,11 +140,13 @@ class Docking:
             self._tries = 1
             self._begin(Stage.CONTROLLING, self._approach, -self._approach.way.course.ticks, pose)
         elif self._undock:
-            problem = f"the rover does not stand in {self.place.name}, but {off} of it"
+            self._end(
+                DockError.FAILED_TO_CONTROL, f"the rover does not stand in {self.place.name}, but {off} of it"
+            )
         else:
-            problem = self._to_staging(0, pose)
-        if problem:
-            raise SafetyStop("start-pose", problem)
+            self._drive_to_staging(0, pose)
+        if self.over:
+            raise SafetyStop("start-pose", self._why)
 
     def take(self, sample: OdometrySample | TurnSample | PoseSample, t: float) -> Outcome | None:
         """Give the estimator a sample, as `Controller.take`."""
@@ -274,24 +276,27 @@ class Docking:
             self._tries += 1
             self._begin(Stage.CONTROLLING, self._approach, index, pose)
             return
-        problem = self._to_staging(index, pose) if self._stagings < MAX_STAGINGS else "too many tries"
-        if problem:
-            self._end(DockError.FAILED_TO_STAGE, f"the rover is not at the staging pose: {problem}")
+        if self._stagings < MAX_STAGINGS:
+            self._drive_to_staging(index, pose)
+        else:
+            self._end(DockError.FAILED_TO_STAGE, "the rover is not at the staging pose: too many tries")
 
-    def _to_staging(self, index: int, pose: Pose) -> str:
-        """Begin the way to the staging pose, or return why there is none."""
-        away = distance(pose, self.place.staging)
+    def _drive_to_staging(self, index: int, pose: Pose) -> None:
+        """Begin the way to the staging pose, or end the docking if there is none."""
+        way, problem, away = None, "", distance(pose, self.place.staging)
         if away > FAR_M:
-            return f"{away:.2f} m from the staging pose (at most {FAR_M:g} m)"
-        # A moving rover cannot wait for a search among detours.
-        way, problems = to_staging(
-            self.place, pose, self._config.described, self._slower, detours=self.stage is Stage.NONE
-        )
+            problem = f"{away:.2f} m from the staging pose (at most {FAR_M:g} m)"
+        else:
+            # A moving rover cannot wait for a search among detours.
+            way, problems = to_staging(
+                self.place, pose, self._config.described, self._slower, detours=self.stage is Stage.NONE
+            )
+            problem = "; ".join(map(str, problems))
         if way is None:
-            return "; ".join(map(str, problems))
+            self._end(DockError.FAILED_TO_STAGE, f"the rover is not at the staging pose: {problem}")
+            return
         self._stagings += 1
         self._begin(Stage.NAV_TO_STAGING_POSE, self._leg(self._staging, way), index, pose)
-        return ""
 
     def _end(self, error: DockError, why: str = "") -> None:
         self.over, self._error, self._why = True, error, why

@@ -14,12 +14,11 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from deploy.place.outcome import Stage
 from deploy.view.findings import analyse
 from deploy.view.page import findings_data, findings_html, fragment
 from deploy.view.page_data import columns, event_rows
 from deploy.view.recorded_drive import KINDS, facts
-from deploy.view.timeline import Timeline
+from deploy.view.timeline import STAGES, Timeline
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.course.course import Course
 from rover_ncp.course.scoring import Parked, Verdict
@@ -32,8 +31,6 @@ FINAL = frozenset({*map(str, Parked), "ended", "fault"})
 """States of a driver whose drive has ended."""
 FIRST = frozenset({"waiting", "armed"})
 """States of a driver before its drive."""
-STAGES = tuple(map(str, Stage))
-"""A docking's driver reports its stage as its state."""
 BEFORE = 50
 """Odometry, commands and voltages kept before a drive begins."""
 SILENT_NS = 5_000_000_000
@@ -209,7 +206,7 @@ class Feed:
             if not self._ended or self._explained or timeline.other or len(timeline.ticks) < 2:
                 return
             self._explained = True
-        findings = analyse(timeline.trace())
+        findings = analyse(*timeline.traces())
         data, html = findings_data(findings), findings_html(findings)
         with self._lock:
             if generation == self._generation:

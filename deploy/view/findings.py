@@ -41,16 +41,17 @@ class Findings:
         return tuple(name for name, is_in in zip(self.trace.neurons, own, strict=True) if is_in == layer)
 
 
-def analyse(trace: Trace, earlier: Trace | None = None) -> Findings:
-    """Explain a run, with the phases of an ``earlier`` one by another policy in the same drive."""
-    phases = explain(trace)
+def analyse(*traces: Trace) -> Findings:
+    """Explain the runs of a drive, one behind the other; all but the phases is of the last run."""
+    trace, explained = traces[-1], [explain(each) for each in traces]
+    phases = explained[-1]
     moving = [phase for phase in phases if any(phase.signs)]
     potentials, sensing = trace.potentials, trace.policy.sensing.neurons
     driving = slice(moving[0].first, moving[-1].last) if moving else slice(1)
-    told = [*_told(trace, phases), *(_told(earlier, explain(earlier)) if earlier else [])]
+    told = [phase for each, found in zip(traces, explained, strict=True) for phase in _told(each, found)]
     return Findings(
         trace=trace,
-        phases=tuple(sorted(told, key=lambda phase: phase.start_s)),
+        phases=tuple(told),
         contributions=contributions(trace.neurons, potentials, driving),
         time_constants=time_constant_ranges(trace.policy.circuit, potentials, sensing),
     )

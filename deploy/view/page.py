@@ -77,7 +77,7 @@ def write_report(recording: Path, page: Path) -> Report:
 
 def drive_page(drive: Drive) -> str:
     """Return the report of a recorded drive as HTML."""
-    summary, findings = summarise(drive), analyse(drive.timeline.trace(), drive.timeline.staged_trace())
+    summary, findings = summarise(drive), analyse(*drive.timeline.traces())
     events = event_rows(drive.timeline)
     verdict, _, reason = summary.headline.partition(": ")
     return page(

@@ -103,17 +103,21 @@ def read_drive(path: Path) -> Drive:
 def summarise(drive: Drive) -> Summary:
     """Summarise a drive for its report."""
     dock = drive.timeline.dock
-    verdicts = drive.timeline.judge() if dock is None else {}
+    verdicts = {} if drive.docks else drive.timeline.judge()
     rows = list(facts(drive.timeline, verdicts))
     if drive.settings.get("dry_run"):
         rows.append(("Dry run", "no command was sent"))
     if drive.damage:
         rows.append(("Recording", f"{drive.damage}; the page shows what precedes it"))
-    if dock is None:
-        parked, headline = _headline(verdicts, drive.timeline.status)
-    else:
+    if dock is not None:
         parked, headline = _dock_headline(dock, drive.timeline.status)
         rows[:0] = _dock_rows(dock, drive)
+    elif drive.docks:  # the driver was killed: only its own verdict says whether the rover is docked
+        what = "undocked from" if drive.settings.get("undock") else "docked at"
+        parked = Parked.NO
+        headline = f"Not {what} {drive.course.name}: the recording ends before the driver's verdict"
+    else:
+        parked, headline = _headline(verdicts, drive.timeline.status)
     began = datetime.fromtimestamp(drive.timeline.ticks[0].wall_ns * 1e-9, UTC)
     return Summary(
         parked=parked,

@@ -35,6 +35,8 @@ from rover_ncp.wire.messages import (
 from rover_ncp.wire.protocol import DriverStatus, GateStatus, parse_json
 
 TRUTH_TOPIC = "truth/pose"
+STAGES = tuple(map(str, Stage))
+"""A docking's driver reports its stage as its state."""
 MAX_VALUE = 1e9
 """Limit for poses in m and rad, covariances and potentials in mV: larger numbers overflow when squared."""
 
@@ -53,8 +55,13 @@ class Tick(NamedTuple):
     wall_ns: int
     estimate: Estimated
     potentials: FloatArray
-    staged: bool = False
-    """Whether the policy drove that drives to the staging pose of a place."""
+    stage: str = ""
+    """The stage of a docking with its try, as the driver's status has them; "" for a drive of a course."""
+
+    @property
+    def staged(self) -> bool:
+        """Whether the policy drove that drives to the staging pose of a place."""
+        return self.stage.startswith(Stage.NAV_TO_STAGING_POSE)
 
 
 class Moved(NamedTuple):
@@ -170,27 +177,22 @@ class Timeline:
         """Return a pose of odometry in the course frame; None before the first tick."""
         return None if self._course_odom is None else compose(self._course_odom, odometry)
 
-    def trace(self) -> Trace:
-        """Return the drive, which has a tick, as a run of its circuit: the ticks of the drive's last policy.
+    def traces(self) -> list[Trace]:
+        """Return the drive, which has a tick, as runs of its circuits, in order: one of each stage of a try.
 
-        Those of the policy that drove to the staging pose are `staged_trace`.
+        No circuit drives a rover that waits for the charge: that stage is left out, unless there is no other.
         """
-        return self._trace(self.ticks[-1].staged)
+        stages = [list(pairs) for _, pairs in groupby(self._pairs(), key=lambda pair: pair[0].stage)]
+        driven = [pairs for pairs in stages if not pairs[0][0].stage.startswith(Stage.WAIT_FOR_CHARGE)]
+        return [self._trace(pairs) for pairs in driven or stages]
 
-    def staged_trace(self) -> Trace | None:
-        """Return the way to the staging pose; None without one, or if the drive ended on it."""
-        if self.ticks[-1].staged or not any(tick.staged for tick in self.ticks):
-            return None
-        return self._trace(True)
-
-    def _trace(self, staged: bool) -> Trace:
-        policy = self.staging if staged and self.staging else self.policy
-        of_policy = [(tick, later) for tick, later in self._pairs() if tick.staged == staged]
-        potentials = np.array([tick.potentials for tick, _ in of_policy])
+    def _trace(self, pairs: Sequence[tuple[Tick, Pose]]) -> Trace:
+        policy = self.staging if pairs[0][0].staged and self.staging else self.policy
+        potentials = np.array([tick.potentials for tick, _ in pairs])
         return Trace(
             policy=policy,
-            times=np.array([(tick.wall_ns - self.ticks[0].wall_ns) * 1e-9 for tick, _ in of_policy]),
-            poses=np.array([*(tick.estimate.pose for tick, _ in of_policy), of_policy[-1][1]]),
+            times=np.array([(tick.wall_ns - self.ticks[0].wall_ns) * 1e-9 for tick, _ in pairs]),
+            poses=np.array([*(tick.estimate.pose for tick, _ in pairs), pairs[-1][1]]),
             commands=motor_outputs(policy, potentials),
             potentials=potentials,
         )
@@ -257,8 +259,8 @@ class Timeline:
 
     def _read_status(self, message: Recorded) -> None:
         before, self.status = self.status, parse_json(DriverStatus, read_text(message.data))
-        if self.staging and self.ticks and self.status.state.startswith(Stage.NAV_TO_STAGING_POSE):
-            self.ticks[-1] = self.ticks[-1]._replace(staged=True)
+        if self.ticks and self.status.state.startswith(STAGES):
+            self.ticks[-1] = self.ticks[-1]._replace(stage=self.status.state)
         self._events += [Event(message.log_ns, *event) for event in _driver_events(before, self.status)]
 
     def _read_gate(self, message: Recorded) -> None:

@@ -158,7 +158,7 @@ def explain(source: str, course: str | None = None, *, on_progress: Progress = l
             f"{source}: the recording of a docking, which has no course to simulate; "
             f"'rover-ncp report {source}' explains it"
         )
-    recorded = drive.timeline.trace(), next(iter(drive.timeline.judge().values()))
+    recorded = drive.timeline.traces()[0], next(iter(drive.timeline.judge().values()))
     return explain_drive(
         source, command, drive.policy, drive.course, recorded, on_progress=on_progress, robot=drive.robot
     )

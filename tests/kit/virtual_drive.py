@@ -198,7 +198,13 @@ class VirtualDrive:
     def run(self):
         """Drive; return the result as JSON has it."""
         files = attachments(self.policy, self.course, self.config, self.staging)
-        publisher = Publisher(self.link, self.recorded.append, self.policy.circuit.neurons, self.bridge)
+        publisher = Publisher(
+            self.link,
+            self.recorded.append,
+            self.policy.circuit.neurons,
+            self.bridge,
+            frame=self.config.pose_frame,
+        )
         drive = Drive(
             self.link, self.controller(), publisher, self.config, self.interrupted, clock=self.bridge
         )

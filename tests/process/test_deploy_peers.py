@@ -5,17 +5,22 @@ from contextlib import ExitStack, contextmanager
 
 import numpy as np
 import pytest
+import zenoh
 from kit.bridge_bench import client, wait_for
 
+from deploy.drive.config import DriveConfig
+from deploy.drive.measurements import Measurements
+from deploy.drive.safety_monitor import SafetyMonitor
+from deploy.drive.start import StartDetector
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.publishers import INPUTS, Publishers
 from deploy.view.server import Viewer
 from deploy.zenoh_client import BridgeAddress
-from rover_ncp.core.errors import NoBridge
+from rover_ncp.core.errors import NoBridge, NoPose
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.robot.description import load_description
-from rover_ncp.wire.messages import odometry, pose_with_covariance
-from rover_ncp.wire.protocol import BaseReply, MotorsReply, StopReply, TimeoutState, dump_json
+from rover_ncp.wire.messages import battery_state, bumpers, imu, odometry, pose_with_covariance, text
+from rover_ncp.wire.protocol import BaseReply, GateStatus, MotorsReply, StopReply, TimeoutState, dump_json
 from rover_ncp.wire.zenoh import client_config
 from sim.live.peers import Peer
 
@@ -64,6 +69,44 @@ def test_one_publisher_of_each_is_not_reported(rig):
         time.sleep(2.0)
         assert list(found.problems("")) == []
         assert found.elsewhere("pose", "bot1") == [""]
+
+
+BASE = {
+    "battery_state": battery_state(12.34, 1, charging=True),
+    "bumpers": bumpers(True, True),
+    "imu": imu(0.5, 1.0, 1),
+    "odom": odometry(Pose(9.0, 9.0, 0.0), Velocity(0.0, 0.0), 1),
+    "rover/gate": text(dump_json(GateStatus(lease=99, ended="bumper")).decode()),
+}
+
+
+def test_what_the_base_reports_counts_from_the_bridge_alone(rig):
+    """A false charge would be a proof of a docking, false contact the end of a drive."""
+    received = []
+    with ZenohLink(BridgeAddress(rig.robot), received.append) as link, client(rig.robot) as peer:
+        wait_for(lambda: link.odometry.take(0.1))
+        for name, data in BASE.items():
+            publisher = peer.declare_publisher(name)
+            publisher.put(data)
+            publisher.put(data, source_info=zenoh.SourceInfo(publisher.id, 1))
+        time.sleep(0.5)
+        wait_for(lambda: link.odometry.take(0.1))
+    assert {message.topic for message in received} >= {"odom", "rover/gate", "bumpers"}
+    assert not [message.topic for message in received if message.data in BASE.values()]
+
+
+def test_pose_that_is_too_long_is_named(rig):
+    long = pose_with_covariance(STANDS, np.eye(3) * 1e-4, 1, "m" * 100_000)
+    with ZenohLink(BridgeAddress(rig.robot), lambda message: None) as link, client(rig.robot) as peer:
+        config = DriveConfig(
+            robot=rig.robot, policy="p", course="c", ticks=1, pose="required", pose_wait_s=1.0
+        )
+        measurements = Measurements(link)
+        monitor = SafetyMonitor(link, measurements, lambda: False, config)
+        monitor.wait(drives=False)
+        peer.put("pose", long, congestion_control=zenoh.CongestionControl.BLOCK)
+        with pytest.raises(NoPose, match=r"100[0-9]{3} bytes, expected at most 4096"):
+            StartDetector(link, measurements, config, time).wait(monitor)
 
 
 @pytest.fixture(params=["false", "unreadable", "silent"])

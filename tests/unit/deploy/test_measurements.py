@@ -37,7 +37,9 @@ class Driver:
     def __init__(self):
         self.inboxes = {"odom": Inbox(1), "imu": Inbox(), "pose": Inbox()}
         odometry, gyro, poses = self.inboxes.values()
-        self.measurements = Measurements(SimpleNamespace(odometry=odometry, gyro=gyro, poses=poses))
+        self.measurements = Measurements(
+            SimpleNamespace(odometry=odometry, gyro=gyro, poses=poses, complaints={})
+        )
 
     def take(self, topic, stamp_ns, arrival_ns):
         """Return what a message makes available."""

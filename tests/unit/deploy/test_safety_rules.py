@@ -7,6 +7,7 @@ import pytest
 from kit.virtual_drive import AHEAD, controlled
 from pydantic import ValidationError
 
+from deploy.drive.link import Bumpers
 from deploy.drive.safety_monitor import ResponseCheck, SafetyMonitor, Timeouts, revoked
 from deploy.drive.signed_lease import DriverLease
 from rover_ncp.circuit.policy_file import load_policy
@@ -26,7 +27,11 @@ class Drive:
     def __init__(self):
         self.now_ns, self.sleeps, self.signal = BEGIN_NS, [], False
         self.link = SimpleNamespace(
-            robot="tcp/x", where=" (namespace y)", bridge_alive=True, authorised=lambda: True, bumped=(0, 0)
+            robot="tcp/x",
+            where=" (namespace y)",
+            bridge_alive=True,
+            authorised=lambda: True,
+            bumpers=Bumpers(),
         )
         self.link.gate, self.link.lease = GateStatus(), DriverLease()
         self.newest = SimpleNamespace(ref=SimpleNamespace(measured_ns=BEGIN_NS))
@@ -202,10 +207,10 @@ def test_a_revoked_lease_names_who_revoked_it(status, words):
 
 def test_the_first_contact_since_the_grant_is_kept():
     drive = Drive()
-    drive.link.bumped, drive.link.gate = (3, 0), GateStatus(stops={"stall": 1})
+    drive.link.bumpers, drive.link.gate = Bumpers(times=(3, 0)), GateStatus(stops={"stall": 1})
     drive.granted(lease=7, stops={"stall": 1}).check()
     assert drive.monitor.contact == ""
-    drive.link.bumped = 3, 1
+    drive.link.bumpers = Bumpers(times=(3, 1))
     drive.check()
     assert drive.monitor.contact == "a bumper is pressed"
     drive.link.gate = GateStatus(lease=7, held="stall")

@@ -5,8 +5,11 @@ from collections import Counter
 import numpy as np
 import pytest
 from kit.virtual_docking import BEFORE_STAGING, STAGING, VirtualDocking, charging, place
+from kit.virtual_drive import ChangedLink
 
-from deploy.place.outcome import DockError
+from deploy.drive.records import attachments
+from deploy.drive.tick_messages import FRAMES_TOPIC, PATH_TOPIC, POSE_TOPIC
+from deploy.place.outcome import DockError, Stage
 from deploy.replay import replay
 from deploy.view.findings import analyse
 from deploy.view.page_data import columns
@@ -15,6 +18,7 @@ from deploy.view.trace import synapse_currents
 from rover_ncp.core.errors import NoBridge
 from rover_ncp.core.geometry import ORIGIN, Pose, distance
 from rover_ncp.course.course import Obstacle
+from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.messages import (
     battery_state,
     bumpers,
@@ -22,6 +26,7 @@ from rover_ncp.wire.messages import (
     read_battery,
     read_bumpers,
     read_odometry,
+    read_pose,
 )
 
 DOCK = Obstacle(x=2.365, y=1.0, length=0.1, width=0.6)
@@ -60,6 +65,17 @@ def test_rover_docks_within_the_tolerances_by_its_true_pose(docked):
     assert docked.result.dock.by_proof.lateral_m == pytest.approx(left, abs=0.003)
 
 
+def test_poses_of_a_docking_are_in_the_places_frame(docked):
+    estimates = [read_pose(data).frame for data in docked.messages("rover/estimate")]
+    views = {
+        message.topic: decode(message.type, message.data)
+        for message in docked.recorded
+        if message.topic in {POSE_TOPIC, PATH_TOPIC, FRAMES_TOPIC}
+    }
+    headers = [views[POSE_TOPIC].header, views[PATH_TOPIC].header, views[FRAMES_TOPIC].transforms[0].header]
+    assert {*estimates, *(header.frame_id for header in headers)} == {"map"}
+
+
 def test_docking_is_replayed_to_the_last_bit(docked):
     found = replay(docked.path)
     assert found.same, found
@@ -81,7 +97,7 @@ def test_report_names_the_place_and_how_it_ended(read):
 
 def test_report_explains_each_part_of_the_way_by_the_policy_that_drove_it(read):
     timeline = read.timeline
-    own, staged = timeline.trace(), timeline.staged_trace()
+    staged, own = timeline.traces()
     assert (own.policy.circuit.name, staged.policy.circuit.name) == ("dock", "course")
     assert len(own.times) + len(staged.times) == len(timeline.ticks)
     assert staged.times[-1] < own.times[0] < staged.times[-1] + 0.2
@@ -90,7 +106,7 @@ def test_report_explains_each_part_of_the_way_by_the_policy_that_drove_it(read):
     for trace, tick in ((staged, 50), (own, len(timeline.ticks) - 50)):
         wanted = synapse_currents(trace.policy.circuit, timeline.ticks[tick].potentials[None]).pull[0]
         assert [column[tick] for column in pulls] == pytest.approx(wanted, abs=0.006)
-    found = analyse(own, staged).phases
+    found = analyse(staged, own).phases
     assert [phase.start_s for phase in found] == sorted(phase.start_s for phase in found)
     assert found[0].start_s < 1.0
 
@@ -391,3 +407,46 @@ def test_somebody_on_the_way_to_the_staging_pose_stops_the_rover():
     result = drive.run()
     assert (result.exit_code, result.stopped_by) == (4, "stall")
     assert drive.stands()
+
+
+class Racing(ChangedLink):
+    """Receives that the charge ended at once after the control loop, which waits, has read that it flows."""
+
+    received = False
+
+    def __getattribute__(self, name):
+        value = super().__getattribute__(name)
+        waits = isinstance(value, tuple) and value[:1] == (True,) and not Racing.received
+        if waits and self.statuses and self.statuses[-1].state.startswith(Stage.WAIT_FOR_CHARGE):
+            Racing.received = True
+            stamp_ns = self.bridge.time_ns()
+            self.put("battery_state", battery_state(12.5, stamp_ns, charging=False))
+        return value
+
+
+def test_report_that_comes_while_the_last_one_is_read_makes_no_charge_of_it():
+    drive = VirtualDocking(place(proof="charging", retries=0), Pose(1.955, 1.0, 0.0))
+    drive.link.__class__ = Racing
+    stamps = []
+
+    def repeated(data):
+        stamps.append(read_battery(data).stamp_ns)
+        return None if Racing.received else battery_state(12.5, stamps[0], charging=True)
+
+    drive.link.change["battery_state"] = repeated
+    dock = drive.run().dock
+    assert Racing.received
+    assert (dock.success, dock.error_code) == (False, DockError.FAILED_TO_CHARGE)
+
+
+def test_page_of_a_docking_whose_driver_was_killed_claims_nothing(tmp_path):
+    drive = charging(VirtualDocking(place(proof="charging", retries=0), Pose(2.0, 1.0, 0.0)), None)
+    drive.run()
+    states = {message.log_ns for message in drive.recorded if b"RETRY" in message.data}
+    drive.recorded = [message for message in drive.recorded if message.log_ns < min(states)]
+    drive.path = tmp_path / "killed.mcap"
+    drive._write(attachments(drive.policy, drive.course, drive.config, drive.staging))
+    summary = summarise(read_drive(drive.path))
+    assert summary.parked == "not parked"
+    assert summary.headline == "Not docked at bay: the recording ends before the driver's verdict"
+    assert "By the estimated pose" not in dict(summary.rows)

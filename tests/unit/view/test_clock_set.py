@@ -90,7 +90,7 @@ SETTINGS = [
 @pytest.mark.parametrize(("by_ns", "at", "log"), SETTINGS)
 def test_clock_that_is_set_in_a_drive_changes_no_time_of_its_report(tmp_path, unset_drive, by_ns, at, log):
     drive, unset = read_drive(write(tmp_path / "set.mcap", by_ns, at, log)), unset_drive
-    assert drive.timeline.trace().times == pytest.approx(driven()[1].times[:-1])
+    assert drive.timeline.traces()[0].times == pytest.approx(driven()[1].times[:-1])
     assert drive.timeline.judge() == unset.timeline.judge()
     assert dict(facts(drive.timeline, None)) == dict(facts(unset.timeline, None))
     rows = dict.fromkeys(drive.timeline.streams, 0)

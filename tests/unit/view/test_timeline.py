@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from kit.recorded_drives import BEGAN_NS, TICK_NS, state, write_drive
 
+from deploy.view.findings import analyse
 from deploy.view.recorded_drive import read_drive
 from deploy.view.timeline import Timeline
 from rover_ncp.core.errors import ConfigError, FileError
@@ -24,7 +25,7 @@ def timeline_of(short, messages):
 def test_a_drive_gives_back_the_run_it_was_recorded_from(short):
     timeline, run = timeline_of(short, short.messages), short.run
     assert np.allclose(timeline.ticks[3].estimate.covariance, np.diag([4e-6, 8e-6, 4e-6]))
-    trace = timeline.trace()
+    trace = timeline.traces()[0]
     assert trace.times == pytest.approx(run.times[:-1])
     assert trace.poses == pytest.approx(run.poses)
     assert (trace.potentials == run.potentials).all()
@@ -162,3 +163,20 @@ def test_incomplete_recordings_are_rejected(tmp_path):
         read_drive(attached(tmp_path / "still.mcap", **files))
     with pytest.raises(ConfigError, match=r"broken\.mcap, policy\.yaml"):
         read_drive(attached(tmp_path / "broken.mcap", policy=b"format: 9", course=b""))
+
+
+def test_motion_of_another_stage_is_no_motion_of_a_policy(short):
+    """A way to the staging pose, an approach, and a second way: each third of a drive."""
+    ticks = len(short.run.commands)
+    stages = ["NAV_TO_STAGING_POSE, try 1 of 2", "CONTROLLING, try 1 of 2", "NAV_TO_STAGING_POSE, try 2 of 2"]
+    timeline = Timeline(short.policy, short.course, short.policy)
+    for message in short.messages:
+        timeline.take(message)
+        if message.topic == "rover/neurons":
+            stage = stages[3 * (len(timeline.ticks) - 1) // ticks]
+            timeline.take(state(DriverStatus(state=stage), message.log_ns))
+    phases = analyse(*timeline.traces()).phases
+    steps = np.hypot(*np.diff(short.run.poses[:, :2], axis=0).T)
+    assert sum(phase.driven_m for phase in phases) == pytest.approx(steps.sum())
+    ends = [0.1 * np.ceil(third * ticks / 3) for third in (1, 2)]
+    assert not [phase for phase in phases if any(phase.start_s < end < phase.end_s for end in ends)]

@@ -125,6 +125,8 @@ class LinkHealth(NamedTuple):
     counters: Mapping[str, int]
     silent: tuple[str, ...] = ()
     """What should report hazards and has not reported anything."""
+    unheard: tuple[str, ...] = ()
+    """Other inputs of the description that have sent nothing, each with what was found instead."""
 
 
 class Base(Protocol):

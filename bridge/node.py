@@ -103,7 +103,7 @@ class Node:
         self._total_suspended_s, self._suspended_s = suspended_s, suspended_s()
         self._limits, self._accept_ros = limits, accept_ros
         self._ready = ready
-        self._answers = Answers(limits, link.key, self._judge, self._base)
+        self._answers = Answers(limits, link.key, self._judge, self._base, self._wall_ns)
         self.gate = GateState()
         self.reconnects = -1
         """Number of reconnections of the base; −1 until the first connection."""
@@ -192,7 +192,7 @@ class Node:
                     self._link.publish("imu", ros.turn_rate(rate, self._robot, stamp_ns))
                 case Ready(hardware, robot):
                     self._hardware, self._robot, self._errors = hardware, robot, OdometryErrors(robot)
-                    self._answers.model = robot.name
+                    self._answers.model, self._answers.problem = robot.name, ""
                     self.reconnects += 1
                     if self.reconnects > 0:
                         self._judge(BaseLost("its odometry restarted", restarted=True), arrived_s)
@@ -200,11 +200,12 @@ class Node:
                     if self.reconnects == 0:
                         self._ready()
                 case Recovered():
+                    self._answers.problem = ""
                     _LOGGER.info("the base sends packets again")
                 case Notice(words):
                     _LOGGER.info(words)
                 case Lost(reason):
-                    self._report = None
+                    self._report, self._answers.problem = None, reason
                     self._judge(BaseLost(reason), arrived_s)
                     _LOGGER.info(f"the base is lost: {reason}")
                 case Failed(reason):

@@ -4,8 +4,10 @@ While a lease is held, a request for the motors counts only with a valid digest 
 digest is verified before the request is parsed. The key is in the answer to a new driver, and nowhere else.
 """
 
+import math
 import secrets
 from collections.abc import Callable
+from importlib.metadata import version
 
 from pydantic import BaseModel
 
@@ -51,7 +53,7 @@ UNCHECKED = "unchecked"
 class Answers:
     """Answers for the loop, which passes requests on to the gate by ``judge(event, now)``.
 
-    ``key`` is the key expression of a name.
+    ``key`` is the key expression of a name, ``wall_ns`` the wall clock at a moment of the monotonic one.
     """
 
     def __init__(
@@ -60,10 +62,15 @@ class Answers:
         key: Callable[[str], str],
         judge: Callable[[GateEvent, float], Verdict],
         base: GuardedBase,
+        wall_ns: Callable[[float], int],
     ) -> None:
         self._limits, self._key, self._judge, self._base = limits, key, judge, base
+        self._wall_ns = wall_ns
+        self._versions = version("rover-ncp"), version("eclipse-zenoh")
         self.model = ""
         """Model of the base, once it is ready."""
+        self.problem = ""
+        """Why the base is lost."""
 
     def give(self, query: Query, now: float, gate: GateState) -> None:
         """Answer one query that arrived at ``now``; ``gate`` is the state before it."""
@@ -133,14 +140,22 @@ class Answers:
     def _about_base(self, query: Query, now: float, gate: GateState) -> BaseReply:
         request = parse_json(BaseRequest, query.payload)
         reason = self._measure(query, request, now, gate) if request.measure else ""
-        known = self._base.base_timeout
+        known, health, (own, zenoh) = self._base.base_timeout, self._base.health(), self._versions
+        nan, report = math.nan, gate.base
+        ahead, behind = (nan, nan) if report is None else (report.clear_ahead_m, report.clear_behind_m)
         return BaseReply(
             model=self.model,
             battery_min_v=self._limits.battery_min_v,
             state=known.state,
             timeout_s=known.timeout_s,
             reason=reason,
-            silent=self._base.health().silent,
+            silent=health.silent,
+            unheard=health.unheard,
+            problem=self.problem,
+            version=own,
+            zenoh=zenoh,
+            wall_ns=self._wall_ns(now),
+            room_m=(_finite(ahead), _finite(behind)),
         )
 
     def _measure(self, query: Query, request: BaseRequest, now: float, gate: GateState) -> str:
@@ -169,6 +184,10 @@ class Answers:
         else:
             problem = self._base.reset_odometry()
         return ResetReply(ok=not problem, reason=problem)
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def _refusal(refusal: Reason, gate: GateState) -> MotorsRefusal:

@@ -223,6 +223,9 @@ def check(
     on_blocks: Annotated[
         bool, typer.Option("--on-blocks", help="The wheels are off the ground; the check turns them.")
     ] = False,
+    on_floor: Annotated[
+        bool, typer.Option("--on-floor", help="The robot has 2 m free ahead and 0.5 m to each side.")
+    ] = False,
     model: Model = None,
     namespace: Namespace = "",
     zenoh_config: ZenohConfig = None,
@@ -239,15 +242,18 @@ def check(
 
         rover-ncp check --robot tcp/192.168.1.20 --on-blocks
     """
-    if not on_blocks:
-        raise UsageError("the check turns the wheels: put the robot on blocks and give --on-blocks")
+    if on_blocks == on_floor:
+        raise UsageError(
+            "the check turns the wheels: put the robot on blocks and give --on-blocks, or on a free floor "
+            "and give --on-floor"
+        )
     from deploy.check import run
     from deploy.zenoh_client import BridgeAddress
     from rover_ncp.robot.description import load_description
 
     output = Output(json, controls=True)
     described = load_description(model) if model else None
-    found = run(BridgeAddress(robot, namespace, zenoh_config), described)
+    found = run(BridgeAddress(robot, namespace, zenoh_config), described, on_floor=on_floor)
     lines = [f"{'ok ' if each.ok else 'NO '} {each.name:9} {each.detail}" for each in found.findings]
     last = found.findings[-1]
     verdict = "yes: it may drive" if found.ready else f"no: {last.name}: {last.detail}"

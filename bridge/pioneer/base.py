@@ -76,7 +76,8 @@ class ArcosBase:
     def health(self) -> LinkHealth:
         decoder = self._session.decoder
         counters = {name: getattr(decoder, name) for name in ("packets", "bad_checksums", "skipped_bytes")}
-        return LinkHealth(self._now < self._damaged_until_s, counters)
+        unheard = ("its gyro, which HasGyro in its FLASH names",) if self._session.gyro_silent else ()
+        return LinkHealth(self._now < self._damaged_until_s, counters, unheard=unheard)
 
     @property
     def base_timeout(self) -> BaseTimeout:

@@ -84,6 +84,7 @@ class Session:
         self._names = ("", "", "")
         self._report: BaseReport | None = None
         self._config: ConfigPac | None = None
+        self._gyro_seen = False
         self._out = bytearray()
         self._events: list[SessionEvent] = []
         self._reason = ""
@@ -211,6 +212,7 @@ class Session:
         if packet.kind == Kind.CONFIG:
             self._config = ConfigPac.decode(packet.payload)
         if packet.kind == Kind.GYRO and self.state is SessionState.READY:
+            self._gyro_seen = True
             rate = GyroPac.decode(packet.payload).rate
             if rate is not None:
                 self._events.append(TurnRate(rate))
@@ -320,8 +322,17 @@ class Session:
         self._send(Command.CONFIG)
         self._asked_s = self._now
 
+    @property
+    def _has_gyro(self) -> bool:
+        return self._config is not None and self._config.has_gyro == GYRO_CLIENT_SIDE
+
+    @property
+    def gyro_silent(self) -> bool:
+        """Whether the base has a gyro that has sent nothing."""
+        return self._has_gyro and not self._gyro_seen
+
     def _ask_for_gyro(self) -> None:
-        if self._config is not None and self._config.has_gyro == GYRO_CLIENT_SIDE:
+        if self._has_gyro:
             self._send(Command.GYRO, 1)
 
     def _settle(self) -> None:

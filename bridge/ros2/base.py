@@ -39,8 +39,11 @@ from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.robot.description import RobotDescription, Topics
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import (
+    BATTERY_STATE,
     BUMP,
     CLIFF,
+    IMU,
+    LASER_SCAN,
     ODOMETRY,
     STALL,
     TWIST,
@@ -145,6 +148,10 @@ class Ros2Base:
         self._alone_since_s: float | None = None
         self._battery, self._battery_s = _NO_BATTERY, -math.inf
         self._hazards = Hazards(self._topics)
+        topics = self._topics
+        inputs = {topics.imu: IMU, topics.battery_state: BATTERY_STATE, topics.scan: LASER_SCAN}
+        self._unheard = {topic: ros_type for topic, ros_type in inputs.items() if topic is not None}
+        """Sensor topics on which no message came, and their types."""
         self._turns = GyroTurns()
         self._room = ScanRoom(description) if self._topics.scan is not None else None
         self._timeout = TimeoutRecord(description.measured_base_timeout_s, unsafe)
@@ -198,7 +205,8 @@ class Ros2Base:
     def health(self) -> LinkHealth:
         counters = self._odometer.counters | {"imu left out": self._turns.left_out}
         silent = tuple(self._line.topic(topic) for topic in sorted(self._hazards.silent))
-        return LinkHealth(counters["unreadable"] > 0, counters, silent)
+        unheard = tuple(self._found_instead(topic, wanted) for topic, wanted in self._unheard.items())
+        return LinkHealth(counters["unreadable"] > 0, counters, silent, unheard)
 
     @property
     def note(self) -> str:
@@ -233,6 +241,7 @@ class Ros2Base:
 
     def _message(self, message: RobotMessage) -> list[BaseEvent]:
         topic, now = message.topic, message.arrived_s
+        self._unheard.pop(topic, None)
         if topic == self._topics.odom:
             moved = self._odometer.take(message.payload, now, message.source)
             return self._report(moved, now) if moved is not None else []
@@ -370,6 +379,19 @@ class Ros2Base:
         )
         known = f"published there: {', '.join(published[:8])}" if published else "no topic is announced there"
         return f"no {ODOMETRY} arrives on {where}; {known}"
+
+    def _found_instead(self, topic: str, wanted: str) -> str:
+        """Return what is announced in place of a topic on which nothing comes."""
+        where = self._line.topic(topic)
+        others = [found for found in self._tokens if found.published and found.zid != self._line.zid]
+        types = sorted({found.ros_type for found in others if found.topic == where} - {wanted})
+        elsewhere = sorted({found.topic for found in others if found.ros_type == wanted} - {where})
+        words = f"no message on {where}"
+        if types:
+            return f"{words}: it has the type {', '.join(types[:3])}, expected {wanted}"
+        if elsewhere:
+            return f"{words}: {wanted} is published on {', '.join(elsewhere[:3])}"
+        return f"{words}, expected {wanted}"
 
     def _other_type(self) -> str:
         """Return what is wrong with the type of ``cmd_vel``, as the robot announces it."""

@@ -12,7 +12,7 @@ from deploy.drive.signed_lease import DriverLease
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.wire.messages import read_battery, read_bumpers, read_text
-from rover_ncp.wire.protocol import GateStatus, MotorsReply, parse_json
+from rover_ncp.wire.protocol import BaseReply, GateStatus, MotorsReply, parse_json
 
 ItemT = TypeVar("ItemT")
 INBOX_LENGTH = 1000
@@ -138,6 +138,14 @@ class Link(ABC):
 
         ``unchecked`` also requests a robot that is not known to halt when the bridge dies.
         """
+
+    def bridges(self) -> list[str]:
+        """Return the namespaces in which a bridge is announced."""
+        return []
+
+    def about_base(self) -> BaseReply | None:
+        """Return what the bridge knows of its base; None if it does not answer."""
+        return None
 
     @abstractmethod
     def release(self) -> None:

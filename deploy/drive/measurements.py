@@ -55,12 +55,15 @@ class Measurement(NamedTuple, Generic[SampleT]):
     arrival_ns: int
 
 
-def pose_reader(frame: str) -> Callable[[bytes], PoseSample]:
-    """Return the decoder of external poses, which raises FormatError for a pose in another frame."""
+def pose_reader(frame: str | None) -> Callable[[bytes], PoseSample]:
+    """Return the decoder of external poses, which raises FormatError for a pose in another frame.
+
+    With None it takes poses in any frame.
+    """
 
     def read(data: bytes) -> PoseSample:
         sample = read_pose(data)
-        if sample.frame not in {"", frame}:
+        if frame is not None and sample.frame not in {"", frame}:
             raise FormatError(f"pose in frame {sample.frame!r}, expected {frame!r}")
         return sample
 
@@ -78,7 +81,7 @@ def readers(pose_frame: str) -> dict[str, Callable[[bytes], Sample]]:
 class Measurements:
     """Takes the received samples of one link, decodes them and counts them by topic."""
 
-    def __init__(self, link: Link, pose_frame: str = COURSE_FRAME) -> None:
+    def __init__(self, link: Link, pose_frame: str | None = COURSE_FRAME) -> None:
         self._link, self._read_pose = link, pose_reader(pose_frame)
         # External poses may come late, out of order, and stamped by any clock.
         self._clocks = {"odom": StampClock(), "imu": StampClock(), "pose": StampClock(in_order=False)}

@@ -79,7 +79,20 @@ class SafetyMonitor:
         if drives and not self.until(link.authorised, timeouts.permission_wait_s):
             raise NotAuthorised(f"not authorised: the bridge at {link.robot} does not take commands from us")
         if not self.until(lambda: self._measurements.odometry(0) is not None, timeouts.odometry_wait_s):
-            raise NoRobot(f"the bridge at {link.robot} sends no odometry: is its base connected?")
+            raise NoRobot(f"the bridge at {link.robot} sends no odometry: {self.why_no_odometry()}")
+
+    def why_no_odometry(self) -> str:
+        """Return what is known of the cause when no odometry arrives that can be used."""
+        measurements, base = self._measurements, self._link.about_base()
+        if complaint := measurements.complaints.get("odom"):
+            return f"its messages cannot be read: {complaint}"
+        if base is None:
+            return "it does not answer on rover/base either"
+        if base.problem:
+            return f"it reports that {base.problem}"
+        if count := measurements.doubtful["odom"]:
+            return f"the stamps of {count} messages do not fit the times of their arrival"
+        return f"it reports the base {base.model or 'as not connected yet'}; see the bridge's log"
 
     def wait_for_bridge(self) -> None:
         """Wait for the bridge's liveliness token. Raises NoBridge or KeyboardInterrupt."""
@@ -87,8 +100,13 @@ class SafetyMonitor:
         if not self.until(lambda: link.bridge_alive, wait_s):
             raise NoBridge(
                 f"something answers at {link.robot}, but no bridge is announced there{link.where} "
-                f"within {wait_s:g} s"
+                f"within {wait_s:g} s{self._bridges()}"
             )
+
+    def _bridges(self) -> str:
+        """Return the namespaces in which bridges are announced, in words; "" if there are none."""
+        found = [where or "no namespace" for where in self._link.bridges()]
+        return f"; bridges are announced in: {', '.join(found)} (--namespace)" if found else ""
 
     def until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait for a condition; return False if it did not hold in time. Raises KeyboardInterrupt."""

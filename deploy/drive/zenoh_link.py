@@ -42,6 +42,7 @@ from rover_ncp.wire.protocol import (
 
 QUERY_TIMEOUT_S = 2.0
 RELEASE_TIMEOUT_S = 1.0
+BRIDGES_S = 1.0
 ROUND_TRIP_S, REQUEST_TRIES = 0.2, 3
 """The gate takes the request's transit time as the shortest one, and so would not notice a constant delay. A
 driver does not drive over a slower link; two slow answers by chance are allowed."""
@@ -158,6 +159,13 @@ class ZenohLink(Link, ZenohClient):
             target=target,
             consolidation=zenoh.ConsolidationMode.NONE,
         )
+
+    def bridges(self) -> list[str]:
+        """Return the namespaces in which a bridge is announced."""
+        token = spec("rover/alive/bridge").name
+        replies = self._session.liveliness().get(f"**/{token}", timeout=BRIDGES_S)
+        found = {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
+        return sorted(name.removesuffix(token).strip("/") for name in found)
 
     def about_base(self, measure: bool = False) -> BaseReply | None:
         """Return what the bridge knows of its base; ``measure`` begins the measurement of its own timeout.

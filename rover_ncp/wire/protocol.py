@@ -239,7 +239,10 @@ class BaseReply(StrictModel):
     """The base's model, the lowest voltage of its battery, and its timeout in s; None = not known.
 
     ``reason`` is why a measurement was refused, "" if it was not. ``silent`` names what should report hazards
-    and has not reported anything.
+    and has not reported anything. ``unheard`` are other inputs of the description that have sent nothing,
+    each with what was found instead. ``problem`` is why the base is lost, "" if it is not. ``version`` and
+    ``zenoh`` are those of the bridge, ``wall_ns`` is its wall clock when the query arrived. ``room_m`` is the
+    free way ahead and behind by sonar or laser; None = not known or nothing there.
     """
 
     model: str
@@ -248,6 +251,12 @@ class BaseReply(StrictModel):
     timeout_s: float | None = None
     reason: str = ""
     silent: tuple[str, ...] = ()
+    unheard: tuple[str, ...] = ()
+    problem: str = ""
+    version: str = ""
+    zenoh: str = ""
+    wall_ns: Nanoseconds = 0
+    room_m: tuple[float | None, float | None] = (None, None)
 
 
 REASONS = {

@@ -13,14 +13,18 @@ from kit.virtual_drive import ChangedLink
 from bridge.gate.limits import Limits
 from bridge.pioneer.base_connection import Received
 from bridge.pioneer.framing import encode_frame
-from deploy.check import Battery, Preflight
+from deploy.check import Preflight
+from deploy.check_inputs import Battery, InputSteps
+from deploy.check_moves import Moves
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.signed_lease import NOT_ACCEPTED
+from deploy.publishers import Publishers
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import SafetyStop
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import ORIGIN, Velocity
 from rover_ncp.robot.description import DeadBand, load_description
+from rover_ncp.wire.messages import imu, read_imu
 from rover_ncp.wire.protocol import BaseReply, GateStatus
 from sim.base.faults import Faults, parse_fault
 from sim.base.firmware import Firmware
@@ -60,15 +64,16 @@ def test_a_move_is_tried_once_more_when_the_gate_seemed_to_accept_nothing(monkey
             raise SafetyStop(left.pop(0), "")
         return "moved"
 
-    monkeypatch.setattr(Preflight, "_command", command)
-    monkeypatch.setattr(Preflight, "_until", lambda self, condition, timeout_s: False)
+    monkeypatch.setattr(Moves, "command", command)
+    monkeypatch.setattr(Moves, "until", lambda self, condition, timeout_s: False)
     link = SimpleNamespace(request_motors=lambda name, unchecked: requested.append(unchecked))
-    preflight = Preflight(link, None, None, None)
+    newest = SimpleNamespace(ref=SimpleNamespace(measured_ns=0), sample=SimpleNamespace(pose=ORIGIN))
+    moves = Moves(link, SimpleNamespace(newest=newest), None, time, name="check")
     if len(stops) == tries or stops == ["bumper"]:
         with pytest.raises(SafetyStop, match=stops[-1]):
-            preflight._move((0.1, 0.0))
+            moves.move((0.1, 0.0))
     else:
-        assert preflight._move((0.1, 0.0)) == "moved"
+        assert moves.move((0.1, 0.0)) == "moved"
     assert (len(tried), len(requested)) == (tries, tries - 1)
 
 
@@ -78,7 +83,7 @@ def test_a_move_is_tried_once_more_when_the_gate_seemed_to_accept_nothing(monkey
         (0.0, True, "the base reports no voltage"),
         (11.4, False, "11.4 V"),
         (11.6, True, "11.6 V"),
-        (math.nan, False, "nan V"),
+        (math.nan, False, "no battery_state arrived within 2 s"),
     ],
 )
 def test_voltage_of_zero_is_not_known_as_to_the_gate(volts, ok, words):
@@ -86,9 +91,9 @@ def test_voltage_of_zero_is_not_known_as_to_the_gate(volts, ok, words):
     battery.voltage = volts
     reply = BaseReply(model="mine", battery_min_v=11.0, state="published", timeout_s=2.0)
     link = SimpleNamespace(about_base=lambda: reply)
-    preflight = Preflight(link, None, SimpleNamespace(until=lambda *_: None), battery)
-    preflight._until = lambda condition, timeout_s: condition()
-    found, detail = preflight._check_battery()
+    moves = SimpleNamespace(until=lambda condition, timeout_s: condition())
+    steps = InputSteps(link, None, None, moves, battery, publishers=None, robot=None, clock=time)
+    found, detail = steps.battery()
     assert found is ok
     assert detail.startswith(words)
 
@@ -108,8 +113,9 @@ def test_the_check_keeps_its_lease_while_it_measures_and_says_what_it_found(monk
         about_base=lambda measure=False: next(replies),
         request_motors=lambda name, unchecked: requested.append((name, unchecked)),
     )
-    monkeypatch.setattr(Preflight, "_move", lambda self, velocity: None)
-    monitor, measurements = SimpleNamespace(until=lambda condition, timeout_s: False), SimpleNamespace()
+    monkeypatch.setattr(Moves, "move", lambda self, velocity: None)
+    monkeypatch.setattr(Moves, "until", lambda self, condition, timeout_s: False)
+    monitor, measurements = SimpleNamespace(), SimpleNamespace()
     found, detail = Preflight(link, measurements, monitor, Battery())._check_base_timeout()
     assert found is ok
     assert words in detail
@@ -120,13 +126,22 @@ def test_the_check_keeps_its_lease_while_it_measures_and_says_what_it_found(monk
 def test_a_robot_may_brake_as_slowly_as_its_description_says(monkeypatch, decel, ok):
     robot = described("turtlebot4", motion={"decel": decel})
     stood = SimpleNamespace(ref=SimpleNamespace(measured_ns=time.monotonic_ns() + round(1.4 * NS_PER_S)))
-    monkeypatch.setattr(Preflight, "_move", lambda self, velocity: None)
-    monkeypatch.setattr(Preflight, "_until", lambda self, condition, timeout_s: True)
+    monkeypatch.setattr(Moves, "move", lambda self, velocity: None)
+    monkeypatch.setattr(Moves, "until", lambda self, condition, timeout_s: True)
     found, words = Preflight(None, SimpleNamespace(newest=stood), None, None, robot=robot)._check_silence()
     assert found is ok, words
 
 
-def check(*faults, limits=None, while_turning="", model=None, robot="p3at-sh", config=None):
+def check(
+    *faults,
+    limits=None,
+    while_turning="",
+    model=None,
+    robot="p3at-sh",
+    config=None,
+    change=(),
+    on_floor=False,
+):
     """Check a robot on the virtual clock; return the findings, the link and the rover."""
     robot = load_description(robot) if isinstance(robot, str) else robot
     rover = PymunkRover(described_rover(robot, motors=True), Ground(()))
@@ -137,7 +152,8 @@ def check(*faults, limits=None, while_turning="", model=None, robot="p3at-sh", c
     bridge, battery = VirtualBridge(base, limits), Battery()
     bridge.sleep(3.0)
     link = ChangedLink(bridge, battery.record)
-    measurements = Measurements(link)
+    measurements = Measurements(link, pose_frame=None)
+    link.change |= dict(change)
 
     def press_bumper(data):
         if while_turning and rover.velocity.omega > 0.05:
@@ -148,7 +164,9 @@ def check(*faults, limits=None, while_turning="", model=None, robot="p3at-sh", c
     monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
     monitor.wait()
     expected = load_description(model) if isinstance(model, str) else model
-    preflight = Preflight(link, measurements, monitor, battery, robot=expected, clock=bridge)
+    preflight = Preflight(
+        link, measurements, monitor, battery, robot=expected, on_floor=on_floor, clock=bridge
+    )
     return preflight.run(), link, rover
 
 
@@ -162,16 +180,18 @@ def with_watchdog(ms):
     return replace(config_of(load_description("p3at-sh")), watchdog=ms)
 
 
-NAMES = ["odometry", "battery", "stop", "motors", "forward", "left", "slow", "silence", "bridge"]
+NAMES = ["link", "odometry", "battery", "stop", "motors", "forward", "slow", "left", "silence", "bridge"]
 
 
 @pytest.mark.parametrize("robot", ["p3at-sh", "turtlebot4", "husky-a200"])
 def test_robot_that_is_well_passes_all_checks_and_stands(robot):
     findings, link, rover = check(robot=robot, model=robot)
     assert [finding for finding in findings if not finding.ok] == []
-    assert [finding.name for finding in findings] == ["model", *NAMES]
+    names = [finding.name for finding in findings]
+    assert [name for name in names if name in NAMES] == NAMES
+    assert {"gyro", "gyro-turn"} & set(names) == (set() if robot == "p3at-sh" else {"gyro", "gyro-turn"})
     if robot == "p3at-sh":
-        assert findings[-3].detail == "follows commands from 0.005 m/s and 0.02 rad/s on"
+        assert findings[-4].detail == "follows commands from 0.005 m/s and 0.02 rad/s on"
     assert_stopped(link, rover)
     assert {"silence"} <= link.gate.stops.keys() <= {"silence", "odometry"}
 
@@ -200,6 +220,40 @@ def test_robot_that_is_not_well_fails_the_check_that_finds_it(options, name, wor
     assert_stopped(link, rover)
 
 
+def gyro_times(factor):
+    """Return a change of each gyro reading."""
+    return {"imu": lambda data: imu((sample := read_imu(data)).rate * factor, 2.5e-5, sample.stamp_ns)}
+
+
+WITH_GYRO = replace(config_of(load_description("p3at-sh")), has_gyro=1)
+
+
+@pytest.mark.parametrize(
+    ("robot", "factor", "name", "words"),
+    [
+        ("turtlebot4", 1.0, "bridge", ""),
+        ("turtlebot4", -1.0, "gyro-turn", "its sign is wrong"),
+        ("turtlebot4", math.degrees(1.0), "gyro-turn", "in degrees per second"),
+        ("turtlebot4", 0.0, "gyro-turn", "not on the robot"),
+        ("turtlebot4", math.nan, "gyro", "not finite"),
+        ("husky-a200", -1.0, "gyro-turn", "its sign is wrong"),
+        ("p3at-sh", 1.0, "bridge", ""),
+        ("p3at-sh", 0.4, "gyro-turn", "its scale or its axis is wrong"),
+    ],
+)
+def test_gyro_is_compared_with_odometry(robot, factor, name, words):
+    options = {"robot": robot, "model": robot, "config": WITH_GYRO if robot == "p3at-sh" else None}
+    findings, link, rover = check(**options, change=gyro_times(factor), on_floor=True)
+    assert (findings[-1].name, findings[-1].ok) == (name, not words), findings[-1].detail
+    assert words in findings[-1].detail
+    assert_stopped(link, rover)
+
+
+def test_gyro_of_the_description_that_is_silent_is_found():
+    findings, _, _ = check(robot="turtlebot4", model="turtlebot4", change={"imu": lambda data: None})
+    assert (findings[-1].name, findings[-1].ok) == ("gyro", False)
+
+
 def with_band(v, omega):
     return described("p3at-sh", motion={"dead_band": DeadBand(v=v, omega=omega)})
 
@@ -208,6 +262,7 @@ def with_band(v, omega):
     ("band", "known", "ok", "words"),
     [
         ((0.05, 0.14), (0.05, 0.14), True, "from 0.05 m/s and 0.16 rad/s on"),
+        ((0.05, 0.25), (0.05, 0.25), True, "from 0.05 m/s and 0.26 rad/s on"),
         ((0.05, 0.14), None, False, "for the robot's description: motion.dead_band: {v: 0.05, omega: 0.16}"),
         ((0.08, 0.1), (0.08, 0.1), False, "expected from 0.05 m/s and 0.26 rad/s on at most"),
     ],
@@ -216,6 +271,7 @@ def test_dead_band_is_measured_and_a_driver_must_know_it(band, known, ok, words)
     findings, _, _ = check(robot=with_band(*band), model=known and with_band(*known))
     (found,) = [finding for finding in findings if finding.name == "slow"]
     assert found.ok is ok
+    assert all(finding.ok for finding in findings) is ok  # it is turned faster than its dead band
     assert words in found.detail
 
 
@@ -223,13 +279,13 @@ def test_dead_band_is_measured_and_a_driver_must_know_it(band, known, ok, words)
 def test_rare_odometry_is_listened_to_once_more(reports, ok):
     counts, taken = iter(reports), {"odom": 0}
 
-    def listen(condition, timeout_s):
+    def listen(seconds):
         taken["odom"] += next(counts)
 
-    measurements, monitor = SimpleNamespace(taken=taken), SimpleNamespace(until=listen)
-    found, words = Preflight(None, measurements, monitor, Battery())._check_odometry()
-    assert found is ok
-    assert words == f"{reports[-1] / 2:.1f} reports a second (at least 8)"
+    measurements, moves = SimpleNamespace(taken=taken), SimpleNamespace(listen=listen)
+    link, publishers = SimpleNamespace(namespace=""), Publishers()
+    steps = InputSteps(link, measurements, None, moves, None, publishers=publishers, robot=None, clock=time)
+    assert steps.odometry() == (ok, f"{reports[-1] / 2:.1f} reports a second (at least 8)")
 
 
 def test_a_robot_whose_hazards_are_silent_fails_the_check(monkeypatch):

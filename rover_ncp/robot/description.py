@@ -196,7 +196,7 @@ class Topics(StrictModel):
     base_frame: str = Field(default="base_link", min_length=1)
     """child_frame_id of the odometry, and frame_id of the commands."""
     cmd_vel_timeout_s: float | None = Field(default=None, gt=0, le=10)
-    """The published time after which the base halts without a command; None = none is known."""
+    """Vendor's figure for the base timeout: the mock halts after it. The bridge does not rely on it."""
 
 
 class Sonars(StrictModel):

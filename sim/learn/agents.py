@@ -25,7 +25,7 @@ from rover_ncp.core.streams import Domain, random_stream
 from sim.learn.engine.evaluator import Evaluator, Stream
 from sim.learn.search.base import SearchState, Vector
 from sim.learn.search.strategies import start_search
-from sim.learn.workers import Workers, made_in_each_process
+from sim.learn.workers import Workers, answer, made_in_each_process
 
 ROUND_ITERATIONS = 100
 """Short enough for a live display."""
@@ -236,9 +236,15 @@ def run_rounds(
     while not snapshot.arrived(iterations):
         groups = split(snapshot.agents, workers.count)
         rounds = max(_CALL_ITERATIONS // (ROUND_ITERATIONS * len(groups[-1])), 1)
+        if snapshot is start:
+            rounds = 1  # with the start of the processes; the speed is measured from its end
         targets = _next_targets(snapshot, iterations, rounds)
         calls = [workers.submit(advance, group, targets) for group in groups]
-        states = [agent for call in calls for agent in call.result()]
+        states = [
+            agent
+            for call, group in zip(calls, groups, strict=True)
+            for agent in answer(call, list, len(group))
+        ]
         for agents in zip(*states, strict=True):
             snapshot = Snapshot(agents)
             if after_round(snapshot):

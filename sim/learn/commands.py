@@ -132,7 +132,8 @@ class TrainOptions:
     cluster: Annotated[
         str | None,
         typer.Option(
-            help="Address of a Dask scheduler (tcp://HOST:8786) whose workers do the work.",
+            help="Address of a Dask scheduler (tcp://HOST:8786) whose workers do the work. "
+            "It must be trusted like this machine: its workers can run any code here.",
             show_default=False,
         ),
     ] = None

@@ -28,7 +28,7 @@ from sim.learn.robust import (
     training_courses,
 )
 from sim.learn.run_folder import RunFolder, checkpoints, open_run
-from sim.learn.workers import Workers, available_processes, local_workers, made_in_each_process
+from sim.learn.workers import Workers, answer, available_processes, local_workers, made_in_each_process
 from sim.world.randomization import Randomization
 
 FloatArray = NDArray[np.float64]
@@ -58,7 +58,8 @@ def _drive_parts(workers: Workers, drive: Drive, vectors: FloatArray, *which: An
     """Drive trials in workers, each of which takes its part of the vectors (k, P)."""
     parts = [part for part in np.array_split(vectors, workers.count) if len(part)]
     futures = [workers.submit(drive, part, *which) for part in parts]
-    return np.concatenate([future.result() for future in futures])
+    answers = zip(futures, parts, strict=True)
+    return np.concatenate([answer(future, np.ndarray, len(part)) for future, part in answers])
 
 
 def start_of(settings: RobustSettings) -> tuple[Policy, Course, Randomization]:

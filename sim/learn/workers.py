@@ -8,20 +8,22 @@ import multiprocessing
 import os
 import pickle
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sized
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import lru_cache, partial
 from multiprocessing.context import SpawnContext, SpawnProcess
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, TypeVar
 
 from rover_ncp.core.errors import RoverNcpError, UsageError
 from rover_ncp.core.spawned import end_with_parent, starting_processes
 
+AnswerT = TypeVar("AnswerT", bound=Sized)
+
 
 class WorkerDied(RoverNcpError):
-    """A worker process ended while it had work."""
+    """A worker process ended while it had work, or answered what is no result."""
 
 
 class Workers(Protocol):
@@ -118,6 +120,19 @@ def _call(function: Callable[..., Any], *arguments: Any) -> Any:
 def local_workers(count: int) -> Inline | ProcessPool:
     """Return so many workers on this machine; one is this process."""
     return Inline() if count == 1 else ProcessPool(count)
+
+
+def answer(call: Future[Any], kind: type[AnswerT], count: int) -> AnswerT:
+    """Return what a worker answered: ``count`` results. Raises WorkerDied for anything else.
+
+    Only a worker of a cluster, which may run another program, can answer anything else.
+    """
+    found = call.result()
+    if not isinstance(found, kind) or len(found) != count:
+        raise WorkerDied(
+            f"a worker answered {type(found).__name__}, expected {count} results in {kind.__name__}"
+        )
+    return found
 
 
 def made_in_each_process(make: Callable[[], Callable[..., Any]]) -> Callable[..., Any]:

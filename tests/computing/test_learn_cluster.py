@@ -8,6 +8,7 @@ from kit.paths import DATA, content
 from kit.training_processes import Cluster, start_rover_ncp
 
 from rover_ncp.cli import run
+from sim.learn.cluster import DaskCluster
 from sim.live.processes import wait_for
 
 pytestmark = pytest.mark.usefixtures("no_git")
@@ -42,6 +43,14 @@ def test_without_scheduler_or_workers_it_says_so(cluster, tmp_path, monkeypatch,
     ):
         assert run([*TRAIN, "--out", str(tmp_path / str(number)), "--cluster", address]) == 2
         assert message in capsys.readouterr().err
+
+
+def test_a_cluster_whose_last_worker_died_is_named(cluster, monkeypatch, caplog):
+    monkeypatch.setattr("sim.learn.cluster._LOOK_S", 0.1)
+    victim = cluster.add_worker()
+    with DaskCluster(cluster.address):
+        victim.kill()
+        wait_for(lambda: "no worker is left at" in caplog.text, 30.0, "the warning")
 
 
 @pytest.mark.long

@@ -1,4 +1,4 @@
-"""Algorithm 1 of the paper: every parameter gets noise of one scale, which follows success and failure.
+"""A search after Algorithm 1 of the paper: noise of one scale, which follows success and failure.
 
 Success multiplies the scale by alpha, failure divides it by alpha; after N iterations without success the
 incumbent's return is estimated anew, because it may have been lucky. The paper gives no numbers; ours are
@@ -42,7 +42,7 @@ class Scale:
 
 
 class Algorithm1(RandomSearch[Scale]):
-    """The random search as the paper prints it."""
+    """Algorithm 1 with limits of its scale, and an estimate that counts as an iteration."""
 
     def first_adaptation(self, layout: ParameterLayout) -> Scale:
         """Return the first scale."""

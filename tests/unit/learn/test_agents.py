@@ -20,7 +20,7 @@ from sim.learn.engine.evaluator import Answer, Evaluator, Stream
 from sim.learn.record import Task, TrainSettings
 from sim.learn.search.base import dump_state
 from sim.learn.train import training_plan
-from sim.learn.workers import Inline, ProcessPool
+from sim.learn.workers import Inline, ProcessPool, WorkerDied
 
 SHORT = load_course(DATA / "short_course.yaml")
 
@@ -240,3 +240,13 @@ def test_an_agent_that_waits_cannot_submit_again_nor_more_than_there_is_room(eva
     stream.submit(0, candidates(1), np.zeros(1))
     with pytest.raises(ValueError, match="agent 0 cannot submit 1"):
         stream.submit(0, candidates(1), np.zeros(1))
+
+
+@pytest.mark.parametrize("answer", [None, [], "done"])
+def test_a_worker_that_answers_no_result_is_named(answer):
+    class Foreign(Inline):
+        def submit(self, function, /, *arguments):
+            return super().submit(lambda: answer)
+
+    with pytest.raises(WorkerDied, match="expected 1 results in list"):
+        run_rounds(Foreign(), toy_plan(), Snapshot((AgentState(0),)), 10, lambda snapshot: False)

@@ -19,6 +19,7 @@ from sim.learn.curve import curve_csv, curve_iterations, curve_png
 from sim.learn.engine.evaluator import Evaluator
 from sim.learn.record import TrainSettings, resolve_task
 from sim.learn.train import train, training_plan
+from sim.learn.workers import Inline
 
 COURSE = DATA / "short_course.yaml"
 SETTINGS = TrainSettings(course=str(COURSE), seed=1, agents=2, iterations=150)
@@ -92,6 +93,24 @@ def test_resuming_a_complete_run_writes_the_same_bytes(reference):
     assert content(reference) == before
     assert (reference / "policy.yaml").stat().st_mtime_ns > stamps["policy.yaml"]
     assert result.iterations_per_s is None
+
+
+@pytest.mark.parametrize(("resume", "speed"), [(False, 900.0), (True, 500.0)])
+def test_speed_counts_only_iterations_whose_time_was_measured(tmp_path, monkeypatch, resume, speed):
+    """A worker returns several rounds at once: after one second here, whatever it did."""
+    now, settings = 0.0, SETTINGS.model_copy(update={"iterations": 450})
+
+    class Slow(Inline):
+        def submit(self, function, /, *arguments):
+            nonlocal now
+            now += 1.0
+            return super().submit(function, *arguments)
+
+    if resume:
+        run(tmp_path / "run", settings, stop_when=lambda snapshot, best: snapshot.iterations == 100)
+    monkeypatch.setattr("sim.learn.train.local_workers", lambda count: Slow())
+    monkeypatch.setattr("sim.learn.train.time.monotonic", lambda: now)
+    assert run(tmp_path / "run", settings, resume=resume).iterations_per_s == speed
 
 
 @pytest.mark.long

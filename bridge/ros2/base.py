@@ -137,7 +137,7 @@ class Ros2Base:
         self._tokens: dict[Announced, None] = {}
         self._contradictions: dict[str, float] = {}
         """Reasons against being ready, and when each was last seen."""
-        self._loop = self._ready = self._was_ready = False
+        self._loop = self._ready = self._was_ready = self._named = False
         self._known_restarts = self._known_jumps = 0
         self._began_s: float | None = None
         self._sent: deque[tuple[float, bytes]] = deque(maxlen=256)
@@ -167,6 +167,13 @@ class Ros2Base:
                 if 0.0 < back_s <= CLOCK_BACK_S:  # beyond it, it is a restart
                     topic = self._line.topic(arrival.topic)
                     changes.append(Notice(f"the clock that stamps {topic} was set back by {back_s:.2f} s"))
+                if self._odometer.unnamed and not self._named:
+                    self._named = True
+                    frames = f"{self._topics.odom_frame or 'odom'} → {self._topics.base_frame or 'base_link'}"
+                    where = self._line.topic(self._topics.odom)
+                    changes.append(
+                        Notice(f"odometry on {where} leaves a frame empty: it is taken for {frames}")
+                    )
             case TokenSeen(token, there):
                 if not there:
                     self._tokens.pop(token, None)

@@ -10,7 +10,15 @@ from typing import NamedTuple
 
 from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, relative, wrap_angle
+from rover_ncp.core.geometry import (
+    STANDSTILL,
+    Pose,
+    Velocity,
+    distance,
+    relative,
+    same_frame,
+    wrap_angle,
+)
 from rover_ncp.robot.description import Motion, Topics
 from rover_ncp.wire.messages import OdometrySample, read_odometry
 
@@ -25,6 +33,8 @@ CLOCK_BACK_S = 1.25
 """A clock that is set back by more than this may be that of a robot that restarted."""
 JUMP_M, JUMP_RAD = 0.05, 0.1
 """A pose farther from the last one than the robot can drive, and this, has jumped."""
+MAX_NAME = 60
+"""Longest frame name in a message."""
 ALTERNATIONS = 2
 CONFLICT_S = 1.0
 
@@ -44,6 +54,8 @@ class RosOdometer:
         self._topics, self._motion = topics, motion
         self.counters = dict.fromkeys(("messages", "unreadable", "stale", "repeated", "foreign"), 0)
         self.problem = ""
+        self.unnamed = False
+        """Whether the last message that counts leaves a frame empty."""
         self.restarts = 0
         """How often the origin was set anew, because the robot began again, and why the last time."""
         self.restart_reason = ""
@@ -85,12 +97,14 @@ class RosOdometer:
             if len(self._sources) > 2:
                 del self._sources[next(iter(self._sources))]
         expected = self._topics.odom_frame, self._topics.base_frame
-        if _last_parts(sample.frame, sample.child) != _last_parts(*expected):
+        if not all(map(same_frame, (sample.frame, sample.child), expected)):
+            names = [f"{name[:MAX_NAME] or '(none)'}" for name in (sample.frame, sample.child, *expected)]
             self.problem = (
-                f"odometry is of {sample.frame or '(none)'} → {sample.child or '(none)'}, expected "
-                f"{' → '.join(expected)}: set topics.odom_frame and topics.base_frame in the description"
+                f"odometry is of {names[0]} → {names[1]}, expected {names[2]} → {names[3]}: "
+                "set topics.odom_frame and topics.base_frame in the description"
             )
             return None
+        self.unnamed = not (sample.frame and sample.child)
         if not all(map(math.isfinite, (*sample.pose, *sample.velocity))):
             self.problem = "odometry is not finite"
             self._spread.clear()
@@ -213,8 +227,3 @@ class RosOdometer:
         self._origin = None
         self._spread.clear()
         self._seen.clear()
-
-
-def _last_parts(*frames: str) -> tuple[str, ...]:
-    """Return frames without what stands before the last slash, by which robots of a fleet differ."""
-    return tuple(frame.rpartition("/")[2] for frame in frames)

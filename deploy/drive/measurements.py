@@ -13,6 +13,7 @@ from typing import Any, Generic, NamedTuple, Self, TypeVar
 from deploy.drive.link import Arrival, Link
 from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.errors import FormatError
+from rover_ncp.core.geometry import same_frame
 from rover_ncp.wire.messages import (
     COURSE_FRAME,
     OdometrySample,
@@ -63,7 +64,7 @@ def pose_reader(frame: str | None) -> Callable[[bytes], PoseSample]:
 
     def read(data: bytes) -> PoseSample:
         sample = read_pose(data)
-        if frame is not None and sample.frame not in {"", frame}:
+        if frame is not None and not same_frame(sample.frame, frame):
             raise FormatError(f"pose in frame {sample.frame!r}, expected {frame!r}")
         return sample
 
@@ -84,6 +85,7 @@ class Measurements:
     def __init__(self, link: Link, pose_frame: str | None = COURSE_FRAME) -> None:
         self._link, self._read_pose = link, pose_reader(pose_frame)
         # External poses may come late, out of order, and stamped by any clock.
+        self._frame, self._named = pose_frame, pose_frame is None
         self._clocks = {"odom": StampClock(), "imu": StampClock(), "pose": StampClock(in_order=False)}
         self._before: dict[str, tuple[Arrival, Any]] = {}
         """The last message of each topic and its sample."""
@@ -108,7 +110,13 @@ class Measurements:
 
     def poses(self) -> list[Measurement[PoseSample]]:
         """Return the external poses since the last call; never waits."""
-        return self._read("pose", self._read_pose, self._link.poses.take())
+        found = self._read("pose", self._read_pose, self._link.poses.take())
+        if found and not self._named and any(not pose.sample.frame for pose in found):
+            self._named = True
+            _LOGGER.info(
+                f"poses on 'pose' have an empty frame_id: they are taken for poses in {self._frame!r}"
+            )
+        return found
 
     def _read(
         self, topic: str, read: Callable[[bytes], SampleT], arrivals: list[Arrival]

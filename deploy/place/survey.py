@@ -11,7 +11,7 @@ from deploy.drive.start import median_pose
 from deploy.place.outcome import PoseErrors
 from deploy.place.place import Place, Scatter
 from rover_ncp.core.errors import NoPose
-from rover_ncp.core.geometry import Pose, wrap_angle
+from rover_ncp.core.geometry import Pose, same_frame, wrap_angle
 from rover_ncp.wire.messages import PoseSample
 
 MIN_POSES = 10
@@ -57,7 +57,7 @@ def survey(samples: Sequence[PoseSample], seconds: float, unreadable: str = "") 
 
 def complaint(place: Place, seen: Survey) -> str:
     """Return in words how a rover that should be docked is not at its place; "" if it is."""
-    if seen.frame not in {"", place.frame}:
+    if not same_frame(seen.frame, place.frame):
         return f"poses arrive in frame {seen.frame!r}, the place is in {place.frame!r}"
     if place.holds(seen.pose):
         return ""

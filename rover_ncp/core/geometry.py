@@ -69,6 +69,16 @@ def distance(a: Pose, b: Pose) -> float:
     return math.hypot(a.x - b.x, a.y - b.y)
 
 
+def same_frame(found: str, expected: str) -> bool:
+    """Return whether a frame_id names the expected frame.
+
+    Only the part behind the last slash counts, since robots of a fleet differ before it. An empty frame_id
+    names any frame: many drivers leave it out.
+    """
+    name, expected_name = (frame.rpartition("/")[2] for frame in (found, expected))
+    return not name or not expected_name or name == expected_name
+
+
 def near(a: Pose, b: Pose, position_m: float, heading_rad: float) -> bool:
     """Return whether two poses in one frame differ by no more than this."""
     return distance(a, b) <= position_m and abs(wrap_angle(a.theta - b.theta)) <= heading_rad

@@ -191,10 +191,10 @@ class Topics(StrictModel):
     """std_msgs/Bool, true while an emergency stop is pressed."""
     hazards: TopicName | None = None
     """irobot_create_msgs/HazardDetectionVector: bumps, cliffs, stalls and wheels in the air."""
-    odom_frame: str = Field(default="odom", min_length=1)
-    """frame_id of the odometry; with another one it is refused."""
-    base_frame: str = Field(default="base_link", min_length=1)
-    """child_frame_id of the odometry, and frame_id of the commands."""
+    odom_frame: str = "odom"
+    """frame_id of the odometry, of which the part behind the last slash counts; an empty one fits always."""
+    base_frame: str = "base_link"
+    """child_frame_id of the odometry, by the same rule, and frame_id of the commands."""
     cmd_vel_timeout_s: float | None = Field(default=None, gt=0, le=10)
     """Vendor's figure for the base timeout: the mock halts after it. The bridge does not rely on it."""
 

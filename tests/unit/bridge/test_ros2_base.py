@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from kit.ros2_world import BURGER, EPOCH_S, OURS, World, announced, beyond_its_second, header, odometry, twist
 
-from bridge.base import Failed, Lost, Ready, Recovered
+from bridge.base import Failed, Lost, Notice, Ready, Recovered
 from bridge.ros2.base import LoopSeen, TokenSeen
 from bridge.ros2.discovery import Announced
+from rover_ncp.core.config import validated
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.robot.description import load_description
+from rover_ncp.robot.description import Topics, load_description
 from rover_ncp.wire.cdr import decode, encode
 from rover_ncp.wire.messages import (
     BATTERY_STATE,
@@ -25,6 +26,18 @@ from rover_ncp.wire.messages import (
     read_twist,
     text,
 )
+
+
+@pytest.mark.parametrize("frames", [("", ""), ("odom", ""), ("", "robot1/base_footprint")])
+@pytest.mark.parametrize("described", [BURGER.topics.odom_frame, ""])
+def test_odometry_that_leaves_frames_empty_is_used_and_named_once(frames, described):
+    topics = validated(BURGER.topics.model_dump() | {"odom_frame": described}, Topics, "test")
+    world = World(BURGER.model_copy(update={"topics": topics}))
+    world.run(2.0, frames=frames)
+    assert [type(event) for event in world.events] == [Notice, Ready]
+    assert world.events[0].text == (
+        "odometry on odom leaves a frame empty: it is taken for odom → base_footprint"
+    )
 
 
 @pytest.mark.parametrize("prefix", ["", "robot1/"])

@@ -154,3 +154,5 @@ def test_pose_of_another_frame_names_both_frames():
     data = pose_with_covariance(ORIGIN, np.eye(3), 0, "odom")
     with pytest.raises(FormatError, match="pose in frame 'odom', expected 'map'"):
         pose_reader("map")(data)
+    for frame in ("map", "robot1/map", ""):
+        pose_reader("map")(pose_with_covariance(ORIGIN, np.eye(3), 0, frame))

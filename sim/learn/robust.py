@@ -93,10 +93,9 @@ Drive = Callable[[FloatArray, int, int, Stage], FloatArray]
 
 _POPULATION = 1.8
 """Candidates, times the usual number: what is measured is noisy."""
-_STILL = (0.003, 0.0006)
-"""Motion in m and rad above which a rover that should stand has failed, and the width of the smooth limit:
-well within the 5 mm and 5 mrad of parked, as large twitches are rare, and the small ones that indicate them
-are not."""
+_STILL = (0.6, 0.12)
+"""Motion, as a share of the rule's, above which a rover that should stand has failed, and the width of the
+smooth limit: well within the rule's, as large twitches are rare, and small ones that show them are not."""
 _AVERAGED, _AVERAGED_SHARE = 100, 4
 """The winner is the average of so many last means, yet of no more than that fraction of all."""
 _RANDOM_BETWEEN = 2
@@ -129,22 +128,23 @@ def policy_box(policy: Policy) -> UnitBox:
 def costs(found: Outcomes, stage: Stage = _STAGES[0], rule: ParkedRule = _USUAL_RULE) -> FloatArray:
     """Return a cost (candidates, trials) of each episode: smooth, and steepest where parked ends.
 
-    Errors count by the logarithm, so that a lost trial does not outweigh many good ones; what parked means
-    is the rule, a little tightened and blurred.
+    Errors count by the logarithm, so that a lost trial does not outweigh many good ones. The limits of parked
+    are the rule's, a little tightened and blurred. A trial with a contact has failed.
     """
     near = (
         _log_square(found.error_m / rule.position_m)
         + _log_square(found.error_rad / rule.heading_rad)
-        + _log_square(found.moved_m / 0.005)
-        + _log_square(found.turned_rad / 0.005)
+        + _log_square(found.moved_m / rule.still_m)
+        + _log_square(found.turned_rad / rule.still_rad)
     )
     on_the_way = 0.2 * np.log1p(found.tracking_m2 / 0.05**2) + 0.1 * np.log1p(found.tracking_rad2 / 0.1**2)
     failed = np.maximum.reduce(
         [
             _blurred(found.error_m / (rule.position_m / _USUAL_RULE.position_m), stage.limit, stage.blur),
             _blurred(found.error_rad / (rule.heading_rad / _USUAL_RULE.heading_rad), stage.limit, stage.blur),
-            _blurred(found.moved_m, *_STILL),
-            _blurred(found.turned_rad, *_STILL),
+            _blurred(found.moved_m / rule.still_m, *_STILL),
+            _blurred(found.turned_rad / rule.still_rad, *_STILL),
+            found.touched.astype(np.float64),
         ]
     )
     cost: FloatArray = 0.5 * near + on_the_way + stage.failure * failed
@@ -199,8 +199,8 @@ def drive_trials(engine: Evaluator, ranges: Randomization, model: RoverModel, se
     def drive(vectors: FloatArray, first: int, count: int, stage: Stage) -> FloatArray:
         now = ranges if stage.rounded else unrounded
         trials = draw_trials(now, model, apart, count=count, ticks=ticks, first=first)
-        # The first few courses will do until all rollouts are driven; then all courses take their turn.
-        engine.change_trials(trials, first if stage.divisor == 1 else 0)
+        # All courses take their turn, from where the generation before ended.
+        engine.change_trials(trials, first // stage.divisor)
         return costs(engine.outcomes(vectors), stage, rule)
 
     return drive

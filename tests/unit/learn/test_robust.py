@@ -1,5 +1,7 @@
 """Training on random trials, and its command."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import yaml
@@ -7,7 +9,7 @@ import yaml
 from rover_ncp.circuit.policy import course_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.cli import run
-from rover_ncp.course.course import load_course
+from rover_ncp.course.course import ParkedRule, load_course
 from rover_ncp.course.reference import plan_reference
 from sim.learn.engine.evaluator import Evaluator, Outcomes
 from sim.learn.robust import (
@@ -104,6 +106,31 @@ def test_a_cost_rises_with_each_error_and_most_before_parked_ends(field, good, b
     assert farthest - far < 6
 
 
+@pytest.mark.parametrize("field", ["error_m", "error_rad", "moved_m", "turned_rad"])
+def test_wider_rule_of_a_course_costs_less(field):
+    wide = ParkedRule(position_m=1.0, heading_rad=1.0, still_m=1.0, still_rad=1.0)
+    found = outcome(**{field: 0.2})
+    assert costs(found, rule=wide)[0, 0] < costs(found)[0, 0] - TRAINING.stages[0].failure
+
+
+def test_contact_costs_as_much_as_any_failure():
+    assert costs(outcome(touched=True)) > costs(outcome()) + 0.99 * TRAINING.stages[0].failure
+
+
+@pytest.mark.parametrize("schedule", [TRAINING, REFINING])
+def test_all_courses_take_their_turn_in_each_stage(schedule):
+    judge, driven = SimpleNamespace(courses=[COURSE] * 300), set()
+    judge.change_trials = lambda trials, first: driven.update((first + i) % 300 for i in range(trials.size))
+    judge.outcomes = lambda vectors: outcome()
+    drive = drive_trials(judge, FULL, MODEL, 3)
+    for stage in schedule.stages:
+        driven.clear()
+        count = 96 // stage.divisor
+        for number in range(stage.since, stage.since - (-300 // count)):
+            drive(START.parameters()[None], 96 * number, count, stage)
+        assert len(driven) == 300
+
+
 def test_training_and_evaluation_share_no_course():
     given = plan_reference(COURSE)
     courses, references = training_courses(COURSE, given, 0, 24)
@@ -163,8 +190,7 @@ def test_stages_set_the_count_the_turn_of_the_courses_and_the_rounding():
     for _ in range(4):
         going.advance(lambda vectors, *which: np.repeat(drive(vectors[:1], *which), len(vectors), axis=0))
         episodes.append(going.episodes)
-    # All courses take their turn once all rollouts are driven.
-    assert [(trials.size, course) for trials, course in seen] == [(32, 0), (32, 0), (128, 256), (128, 384)]
+    assert [(trials.size, course) for trials, course in seen] == [(32, 0), (32, 32), (128, 256), (128, 384)]
     assert np.diff(episodes).tolist() == [going.population * trials.size for trials, _ in seen]
     # Commands are rounded from their stage on, every other generation.
     steps = [trials.step.tolist() for trials, _ in seen]

@@ -20,7 +20,6 @@ from random import Random
 import mujoco
 import numpy as np
 
-from rover_ncp.core.console import Output
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import load_course
 from sim.base.trial import Drawn
@@ -148,7 +147,7 @@ def main() -> None:
     ranges = load_randomization("slope" if given.kind == "heavy" else "varied", Body.MUJOCO)
     courses = (load_course("parking"),)
     stack = OddStack(load_driver("course"), courses, ranges, given.seed, gyro=True, kind=given.kind)
-    print("\n".join(result_words(*evaluate_stack(stack, given.trials, None, Output(as_json=False)))))
+    print("\n".join(result_words(*evaluate_stack(stack, given.trials, None))))
 
 
 if __name__ == "__main__":

@@ -278,7 +278,7 @@ def _drive_trials(options: EvalOptions) -> int:
         gyro, camera = driver_sensors(options.sensors, robot)
         stack = Stack(driver, tuple(courses), ranges, seed, gyro, camera, options.identify, robot)
         trials = trial_count(options.trials, len(courses), ranges, stack.varies)
-        found, in_stack = evaluate_stack(stack, trials, options.processes, output)
+        found, in_stack = evaluate_stack(stack, trials, options.processes)
     else:
         trials = trial_count(options.trials, len(courses), ranges, ranges.varies)
         model = described_rover(robot) if robot else None
@@ -331,7 +331,7 @@ def _dock(options: EvalOptions, name: str) -> int:
     )
     about = {"randomize": options.randomization or ranges.name, "model": options.model}
     about["body"] = options.body.value
-    found = evaluate_docking(trials, options.trials or 1, options.processes, output, **about)
+    found = evaluate_docking(trials, options.trials or 1, options.processes, **about)
     output.result(found, "\n".join(docking_words(found)))
     return 1 if found.trials == 1 and found.success_rate < 1 else 0
 

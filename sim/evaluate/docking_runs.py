@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from deploy.place.outcome import DockError
-from rover_ncp.core.console import Output
 from sim.evaluate.evaluate import Ended, Evaluation, tally
+from sim.evaluate.results import StackDrive
 from sim.evaluate.trial_runs import progress, result_words
 from sim.stack.docking import Docked, DockTrials
 from sim.stack.trials import drive_all
@@ -30,13 +30,12 @@ class DockingResult(Evaluation):
     within_1_cm_1_degree: int = Field(description="successes whose true pose is so near to the place")
     first_try: int = Field(description="successes of the first try")
     drive_s: float = Field(description="median time of a drive, in simulated time")
+    drives: list[StackDrive] = Field(description="each trial")
 
 
-def evaluate_docking(
-    trials: DockTrials, count: int, processes: int | None, output: Output, **about: Any
-) -> DockingResult:
+def evaluate_docking(trials: DockTrials, count: int, processes: int | None, **about: Any) -> DockingResult:
     """Drive trials, and return how they ended, ``about`` with it. Raises WorkerDied."""
-    with progress(output, count) as done:
+    with progress(count) as done:
         driven = drive_all(trials, count, processes, done)
     ended = [Ended(_off_m(trial), abs(trial.off.yaw_rad), _reason(trial)) for trial in driven]
     good = [trial for trial in driven if not _reason(trial)]
@@ -51,6 +50,19 @@ def evaluate_docking(
         within_1_cm_1_degree=len(fine),
         first_try=sum(trial.result.num_retries == 0 for trial in good),
         drive_s=float(np.median([trial.seconds for trial in driven])),
+        drives=[_drive(number, trial) for number, trial in enumerate(driven)],
+    )
+
+
+def _drive(number: int, trial: Docked) -> StackDrive:
+    return StackDrive(
+        trial=number,
+        parked=not _reason(trial),
+        reason=_reason(trial),
+        error_m=_off_m(trial),
+        error_rad=abs(trial.off.yaw_rad),
+        verdict=None if trial.stop else "docked" if trial.result.success else "not docked",
+        probability=trial.result.probability,
     )
 
 

@@ -28,6 +28,20 @@ class TrialsResult(Evaluation):
     course: str = Field(description="several are joined by commas")
 
 
+class StackDrive(BaseModel):
+    """One trial through the stack."""
+
+    trial: int = Field(description="its number, from 0: with the root seed it gives the same robot again")
+    parked: bool = Field(description="whether the rover parked, by its true pose; with --to: docked")
+    reason: str = Field(description="why not, by the true pose, or the safety rule that stopped the drive")
+    error_m: float = Field(description="final position error of the true pose")
+    error_rad: float = Field(description="final heading error of the true pose")
+    verdict: str | None = Field(description="the driver's; null if a safety rule stopped the drive")
+    probability: float | None = Field(
+        description="that the rover is within the tolerances, by the driver's estimate"
+    )
+
+
 class StackResult(BaseModel):
     """Fields of trials through the stack, beside those of all trials."""
 
@@ -35,6 +49,7 @@ class StackResult(BaseModel):
     wall_s: float = Field(description="how long it took")
     times_real_time: float = Field(description="driven time over computing time")
     estimate: EstimateSummary = Field(description="of the driver, against the truth")
+    drives: list[StackDrive] = Field(description="each trial")
 
 
 class StackTrialsResult(StackResult, TrialsResult):

@@ -1,24 +1,24 @@
 """Random trials of one policy through the stack, and the words of a result."""
 
+import itertools
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from rich.console import Console
 from rich.progress import Progress
 
-from rover_ncp.core.console import Output
 from sim.evaluate.evaluate import Evaluation, tally
-from sim.evaluate.results import StackResult
+from sim.evaluate.results import StackDrive, StackResult
+from sim.learn.progress import progress_lines
 from sim.stack.estimates import summary, words
 from sim.stack.trials import Stack, drive_all
 
 
-def evaluate_stack(
-    stack: Stack, trials: int, processes: int | None, output: Output
-) -> tuple[Evaluation, StackResult]:
+def evaluate_stack(stack: Stack, trials: int, processes: int | None) -> tuple[Evaluation, StackResult]:
     """Drive trials through a stack; return their outcomes and the stack's result. Raises WorkerDied."""
     began = time.monotonic()
-    with progress(output, trials) as done:
+    with progress(trials) as done:
         driven = drive_all(stack, trials, processes, done)
     wall_s = time.monotonic() - began
     driven_s = sum(stack.course(number).horizon_s for number in range(trials))
@@ -27,15 +27,32 @@ def evaluate_stack(
         wall_s=wall_s,
         times_real_time=driven_s / wall_s,
         estimate=summary([trial.belief for trial in driven], [trial.parked for trial in driven]),
+        drives=[
+            StackDrive(
+                trial=number,
+                parked=trial.parked,
+                reason=trial.reason,
+                error_m=trial.error_m,
+                error_rad=trial.error_rad,
+                verdict=trial.belief.verdict,
+                probability=trial.belief.probability,
+            )
+            for number, trial in enumerate(driven)
+        ],
     )
 
 
 @contextmanager
-def progress(output: Output, total: int) -> Iterator[Callable[[], None]]:
-    """Show the progress of trials, of which the block reports each."""
-    with Progress(console=output.console, transient=True, disable=not output.console.is_terminal) as progress:
-        task = progress.add_task("trials", total=total)
-        yield lambda: progress.advance(task)
+def progress(total: int) -> Iterator[Callable[[], None]]:
+    """Show the progress of trials on stderr, of which the block reports each."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        counted, line = itertools.count(1), progress_lines()
+        yield lambda: line(f"{next(counted)} of {total} trials")
+        return
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task("trials", total=total)
+        yield lambda: bar.advance(task)
 
 
 def result_words(found: Evaluation, stack: StackResult | None) -> Iterator[str]:

@@ -1,6 +1,7 @@
 """The driver's estimate at the end of a stack simulation against the truth, over many trials."""
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -19,6 +20,8 @@ class Belief(NamedTuple):
 
     verdict: Parked | None
     """The driver's; None if a safety rule stopped the drive."""
+    probability: float | None
+    """That the rover is within the tolerances, by the driver's estimate; None as for the verdict."""
     error_m: float
     """Position error of the estimate; NaN if a safety rule stopped the drive."""
     squared: float
@@ -42,11 +45,11 @@ class EstimateSummary(BaseModel):
     inside: dict[str, float | None] = Field(
         description="share of drives whose true position is inside the 50 % and the 95 % ellipse"
     )
-    verdict_agrees: float = Field(
-        description="share of drives of which the driver's verdict is parked or not parked, and true"
+    verdicts: dict[str, int] = Field(
+        description="number of drives by the driver's verdict; 'stopped' by a safety rule"
     )
-    verdict_uncertain: float = Field(
-        description="share of drives of which the driver's verdict is 'parked, uncertain'"
+    verdict_agrees: float | None = Field(
+        description="share of the verdicts that are true, without the uncertain ones; null if there is none"
     )
     quiet_misses: float | None = Field(
         description="share of the verdicts parked that are false; null if there is none"
@@ -63,13 +66,15 @@ def belief_of(drive: Drive, pose: Pose) -> Belief:
         squared = float(error @ np.linalg.solve(estimate.covariance[:2, :2], error))
     predicted_m = math.nan if drive.predicted_error_m is None else drive.predicted_error_m
     verdict = None if drive.verdict is None else drive.verdict.words
-    return Belief(verdict, error_m, squared, predicted_m)
+    probability = None if drive.verdict is None else drive.verdict.probability
+    return Belief(verdict, probability, error_m, squared, predicted_m)
 
 
 def summary(beliefs: Sequence[Belief], parked: Sequence[bool]) -> EstimateSummary:
     """Return the estimates of drives that truly ended ``parked`` or not."""
     sure = np.array([belief.verdict is Parked.YES for belief in beliefs])
-    denied = np.array([belief.verdict in {None, Parked.NO} for belief in beliefs])
+    certain = np.array([belief.verdict is not Parked.UNCERTAIN for belief in beliefs])
+    verdicts = Counter("stopped" if belief.verdict is None else belief.verdict.value for belief in beliefs)
     squared = np.array([belief.squared for belief in beliefs if math.isfinite(belief.squared)])
     return EstimateSummary(
         error_m=_percentiles([belief.error_m for belief in beliefs]),
@@ -78,8 +83,8 @@ def summary(beliefs: Sequence[Belief], parked: Sequence[bool]) -> EstimateSummar
             f"{share:.0%}": float(np.mean(squared <= -2.0 * math.log(1.0 - share))) if len(squared) else None
             for share in ELLIPSES
         },
-        verdict_agrees=float(np.mean(np.where(parked, sure, denied))),
-        verdict_uncertain=float(np.mean([belief.verdict is Parked.UNCERTAIN for belief in beliefs])),
+        verdicts=dict(verdicts.most_common()),
+        verdict_agrees=float(np.mean((sure == parked)[certain])) if certain.any() else None,
         quiet_misses=float(np.mean(~np.array(parked)[sure])) if sure.any() else None,
     )
 
@@ -96,8 +101,11 @@ def words(found: EstimateSummary) -> Iterator[str]:
     if found.predicted_error_m is not None:
         predicted_mm = 1000 * found.predicted_error_m.p50
         yield f"predicted before the drive, without external poses: {predicted_mm:.0f} mm in 95 %"
-    agrees, uncertain = found.verdict_agrees, found.verdict_uncertain
-    yield f"the driver's own verdict is true: {agrees:.1%}, uncertain: {uncertain:.1%}"
+    counts = ", ".join(f"{verdict}: {count}" for verdict, count in found.verdicts.items())
+    agrees = (
+        "" if found.verdict_agrees is None else f"; {found.verdict_agrees:.1%} of the certain ones are true"
+    )
+    yield f"the driver's own verdicts: {counts}{agrees}"
     if found.quiet_misses is not None:
         yield f"not parked although the driver's verdict is parked: {found.quiet_misses:.1%} of these"
 

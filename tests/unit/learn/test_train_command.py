@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 from kit.paths import DATA, content
-from rich.progress import Progress
 
 from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.cli import run
 from rover_ncp.core.config import dump_yaml
+from sim.learn import progress
 
 COURSE = DATA / "short_course.yaml"
 TRAIN = f"train --course {COURSE} --processes 1"
@@ -84,7 +84,7 @@ def test_moved_folder_of_a_run_is_an_error(kind, tmp_path, capsys, monkeypatch):
         if folder.exists():
             folder.rename(moved)
 
-    monkeypatch.setattr(Progress, "update", move)
+    monkeypatch.setattr(progress, "progress_lines", lambda: move)
     assert run(f"{TRAIN} --iterations 60 {kind} --out {folder}".split()) == 2
     said = capsys.readouterr().err
     assert f"rover-ncp: {folder}: was moved or removed during the training" in said

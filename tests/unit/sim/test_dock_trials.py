@@ -8,7 +8,6 @@ import pytest
 from kit.virtual_docking import place
 
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.console import Output
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.wire.messages import pose_with_covariance, read_pose
@@ -77,7 +76,7 @@ def test_a_trial_whose_robot_never_sees_the_tags_is_counted():
         farthest_m = 0.1
 
     drawn = dataclasses.replace(trials(), localiser=Blind)
-    found = evaluate_docking(drawn, 2, 1, Output(False), randomize="none", model=None, body="pymunk")
+    found = evaluate_docking(drawn, 2, 1, randomize="none", model=None, body="pymunk")
     assert (found.trials, found.said_docked) == (2, 0)
     assert found.failures == {"stopped by no-pose": 2}
 
@@ -111,6 +110,6 @@ def test_docked_counts_by_the_true_pose(moved_m, reasons):
             return pose_with_covariance(there, seen.covariance, wall_ns, seen.frame)
 
     drawn = dataclasses.replace(trials(retries=0), localiser=Moved)
-    found = evaluate_docking(drawn, 1, 1, Output(False), randomize="none", model=None, body="pymunk")
+    found = evaluate_docking(drawn, 1, 1, randomize="none", model=None, body="pymunk")
     assert (found.said_docked, found.failures) == (1, reasons)
     assert found.success_rate == (not reasons)

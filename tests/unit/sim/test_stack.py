@@ -15,9 +15,13 @@ from rover_ncp.robot.description import load_description
 from rover_ncp.robot.profile import RoverProfile
 from sim.base.drive_train import DriveTrain
 from sim.base.trial import BaseTrial
+from sim.evaluate import trial_runs
 from sim.evaluate.evaluate import drive_trials
+from sim.learn import progress
 from sim.learn.engine.driver import circuit_driver, load_driver
 from sim.learn.engine.rollout import rollout
+from sim.learn.progress import train_progress
+from sim.learn.robust import Generation
 from sim.stack.estimates import summary
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
@@ -76,10 +80,12 @@ def test_drivers_beliefs_are_compared_with_the_truth(parking):
         assert trial.belief.squared < chi2.ppf(0.999, 2)
         assert trial.belief.error_m < trial.belief.predicted_m
     fields = summary([trial.belief for trial in found], [True, False])
-    assert (fields.verdict_agrees, fields.verdict_uncertain, fields.quiet_misses) == (0.0, 1.0, None)
+    assert (fields.verdict_agrees, fields.quiet_misses) == (None, None)
+    assert fields.verdicts == {"parked, uncertain": 2}
     sure, wrong = (trial.belief._replace(verdict=Parked.YES) for trial in found)
     quiet = summary([sure, wrong], [True, False])
-    assert (quiet.verdict_agrees, quiet.verdict_uncertain, quiet.quiet_misses) == (0.5, 0.0, 0.5)
+    assert (quiet.verdict_agrees, quiet.quiet_misses) == (0.5, 0.5)
+    assert quiet.verdicts == {"parked": 2}
     assert fields.error_m.p95 <= max(trial.belief.error_m for trial in found)
 
 
@@ -93,6 +99,30 @@ def test_the_stack_drives_the_trials_of_plain_simulation(parking):
         # A driver hides the lateral error of a rover at rest, so that it turns further towards the goal.
         goal, heading = driven.course(number).goal.theta, plain.poses[-1][2]
         assert min(goal, heading) - 0.02 < trial.pose.theta < max(goal, heading) + 0.02
+
+
+@pytest.mark.parametrize("shown", [trial_runs.progress, train_progress])
+def test_long_command_prints_its_progress_into_a_file(capsys, monkeypatch, shown):
+    monkeypatch.setattr(progress, "LINE_S", 0.0)
+    with shown(2) as show:
+        if shown is train_progress:
+            show(Generation(2, np.zeros(1), 0.1, 3.5))
+        else:
+            show()
+            show()
+    assert "2 of 2" in capsys.readouterr().err
+
+
+def test_json_has_each_drive_with_the_drivers_verdict(run_json):
+    code, fields = run_json(f"eval course --stack --course {ARC} --randomize full --seed 3 --trials 2")
+    driven = drive_all(stack("full", seed=3, course=ARC), 2, 1)
+    assert code == 0
+    for number, (drive, trial) in enumerate(zip(fields["drives"], driven, strict=True)):
+        assert (drive["trial"], drive["parked"], drive["error_m"]) == (number, trial.parked, trial.error_m)
+        assert (drive["verdict"], drive["probability"]) == (trial.belief.verdict, trial.belief.probability)
+        assert 0.0 < drive["probability"] < 0.95
+    assert fields["estimate"]["verdicts"] == {"parked, uncertain": 2}
+    assert fields["estimate"]["verdict_agrees"] is None
 
 
 @pytest.mark.long

@@ -71,9 +71,6 @@ def pose_reader(frame: str | None) -> Callable[[bytes], PoseSample]:
     return read
 
 
-read_course_pose = pose_reader(COURSE_FRAME)
-
-
 def readers(pose_frame: str) -> dict[str, Callable[[bytes], Sample]]:
     """Return the decoder of each topic that is an input of the controller."""
     return {"odom": read_odometry, "imu": read_imu, "pose": pose_reader(pose_frame)}

@@ -5,22 +5,25 @@ All times are of the bridge's clock, which stamps odometry and the commands that
 between arrival and stamp of the odometry around them: that of the clocks and the shortest transit.
 """
 
+import logging
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from deploy.drive.measurements import read_course_pose
+from rover_ncp.core.console import printable
 from rover_ncp.core.errors import FileError, FormatError
+from rover_ncp.core.geometry import Pose
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import RobotDescription
-from rover_ncp.wire.messages import read_odometry, read_twist
+from rover_ncp.wire.messages import read_odometry, read_pose, read_twist
 
 FloatArray = NDArray[np.float64]
 
+_log = logging.getLogger("rover_ncp")
 _MIN_SAMPLES = 50
 """Minimum number of odometry samples for a fit."""
 _NEAR = 20
@@ -47,15 +50,23 @@ class MotionLog(NamedTuple):
     motion: FloatArray
     """(n, 2) v and omega as odometry reports them with each pose, or from its poses."""
     external: Track
-    """Poses from outside, by the time of their arrival on the bridge's clock; may be empty."""
+    """Poses from outside in any one frame, by their arrival on the bridge's clock; may be empty."""
+
+
+class _Arrived(NamedTuple):
+    """An external pose, after so many samples of odometry and at this moment of the driver's clock (ns)."""
+
+    seen: tuple[int, int]
+    pose: Pose
 
 
 def motion_log(messages: Iterable[Recorded], robot: RobotDescription | None = None) -> MotionLog:
     """Read a drive's messages; skip malformed ones. Raises FileError when there are too few.
 
+    Of external poses in several frames, those in the most frequent one are used; the log warns of others.
     Where a robot reports mean speeds, those of the moment are from its poses.
     """
-    sent, external, offsets_ns = [], [], list[int]()
+    sent, offsets_ns, poses = [], list[int](), dict[str, list[_Arrived]]()
     odometry: list[tuple[float, ...]] = []
     for message in messages:
         try:
@@ -67,7 +78,8 @@ def motion_log(messages: Iterable[Recorded], robot: RobotDescription | None = No
                 odometry.append((sample.stamp_ns, *sample.pose, *sample.velocity))
                 offsets_ns.append(message.log_ns - sample.stamp_ns)
             elif message.topic == "pose":
-                external.append(((len(odometry), message.log_ns), read_course_pose(message.data).pose))
+                pose = read_pose(message.data)
+                poses.setdefault(pose.frame, []).append(_Arrived((len(odometry), message.log_ns), pose.pose))
         except FormatError:
             continue
     if len(odometry) < _MIN_SAMPLES or not sent:
@@ -82,7 +94,7 @@ def motion_log(messages: Iterable[Recorded], robot: RobotDescription | None = No
     zero_ns = int(odometry[0][0])
     commands = _table([(at or stamp_ns(*seen), *velocity) for at, seen, velocity in sent], zero_ns, 3)
     samples = _table(odometry, zero_ns, 6)
-    outside = _table([(stamp_ns(*seen), *pose) for seen, pose in external], zero_ns, 4)
+    outside = _table([(stamp_ns(*seen), *pose) for seen, pose in _of_one_frame(poses)], zero_ns, 4)
     samples[:, 0] = _measured(samples[:, 0])
     if robot is not None and robot.odometry.speed_mean_s:
         samples = samples[np.diff(samples[:, 0], prepend=-math.inf) > 0.0]
@@ -91,6 +103,15 @@ def motion_log(messages: Iterable[Recorded], robot: RobotDescription | None = No
         samples[:, 4] = np.cos(theta) * slope_x + np.sin(theta) * slope_y
         samples[:, 5] = np.gradient(np.unwrap(theta), t)
     return MotionLog(commands[:, 0], commands[:, 1:], _track(samples[:, :4]), samples[:, 4:], _track(outside))
+
+
+def _of_one_frame(poses: Mapping[str, list[_Arrived]]) -> list[_Arrived]:
+    """Return the poses in the most frequent frame; warn of those in others."""
+    frame = max(poses, key=lambda name: len(poses[name]), default="")
+    if others := {name: len(found) for name, found in poses.items() if name != frame}:
+        words = ", ".join(f"{count} in frame {name!r}" for name, count in others.items())
+        _log.warning("%s", printable(f"external poses are used in frame {frame!r} only; left out: {words}"))
+    return poses.get(frame, [])
 
 
 def _table(rows: Sequence[tuple[float, ...]], zero_ns: int, width: int) -> FloatArray:

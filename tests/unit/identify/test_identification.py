@@ -20,7 +20,7 @@ from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.recording.recording import Recorded, RecordingWriter
 from rover_ncp.robot.description import load_description
 from rover_ncp.robot.profile import load_profile
-from rover_ncp.wire.messages import odometry, read_odometry, twist_stamped
+from rover_ncp.wire.messages import odometry, pose_with_covariance, read_odometry, read_pose, twist_stamped
 from sim.stack.virtual import VirtualLink
 from sim.world.randomization import load_randomization
 from sim.world.rover import toward
@@ -102,6 +102,21 @@ def test_external_poses_show_the_errors_of_odometry():
     assert found.odometry_distance == pytest.approx(trials.odometry[0, 0], abs=0.02)
     assert found.wheel_mismatch_rad_m == pytest.approx(trials.wheel_mismatch[0], abs=0.03)
     assert found.slip_s == pytest.approx(trials.slip[0], abs=0.15)
+
+
+@pytest.mark.parametrize("frame", ["map", "", "robot1/world"])
+def test_external_poses_count_in_any_one_frame(frame, caplog):
+    done, found, *_ = drive("full", outside=True)
+    poses = [n for n, message in enumerate(done.messages) if message.topic == "pose"]
+    messages = list(done.messages)
+    for n in poses[5:]:  # five of another localiser are left out, with a warning
+        sample = read_pose(messages[n].data)
+        data = pose_with_covariance(sample.pose, sample.covariance, sample.stamp_ns, frame)
+        messages[n] = replace(messages[n], data=data)
+    again = identify(motion_log(messages), "mock")
+    assert again.measured["external_poses"] == len(poses) - 5
+    assert again.odometry_heading == pytest.approx(found.odometry_heading, rel=1e-3)
+    assert f"used in frame '{frame}' only; left out: 5 in frame 'course'" in caplog.text
 
 
 def test_tyres_that_rock_after_a_motion_do_not_hide_how_a_robot_skids():

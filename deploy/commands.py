@@ -231,14 +231,16 @@ def check(
     zenoh_config: ZenohConfig = None,
     json: Json = False,
 ) -> int:
-    """Check a robot before it drives: on blocks, its wheels free.
+    """Check a robot before it drives: on blocks, its wheels free, or on a free floor.
 
-    Ends at the first finding that is not ok. Checks odometry, battery, stop button and bumpers, and requests
-    the motors. Turns the wheels forward and then left for a moment and compares the reported motion with the
-    commands. Then it sends no more commands
-    and measures when the wheels stop. For a ROS 2 robot the bridge then sends nothing either, for 5 s at
-    most, and measures when the robot halts by itself. With --model, the bridge must drive that model, and
-    odometry must come at its rate. Ends with 0 for yes, 1 for no, with the reason.
+    Each line says what was measured and what would be right. Ends at the first finding that is not ok. Checks
+    the link, odometry, sensors, battery, stop button and bumpers, and requests the motors. Turns the wheels
+    forward, slowly, and then left, and compares the reported motion with the commands, and that of gyro,
+    laser and external poses with odometry. On blocks these show no motion, and are not known; on the floor
+    that is a fault. Then it sends no more commands and measures when the wheels stop. For a ROS 2 robot the
+    bridge then sends nothing either, for 5 s at most, and measures when the robot halts by itself. With
+    --model, the bridge must drive that model, and odometry must come at its rate. Ends with 0 for yes, 1 for
+    no, with the reason.
 
         rover-ncp check --robot tcp/192.168.1.20 --on-blocks
     """
@@ -264,6 +266,7 @@ def check(
 def teleop(
     *,
     robot: Robot,
+    model: Model = None,
     record: Record = None,
     overwrite: Overwrite = False,
     namespace: Namespace = "",
@@ -275,6 +278,7 @@ def teleop(
     u i o, j k l and m , . drive in the direction in which they lie around k, which stops; the arrows do as
     i , j l. A terminal reports a held key only by repeating it, so a key counts for 0.4 s after it was last
     sent. A single press is a small step at half speed. q and Ctrl-C stop the rover and release the lease.
+    With --model, commands that are too slow for the robot's motors become pulses.
 
     Standard input has to be a terminal, whose settings are restored at the end.
 
@@ -287,11 +291,13 @@ def teleop(
     from deploy.recorder import Recorder
     from deploy.teleop import run
     from deploy.zenoh_client import BridgeAddress
+    from rover_ncp.robot.description import load_description
 
     if record is None:
         reject("needs --record", overwrite=overwrite)
     address = BridgeAddress(robot, namespace, zenoh_config)
-    return run(address, Recorder(record, overwrite=overwrite), Output(json, controls=True))
+    recorder, output = Recorder(record, overwrite=overwrite), Output(json, controls=True)
+    return run(address, recorder, output, robot=load_description(model) if model else None)
 
 
 def identify(

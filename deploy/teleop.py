@@ -21,6 +21,7 @@ from typing import Self
 
 from pydantic import Field
 
+from deploy.drive.dead_zone import DeadZone
 from deploy.drive.link import Link
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
@@ -34,6 +35,8 @@ from rover_ncp.core.errors import SafetyStop, UsageError
 from rover_ncp.core.geometry import STANDSTILL
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Clock, Interrupts
+from rover_ncp.course.course import TICK_S
+from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.protocol import in_words
 
 PERIOD_S = 0.05
@@ -115,6 +118,7 @@ class Terminal:
 class Teleop:
     """One person's drive over an open link; ``seconds`` is its duration.
 
+    Commands within the dead band of ``robot`` become pulses, as those of a policy do.
     ``begin`` is called when the lease is granted.
     """
 
@@ -126,8 +130,10 @@ class Teleop:
         clock: Clock = time,
         *,
         begin: Callable[[], None] = lambda: None,
+        robot: RobotDescription | None = None,
     ) -> None:
         self._begin = begin
+        self._dead_zone = DeadZone(described=robot)
         self._link, self._terminal, self._clock = link, terminal, clock
         self._measurements = Measurements(link)
         self._monitor = SafetyMonitor(link, self._measurements, interrupted, clock=clock)
@@ -166,7 +172,7 @@ class Teleop:
             self._link.release()
 
     def _drive(self) -> None:
-        began = due = read = self._clock.monotonic()
+        began = due = tick_due = read = self._clock.monotonic()
         while True:
             text = self._terminal.read(max(0.0, due - self._clock.monotonic()))
             now = self._clock.monotonic()
@@ -183,14 +189,19 @@ class Teleop:
                 self._keyboard.press(key, now)
             self._measurements.odometry(0)  # the safety monitor judges the newest
             self._monitor.check()
-            if now >= due or text:
-                self._command = self._keyboard.velocity(now)
+            velocity = self._keyboard.velocity(now)
+            if now >= due or (text and velocity == STANDSTILL):
+                if now >= tick_due or velocity == STANDSTILL:  # pulses last whole control ticks
+                    self._command = self._dead_zone.pass_on(velocity)
+                    tick_due = now + TICK_S - 0.5 * PERIOD_S
                 self._link.command(self._command)
                 due = now + PERIOD_S
             self.seconds = now - began
 
 
-def run(address: BridgeAddress, recorder: Recorder, output: Output) -> int:
+def run(
+    address: BridgeAddress, recorder: Recorder, output: Output, *, robot: RobotDescription | None = None
+) -> int:
     """Let a person drive, and return the exit code. Raises RoverNcpError if the drive could not begin."""
     stop: SafetyStop | None = None
     code, ending = 0, "ended"
@@ -200,8 +211,9 @@ def run(address: BridgeAddress, recorder: Recorder, output: Output) -> int:
         Terminal() as terminal,
         ZenohLink(address, recorder.put) as link,
     ):
-        teleop = Teleop(link, terminal, lambda: interrupts.raised, begin=recorder.begin)
+        teleop = Teleop(link, terminal, lambda: interrupts.raised, begin=recorder.begin, robot=robot)
         teleop.wait()
+        output.say(link.other_model(robot))
         about = {"version": version("rover-ncp"), "robot": address.robot}
         recorder.open({TELEOP_FILE: dump_yaml(about).encode()})
         for line in HELP.splitlines():

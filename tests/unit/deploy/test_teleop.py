@@ -1,6 +1,7 @@
 """A person's drive on the virtual clock, and the terminal of a process over a pseudo-terminal."""
 
 import contextlib
+import math
 import os
 import pty
 import sys
@@ -8,12 +9,19 @@ import termios
 
 import numpy as np
 import pytest
+from kit.described import described
 from kit.virtual_drive import VirtualDrive
 
-from deploy.keyboard import HOLD_S, V_M_S
+from deploy.keyboard import HOLD_S, OMEGA_RAD_S, V_M_S
 from deploy.teleop import BRACKETED_PASTE, NO_BRACKETED_PASTE, Teleop, Terminal
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import STANDSTILL
+from rover_ncp.robot.description import DeadBand, load_description
+from sim.base.firmware import Firmware
+from sim.base.ros2_robot import Ros2Robot
+from sim.stack.virtual import VirtualBridge, VirtualLink
+from sim.world.described import described_rover
+from sim.world.pymunk_rover import Ground, PymunkRover
 
 REPEAT_S, DELAY_S = 0.033, 0.3
 
@@ -86,6 +94,30 @@ def test_what_takes_long_before_the_lease_is_not_odometrys_age(virtual, monkeypa
     virtual.bridge.sleep(0.5)
     driven.run()
     assert driven.seconds == pytest.approx(1.0, abs=0.1)
+
+
+def with_band(omega):
+    return described("p3at-sh", motion={"dead_band": DeadBand(v=0.03, omega=omega)})
+
+
+def turned_by(robot, keys):
+    """Return by how much a robot turns, whose model is known."""
+    rover = PymunkRover(described_rover(robot, motors=True), Ground(()))
+    bridge = VirtualBridge(Firmware(robot, rover) if robot.arcos else Ros2Robot(robot, rover))
+    bridge.sleep(3.0)
+    terminal = Typed(bridge, [*keys, (6.0, "q")])
+    driven = Teleop(VirtualLink(bridge, None), terminal, lambda: False, bridge, robot=robot)
+    driven.run()
+    return rover.pose.theta
+
+
+@pytest.mark.parametrize(
+    "robot", [load_description("turtlebot4"), with_band(0.2)], ids=["turtlebot4", "p3at"]
+)
+def test_base_with_a_dead_band_turns_as_the_keys_say(robot):
+    assert turned_by(robot, held("j", 4.0)) == pytest.approx(4.0 * OMEGA_RAD_S, rel=0.25)
+    one_press = turned_by(robot, [(0.0, "j")])
+    assert math.radians(1.0) < one_press < math.radians(3.5)
 
 
 @pytest.mark.parametrize("way", ["q", "\x1a", None, "signal", "bridge-lost"])

@@ -5,11 +5,14 @@ Rules of this file:
 1. Each page has one WebSocket for updates and for its requests to stop. A browser limits the HTTP
    connections to a host to six, over all its pages; WebSockets are outside that limit.
 2. A request to stop waits for nothing: neither for updates of this page nor for those of another.
-3. A page requests the next updates when it has shown the last. A slow or hidden page thus queues nothing.
+3. A page requests the next updates when it has shown the last. A slow or hidden page thus queues nothing. The
+   server does not rely on that: it answers few requests of a page at a time, reads no more of them meanwhile,
+   and ends the connection of a page that takes nothing.
 4. Only pages of this server may open the WebSocket: other pages in the same browser have another origin, and
    other names for this machine another host in the request.
 """
 
+import asyncio
 import contextlib
 import json
 import socket
@@ -19,7 +22,7 @@ from typing import Any
 
 import uvicorn
 import zenoh
-from anyio import CapacityLimiter, create_task_group
+from anyio import CapacityLimiter, Event, Semaphore, create_task_group
 from anyio.to_thread import run_sync
 from pydantic import Field
 from starlette.applications import Starlette
@@ -29,6 +32,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from deploy.view.feed import Cursor, Feed
 from deploy.view.page import watch_page
@@ -51,6 +55,12 @@ HOST = "127.0.0.1"
 REQUEST_BYTES = 16
 """The longest request of a page is "release"."""
 STOPS_AT_ONCE = 64
+ANSWERS_AT_ONCE = 4
+"""Requests of one page that are answered at a time."""
+SLOW_S = 10.0
+"""A page that takes nothing of what waits for it for so long is closed."""
+INVALID_DATA = 1007
+"""WebSocket's code for a text that is not UTF-8."""
 STOP_TIMEOUT_S = 1.0
 REASON = "the live page's Stop button"
 
@@ -116,17 +126,7 @@ def run(address: BridgeAddress, policy: str, course: str, port: int, output: Out
         outline = outline_of(robot)
         page = watch_page(address.robot, url, the_policy, the_course, outline)
         with Viewer(address, feed.take) as viewer:
-            config = uvicorn.Config(
-                _application(page, feed, viewer),
-                ws="websockets-sansio",
-                ws_max_size=REQUEST_BYTES,
-                ws_per_message_deflate=False,
-                log_level="warning",
-                access_log=False,
-                lifespan="off",
-                timeout_graceful_shutdown=1,
-            )
-            server = uvicorn.Server(config)
+            server = _server(_application(page, feed, viewer))
             output.announce(f"watching at {url}")
             # The server ends in order on a signal, and then raises the signal again.
             with Interrupts():
@@ -134,6 +134,34 @@ def run(address: BridgeAddress, policy: str, course: str, port: int, output: Out
     result = WatchResult(address=url, robot=viewer.robot)
     output.result(result, "interrupted; no longer watching")
     return INTERRUPTED
+
+
+class Connection(WebSocketsSansIOProtocol):
+    """A page's WebSocket that ends without a word in the log when the page takes nothing or sends no text."""
+
+    _slow: asyncio.TimerHandle | None = None
+
+    def pause_writing(self) -> None:
+        """Begin to wait for a page that does not take what was written."""
+        super().pause_writing()
+        self._slow = self.loop.call_later(SLOW_S, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        """End the wait."""
+        super().resume_writing()
+        if self._slow is not None:
+            self._slow.cancel()
+
+    def send_receive_event_to_app(self) -> None:
+        """Pass a request on, or end the connection if it is not UTF-8."""
+        if self.curr_msg_data_type == "text":
+            try:
+                b"".join(self.frames).decode()
+            except UnicodeDecodeError:
+                self.conn.fail(INVALID_DATA)
+                self.handle_parser_exception()
+                return
+        super().send_receive_event_to_app()
 
 
 def _application(page: str, feed: Feed, viewer: Viewer) -> Starlette:
@@ -148,27 +176,48 @@ def _application(page: str, feed: Feed, viewer: Viewer) -> Starlette:
             await socket.close()
             return
         await socket.accept()
-        cursor = Cursor()
+        cursor, answers, closed = Cursor(), Semaphore(ANSWERS_AT_ONCE), Event()
 
         async def answer(request: str) -> None:
-            if request in {"stop", "release"}:
-                reply = await run_sync(_request_stop, viewer, request == "release", limiter=stops)
-            elif request == "updates":
+            if request == "updates":
                 reply = await run_sync(_updates, feed, viewer, cursor)
             else:
-                return
-            # The page was closed meanwhile; any further answer to it is a RuntimeError.
-            with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+                reply = await run_sync(_request_stop, viewer, request == "release", limiter=stops)
+            try:
                 await socket.send_text(reply)
+            except (
+                WebSocketDisconnect,
+                RuntimeError,
+            ):  # the second for each answer behind the first that failed
+                closed.set()
+            answers.release()
 
         async with create_task_group() as requests:
-            async for request in socket.iter_text():
-                requests.start_soon(answer, request)
+            while (message := await socket.receive())["type"] == "websocket.receive":
+                request = message.get("text")
+                # A page that was closed may have requested a stop before.
+                if request in {"stop", "release"} or (request == "updates" and not closed.is_set()):
+                    await answers.acquire()
+                    requests.start_soon(answer, request)
 
     return Starlette(
         routes=[Route("/", show), WebSocketRoute("/live", live)],
         middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])],
     )
+
+
+def _server(application: Starlette) -> uvicorn.Server:
+    config = uvicorn.Config(
+        application,
+        ws=Connection,
+        ws_max_size=REQUEST_BYTES,
+        ws_per_message_deflate=False,
+        log_level="warning",
+        access_log=False,
+        lifespan="off",
+        timeout_graceful_shutdown=1,
+    )
+    return uvicorn.Server(config)
 
 
 def _updates(feed: Feed, viewer: Viewer, cursor: Cursor) -> str:

@@ -3,11 +3,13 @@
 import contextlib
 import json
 import signal
+import socket
 import threading
 import time
 import urllib.request
 from types import SimpleNamespace
 
+import pytest
 from kit.bridge_bench import Driver
 from websockets.sync.client import connect
 
@@ -27,11 +29,25 @@ class Page:
     def connect(self, origin=None):
         return connect(f"ws://{self.host}/live", origin=origin or f"http://{self.host}", open_timeout=5)
 
+    def reads_nothing(self):
+        """Return the TCP connection of a WebSocket, of which nothing more is read by itself."""
+        connection = socket.create_connection(self.host.split(":"))
+        headers = {"Host": self.host, "Origin": f"http://{self.host}", "Upgrade": "websocket"}
+        headers |= {
+            "Connection": "Upgrade",
+            "Sec-WebSocket-Version": "13",
+            "Sec-WebSocket-Key": 22 * "A" + "==",
+        }
+        lines = ["GET /live HTTP/1.1", *(f"{name}: {value}" for name, value in headers.items()), "", ""]
+        connection.sendall("\r\n".join(lines).encode())
+        connection.recv(4096)
+        return connection
+
     def request(self, what):
         """Request a stop or its release, and return the answer."""
-        with self.connect() as socket:
-            socket.send(what)
-            return json.loads(socket.recv(timeout=5))["answer"]
+        with self.connect() as page:
+            page.send(what)
+            return json.loads(page.recv(timeout=5))["answer"]
 
     def updates(self, until, timeout_s=30.0):
         """Request updates until some satisfy ``until``; return them."""
@@ -46,6 +62,21 @@ class Page:
         raise AssertionError("no such updates")
 
 
+@contextlib.contextmanager
+def served(updates, stop):
+    """Serve pages whose updates and stops are these functions; yield the server as a browser sees it."""
+    viewer = SimpleNamespace(bridge_alive=True, may_stop=True, stop=stop)
+    application = server._application("", SimpleNamespace(updates=updates), viewer)
+    listener, running = server._listener(0), server._server(application)
+    thread = threading.Thread(target=running.run, kwargs={"sockets": [listener]})
+    thread.start()
+    try:
+        yield Page(f"http://127.0.0.1:{listener.getsockname()[1]}/")
+    finally:
+        running.should_exit = True
+        thread.join()
+
+
 def test_stop_waits_for_no_news():
     """Updates of more pages than there are threads for them, none of which comes."""
     released, stops = threading.Event(), []
@@ -54,27 +85,41 @@ def test_stop_waits_for_no_news():
         stops.append(release)
         return StopReply(stopped=not release)
 
-    feed = SimpleNamespace(updates=lambda cursor, bridge: released.wait(30) and {})
-    viewer = SimpleNamespace(bridge_alive=True, may_stop=True, stop=stop)
-    listener, application = server._listener(0), server._application("", feed, viewer)
-    config = server.uvicorn.Config(application, ws="websockets-sansio", log_level="warning", lifespan="off")
-    running = server.uvicorn.Server(config)
-    thread = threading.Thread(target=running.run, kwargs={"sockets": [listener]})
-    thread.start()
-    page = Page(f"http://127.0.0.1:{listener.getsockname()[1]}/")
-    try:
-        with contextlib.ExitStack() as stack:
-            sockets = [stack.enter_context(page.connect()) for _ in range(60)]
-            for socket in sockets:
-                socket.send("updates")
-            for number, socket in enumerate(sockets, 1):
-                socket.send("stop")
-                assert json.loads(socket.recv(timeout=5)) == {"answer": {"stopped": True}}
-                assert stops == [False] * number
-    finally:
-        released.set()
-        running.should_exit = True
-        thread.join()
+    with (
+        served(lambda cursor, bridge: released.wait(30) and {}, stop) as page,
+        contextlib.ExitStack() as stack,
+    ):
+        stack.callback(released.set)
+        sockets = [stack.enter_context(page.connect()) for _ in range(60)]
+        for socket in sockets:
+            socket.send("updates")
+        for number, socket in enumerate(sockets, 1):
+            socket.send("stop")
+            assert json.loads(socket.recv(timeout=5)) == {"answer": {"stopped": True}}
+            assert stops == [False] * number
+
+
+def test_little_waits_for_a_page_that_takes_nothing_and_then_it_is_closed(monkeypatch):
+    monkeypatch.setattr(server, "SLOW_S", 1.0)
+    made = []
+
+    def updates(cursor, bridge):
+        made.append("x" * 500_000)
+        return {"news": made[-1]}
+
+    with served(updates, None) as page:
+        with page.reads_nothing() as slow:
+            slow.sendall(500 * b"\x81\x87\0\0\0\0updates")
+            time.sleep(2.0)
+            assert len(made) < 50
+            slow.settimeout(5)
+            with pytest.raises(ConnectionError):
+                while True:
+                    slow.sendall(b"\x8a\x80\0\0\0\0")
+                    time.sleep(0.01)
+        with page.connect() as quick:
+            quick.send("updates")
+            assert quick.recv(timeout=5)
 
 
 def test_page_stops_a_driven_rover_reports_the_end_of_the_bridge_and_ends_at_ctrl_c(bridge, tmp_path):
@@ -103,6 +148,10 @@ def test_page_stops_a_driven_rover_reports_the_end_of_the_bridge_and_ends_at_ctr
         gone = page.updates(lambda updates: not updates["bridge"])
         assert gone["mayStop"] is False
         assert "nothing to stop" in page.request("stop")["error"]
+
+        for other in ({"message": b"\xff\xfe", "text": True}, {"message": b"stop"}):
+            with page.connect() as opened:
+                opened.send(**other)
 
         with page.connect():
             watch.send_signal(signal.SIGINT)

@@ -11,22 +11,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import zenoh
 
-from rover_ncp.core.errors import FormatError, NoBridge, NotAuthorised, UnreachableError
+from rover_ncp.core.errors import NoBridge, NotAuthorised, UnreachableError
 from rover_ncp.core.process import ClosedAtExit
-from rover_ncp.recording.recording import header_stamp_ns
 from rover_ncp.wire.address import parse_address
-from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.key_table import BRIDGE, KEYS, KeySpec, Kind, key, spec
-from rover_ncp.wire.messages import POSE_STAMPED, pose_with_covariance, read_pose_stamped
+from rover_ncp.wire.messages import with_covariance
 from rover_ncp.wire.zenoh import PORT, client_config
 
 _LOGGER = logging.getLogger("rover_ncp")
 PROBE_S = 1.0
-WITH_COVARIANCE_BYTES = 4 + 12 + 56 + 288
-"""Length of a PoseWithCovarianceStamped with an empty frame, at least; a PoseStamped is shorter."""
 CALLBACK_S = 1.0
 """Longest wait for the end of a callback."""
 
@@ -181,21 +176,6 @@ class ZenohClient(ClosedAtExit):
 
     def _bridge_token_changed(self, sample: zenoh.Sample) -> None:
         self.bridge_alive = sample.kind == zenoh.SampleKind.PUT
-
-
-def with_covariance(data: bytes) -> bytes:
-    """Return an external pose as a PoseWithCovarianceStamped; a PoseStamped gets variances of 0: not known.
-
-    The two types differ in their length. Anything else is returned as it is.
-    """
-    if len(data) >= WITH_COVARIANCE_BYTES:
-        return data
-    try:
-        pose, header = read_pose_stamped(data), decode(POSE_STAMPED, data).header
-    except FormatError:
-        return data
-    stamp_ns = header_stamp_ns(POSE_STAMPED, data) or 0
-    return pose_with_covariance(pose, np.zeros((3, 3)), stamp_ns, header.frame_id)
 
 
 def _source(sample: zenoh.Sample) -> str:

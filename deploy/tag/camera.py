@@ -1,19 +1,24 @@
-"""Pictures of a camera: a device, a video, a folder of pictures, or an MJPEG stream over HTTP."""
+"""Pictures of a camera: a device, a video, a folder of pictures, or an address (`deploy.tag.http_camera`)."""
 
-import http.client
+import io
 import logging
+import os
+import re
 import threading
 import time
-import urllib.request
-from collections.abc import Callable, Iterator
+import warnings
+from abc import abstractmethod
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import IO
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from deploy.drive.link import Inbox
 from rover_ncp.core.errors import FileError, UsageError
@@ -22,11 +27,12 @@ from rover_ncp.core.process import ClosedAtExit
 _LOGGER = logging.getLogger("rover_ncp")
 
 TIMEOUT_S = 3.0
-"""A stream without a picture that can be read for so long is lost, also at its beginning."""
-MAX_JPEG = 8 << 20
-"""Most bytes of a picture in a stream."""
-STAMP = "x-timestamp"
-"""Header of a picture in a stream: s since the epoch at its exposure or later, as mjpg-streamer sends it."""
+"""A live camera without a picture that can be read for so long is lost, also at its beginning."""
+MAX_PIXELS = 50_000_000
+"""Most pixels of a picture; its size is read before the picture is decoded."""
+MAX_FILE = 1 << 26
+"""Most bytes of a picture's file."""
+PICTURES = frozenset({".png", ".jpg", ".jpeg"})
 
 
 @dataclass(frozen=True)
@@ -37,43 +43,73 @@ class Picture:
     wall_ns: int
 
 
-def pictures_of(source: str, delay_s: float = 0.0) -> "LiveCamera | Iterator[Picture]":
-    """Return the pictures of a source: a device's number, an http:// address, a file or a folder.
+class DeviceSettings(NamedTuple):
+    """What a device is set to; None is left as it is. ``focus`` is in the driver's units."""
 
-    ``delay_s`` is the time from exposure to a live picture's stamp, or to its arrival if it has none.
-    Raises UsageError and FileError.
+    size: tuple[int, int] | None = None
+    rate_hz: float | None = None
+    focus: float | None = None
+
+
+def is_device(source: str) -> bool:
+    """Whether a source names a device: a number, a path of ``/dev``, or a link to one."""
+    return source.isdecimal() or source.startswith("/dev/") or Path(source).is_char_device()
+
+
+def file_pictures(source: str, left_out: Counter[str]) -> Iterator[Picture]:
+    """Return the pictures of a folder, a picture's file or a video. Raises FileError.
+
+    Pictures that cannot be read are counted in ``left_out``, by reason.
     """
-    if source.isdigit() or source.startswith("http://"):
-        return ReadCamera(source, delay_s)
     path = Path(source)
     if path.is_dir():
-        return _folder(path)
+        files = sorted(each for each in path.iterdir() if each.suffix.lower() in PICTURES)
+        # Copying from a Mac leaves files such as ._p0.jpg, which are no pictures.
+        files = [each for each in files if not each.name.startswith(".")]
+        if not files:
+            raise FileError(f"{path}: no pictures (.png, .jpg)")
+        return _still_pictures(path, files, left_out)
     if not path.is_file():
-        raise FileError(f"{source}: no such file; expected a device's number, a file or http://HOST:PORT/")
-    return _video(path)
+        raise FileError(
+            f"{source}: no such file; expected a device (0 or /dev/video0; 'rover-ncp tag cameras' lists "
+            "them), http://HOST:PORT/PATH, a video or a folder of pictures"
+        )
+    return _still_pictures(path, [path], left_out) if path.suffix.lower() in PICTURES else _video(path)
 
 
-def _folder(path: Path) -> Iterator[Picture]:
-    files = sorted(each for each in path.iterdir() if each.suffix.lower() in {".png", ".jpg", ".jpeg"})
-    if not files:
-        raise FileError(f"{path}: no pictures (.png, .jpg)")
+def _still_pictures(path: Path, files: Sequence[Path], left_out: Counter[str]) -> Iterator[Picture]:
+    read, problem = 0, ""
     for each in files:
-        picture = cv2.imread(str(each), cv2.IMREAD_GRAYSCALE)
-        if picture is None:
-            raise FileError(f"{each}: not a picture")
-        yield Picture(np.asarray(picture, np.uint8), each.stat().st_mtime_ns)
+        try:
+            with each.open("rb") as file:
+                data = file.read(MAX_FILE + 1)
+            if len(data) > MAX_FILE:
+                raise ValueError(f"a picture of more than {MAX_FILE >> 20} MiB")
+            picture = decode_picture(data, each.stat().st_mtime_ns)
+        except (OSError, ValueError) as error:
+            problem = getattr(error, "strerror", None) or str(error)
+            left_out[problem] += 1
+            _LOGGER.warning("%s: left out: %s", each, problem)
+            continue
+        read += 1
+        yield picture
+    if not read:
+        raise FileError(f"{path}: no picture can be read: {problem}")
 
 
 def _video(path: Path) -> Iterator[Picture]:
     capture = cv2.VideoCapture(str(path))
     if not capture.isOpened():
         raise FileError(f"{path}: not a video that OpenCV reads")
+    size = capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
+    if size[0] * size[1] > MAX_PIXELS:
+        raise FileError(f"{path}: {size[0]:.0f} × {size[1]:.0f} pixels, expected {MAX_PIXELS} at most")
     began_ns = path.stat().st_mtime_ns
-    for grey, _ in _read(capture):
+    for grey, _ in _frames(capture):
         yield Picture(grey, began_ns + round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6))
 
 
-def _read(capture: cv2.VideoCapture) -> Iterator[tuple[NDArray[np.uint8], int]]:
+def _frames(capture: cv2.VideoCapture) -> Iterator[tuple[NDArray[np.uint8], int]]:
     """Yield the grey levels of all pictures, and when each was read (ns)."""
     while True:
         more, frame = capture.read()
@@ -82,6 +118,28 @@ def _read(capture: cv2.VideoCapture) -> Iterator[tuple[NDArray[np.uint8], int]]:
             return
         grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame
         yield np.asarray(grey, np.uint8), read_ns
+
+
+def decode_picture(data: bytes, wall_ns: int) -> Picture:
+    """Decode a JPEG or PNG. Raises ValueError."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            with Image.open(io.BytesIO(data), formats=("JPEG", "PNG")) as header:
+                width, height = header.size
+    except Image.DecompressionBombError:
+        width = height = MAX_PIXELS
+    except (OSError, SyntaxError, ValueError) as error:  # Pillow raises all of these
+        raise ValueError("a picture is neither a JPEG nor a PNG") from error
+    if width * height > MAX_PIXELS:
+        raise ValueError(f"a picture has more than {MAX_PIXELS} pixels")
+    try:
+        frame = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+    except cv2.error:
+        frame = None
+    if frame is None:
+        raise ValueError("a picture is damaged")
+    return Picture(np.asarray(frame, np.uint8), wall_ns)
 
 
 class Ended(str):
@@ -93,45 +151,50 @@ class Ended(str):
 class LiveCamera(ClosedAtExit):
     """The newest picture of a camera that runs: no picture waits in a queue.
 
-    Iterating ends with UsageError when the camera sends no picture that can be read for `TIMEOUT_S`.
+    Iterating ends with UsageError when the camera sends no picture that can be read for `TIMEOUT_S`. Pictures
+    that cannot be read are counted in ``left_out``, by reason. ``name`` is the camera's in messages.
     """
 
-    def __init__(self, source: str) -> None:
-        self._source = source
+    def __init__(self, name: str, left_out: Counter[str]) -> None:
+        self._name, self._left_out, self._problem = name, left_out, ""
         self.newest = Inbox[Callable[[], Picture] | Ended](2)
         """Functions that decode the newest pictures, or raise ValueError, and an end."""
 
     def __iter__(self) -> Iterator[Picture]:
-        seen_s, damaged = time.monotonic(), False
+        seen_s = time.monotonic()
         while True:
             arrived = self.newest.take(TIMEOUT_S)
             pictures = [each for each in arrived if not isinstance(each, Ended)]
-            ends = [each for each in arrived if isinstance(each, Ended)]
-            if not arrived:
-                ends = [Ended(f"no picture for {TIMEOUT_S:g} s")]
+            ends = [str(each) for each in arrived if isinstance(each, Ended)]
             for decode in pictures[-1:]:
                 try:
                     picture = decode()
                 except ValueError as error:
-                    if time.monotonic() - seen_s > TIMEOUT_S:
-                        raise UsageError(f"camera {self._source}: {error}") from error
-                    if not damaged:
-                        _LOGGER.warning("camera %s: left out: %s", self._source, error)
-                    damaged = True
+                    self.leave_out(str(error))
                     continue
-                seen_s = time.monotonic()
+                seen_s, self._problem = time.monotonic(), ""
                 yield picture
+                seen_s = time.monotonic()
+            if not arrived or (pictures and time.monotonic() - seen_s > TIMEOUT_S):
+                ends.append(self._problem or f"no picture for {TIMEOUT_S:g} s")
             if ends:
-                raise UsageError(f"camera {self._source}: {ends[0]}")
+                raise UsageError(f"camera {self._name}: {ends[0]}")
+
+    def leave_out(self, reason: str) -> None:
+        """Count a picture that is not used; the first one of each reason is a line of the log."""
+        if not self._left_out[reason]:
+            _LOGGER.warning("camera %s: left out: %s", self._name, reason)
+        self._left_out[reason] += 1
+        self._problem = reason
 
 
 class ReadCamera(LiveCamera):
-    """A camera that a thread reads."""
+    """A camera that a thread reads, from `start` on."""
 
-    def __init__(self, source: str, delay_s: float) -> None:
-        super().__init__(source)
-        self._delay_ns = round(delay_s * 1e9)
-        self._closing = False
+    _closing = False
+
+    def start(self) -> None:
+        """Start the thread; a subclass is then complete."""
         threading.Thread(target=self._run, name="camera", daemon=True).start()
 
     def close(self) -> None:
@@ -140,57 +203,91 @@ class ReadCamera(LiveCamera):
 
     def _run(self) -> None:
         try:
-            for picture in self._stream() if self._source.startswith("http://") else self._device():
+            for picture in self._pictures():
                 if self._closing:
                     return
                 self.newest.put(picture)
             why = "it sends no more pictures"
-        except (OSError, ValueError, ArithmeticError, http.client.HTTPException) as error:
+        except (OSError, ValueError, ArithmeticError) as error:
             why = str(error) or type(error).__name__
         self.newest.put(Ended(why))
 
-    def _device(self) -> Iterator[Callable[[], Picture]]:
-        capture = cv2.VideoCapture(int(self._source))
-        if not capture.isOpened():
-            raise ValueError("no such camera, or another program uses it")
+    @abstractmethod
+    def _pictures(self) -> Iterator[Callable[[], Picture]]:
+        """Yield functions that decode a picture. Raises ValueError or OSError at the camera's end."""
+
+
+class DeviceCamera(ReadCamera):
+    """A camera of this machine: its number, its path, or a link to that such as those of /dev/v4l/by-id."""
+
+    def __init__(self, source: str, settings: DeviceSettings, left_out: Counter[str]) -> None:
+        super().__init__(source, left_out)
+        self._settings = settings
+        self._path = os.path.realpath(f"/dev/video{source}" if source.isdecimal() else source)
+        self.start()
+
+    def _pictures(self) -> Iterator[Callable[[], Picture]]:
+        number = re.fullmatch(r"/dev/video(\d+)", self._path)
+        capture = cv2.VideoCapture(int(number[1]) if number else self._path, cv2.CAP_V4L2)
+        try:
+            if not capture.isOpened():
+                raise ValueError(self._closed())
+            self._set(capture)
+            for grey, read_ns in _frames(capture):
+                yield partial(Picture, grey, read_ns)
+        finally:
+            capture.release()
+
+    def _set(self, capture: cv2.VideoCapture) -> None:
+        size, rate_hz, focus = self._settings
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-        for grey, read_ns in _read(capture):
-            yield partial(Picture, grey, read_ns - self._delay_ns)
+        if size is not None:
+            capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
+            capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
+        if rate_hz is not None:
+            capture.set(cv2.CAP_PROP_FPS, rate_hz)
+        if focus is not None:
+            capture.set(cv2.CAP_PROP_AUTOFOCUS, 0)
+            if not capture.set(cv2.CAP_PROP_FOCUS, focus):
+                _LOGGER.warning("camera %s: focus %g: the camera does not take it", self._name, focus)
+        elif capture.get(cv2.CAP_PROP_AUTOFOCUS) > 0:
+            _LOGGER.warning(
+                "camera %s: its autofocus is on, and the calibration changes with the focus: write 'focus: "
+                "NUMBER' into the camera's file, and calibrate with it",
+                self._name,
+            )
 
-    def _stream(self) -> Iterator[Callable[[], Picture]]:
-        with urllib.request.urlopen(self._source, timeout=TIMEOUT_S) as stream:
-            boundary = stream.headers.get_param("boundary")
-            if not boundary:
-                raise ValueError("not an MJPEG stream")
-            while (part := _part(stream)) is not None:
-                headers, data = part
-                wall_ns = round(float(headers[STAMP]) * 1e9) if STAMP in headers else time.time_ns()
-                yield partial(compressed, np.frombuffer(data, np.uint8), wall_ns - self._delay_ns)
+    def _closed(self) -> str:
+        """Return why the device does not open."""
+        if not Path(self._path).exists():
+            there = ", ".join(each.path for each in devices()) or "none"
+            return f"there is no {self._path}; cameras of this machine: {there}"
+        if not os.access(self._path, os.R_OK | os.W_OK):
+            return f"{self._path}: permission denied; add your user to the group video and log in again"
+        return (
+            f"{self._path} gives no pictures, or another program uses it; 'rover-ncp tag cameras' lists all"
+        )
 
 
-def compressed(data: NDArray[np.uint8], wall_ns: int) -> Picture:
-    """Decode a JPEG or PNG. Raises ValueError."""
-    try:
-        frame = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
-    except cv2.error as error:  # it says that it is too large
-        raise ValueError(f"a picture that OpenCV does not read: {error.err}") from error
-    if frame is None:
-        raise ValueError("a picture is neither a JPEG nor a PNG")
-    return Picture(np.asarray(frame, np.uint8), wall_ns)
+class Device(NamedTuple):
+    """A camera of this machine; ``stable`` is a path that it keeps when others are plugged in, or ""."""
+
+    path: str
+    name: str
+    stable: str
 
 
-def _part(stream: IO[bytes]) -> tuple[dict[str, str], bytes] | None:
-    """Return the headers and the content of the next part of a stream; None at its end."""
-    headers: dict[str, str] = {}
-    while line := stream.readline(4096):
-        text = line.decode("latin-1").strip()
-        name, colon, value = text.partition(":")
-        if colon:
-            headers[name.strip().lower()] = value.strip()
-        elif not text and "content-length" in headers:
-            length = int(headers["content-length"])
-            if not 0 < length <= MAX_JPEG:
-                raise ValueError(f"a picture of {length} bytes")
-            data = stream.read(length)
-            return (headers, data) if len(data) == length else None
-    return None
+def devices(root: Path = Path("/")) -> list[Device]:
+    """Return the cameras of this machine (Linux)."""
+    links = {link.resolve().name: link for link in sorted((root / "dev/v4l/by-id").glob("*"))}
+    nodes = [node for node in (root / "sys/class/video4linux").glob("video*") if node.name[5:].isdecimal()]
+    found = []
+    for node in sorted(nodes, key=lambda each: int(each.name[5:])):
+        try:
+            name, index = ((node / each).read_text().strip() for each in ("name", "index"))
+        except OSError:  # unplugged at this moment
+            continue
+        if index == "0":  # the others of a camera carry no pictures
+            stable = links.get(node.name)
+            found.append(Device(f"/dev/{node.name}", name, f"/{stable.relative_to(root)}" if stable else ""))
+    return found

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from deploy.options import Namespace, Robot, ZenohConfig
+from deploy.options import Namespace, ZenohConfig
 from rover_ncp.core.console import Json, Output
 from rover_ncp.core.errors import UsageError
 
@@ -22,8 +22,8 @@ tag = typer.Typer(
 Camera = Annotated[
     str,
     typer.Option(
-        help="A device's number, an MJPEG stream (http://...), a video, a folder, or a ROS 2 topic "
-        "(ros2/tcp/HOST#image=TOPIC)."
+        help="A device (0, /dev/video0; 'tag cameras' lists them), a stream or picture (http://...), a "
+        "video, a folder, or a ROS 2 topic (ros2/tcp/HOST#image=TOPIC)."
     ),
 ]
 Map = Annotated[Path, typer.Option(help="The tags: sizes and places (YAML).")]
@@ -57,7 +57,7 @@ def print_tags(
     from deploy.tag.sheet import BOARD_TAG_M, board_page, tag_pages
     from rover_ncp.core.files import PDF, begins_with, require_writable, write_atomic
 
-    if out.suffix != ".pdf":
+    if out.suffix.lower() != ".pdf":
         raise UsageError(f"--out {out}: expected a .pdf")
     require_writable(out, kind=begins_with("a PDF", PDF))
     numbers = [] if board else parse_ids(ids)
@@ -72,42 +72,38 @@ def calibrate(
     camera: Camera,
     camera_file: Annotated[Path, typer.Option(help="The camera's file to write, or to improve.")],
     camera_info: Annotated[
-        Path | None, typer.Option(help="Take the intrinsics from ROS's camera_info (YAML).")
+        Path | None, typer.Option(help="Take the intrinsics from a file of ROS, OpenCV or Kalibr.")
     ] = None,
-    map: Annotated[Path | None, typer.Option(help="Find the mount: the tags (YAML).")] = None,
-    robot: Annotated[
-        str | None, typer.Option(help="Find the mount: where the bridge listens, for odometry.")
+    map: Annotated[Path | None, typer.Option(help="Measure the yaw of the mount: the tags (YAML).")] = None,
+    size: Annotated[
+        str | None,
+        typer.Option(
+            help="Size of a device's pictures, such as 1280x720.", show_default="the file's, or the device's"
+        ),
     ] = None,
     seconds: Annotated[
         float, typer.Option(min=1.0, max=600.0, help="How long to look, unless Ctrl-C ends it.")
     ] = 60.0,
-    namespace: Namespace = "",
-    zenoh_config: ZenohConfig = None,
     json: Json = False,
 ) -> None:
-    """Calibrate a camera. Without --map: its intrinsics. With --map and --robot: its mount on the rover.
+    """Calibrate a camera. Without --map: its intrinsics. With --map: the yaw of its mount on the rover.
 
     Intrinsics: show the camera the board of 'tag print --board', near and far and tilted, or take pictures of
     it into a folder. The new file has the camera at the base's origin: write its measured place and angles
-    into it. Mount: drive and turn slowly with 'rover-ncp teleop', tags in view; the file's mount is the
-    start. How late pictures are is found, too (delay_s). Every number is shown with its standard deviation.
+    into it. Yaw: drive about 1 m straight ahead with 'rover-ncp teleop', tags in view.
 
         rover-ncp tag calibrate --camera pictures/ --camera-file camera.yaml
-        rover-ncp tag calibrate --camera 0 --camera-file camera.yaml --map tags.yaml --robot tcp/127.0.0.1
+        rover-ncp tag calibrate --camera 0 --camera-file camera.yaml --map tags.yaml
     """
-    from deploy.tag.run import calibrate_intrinsics, calibrate_mount
-    from deploy.zenoh_client import BridgeAddress
+    from deploy.tag.run import calibrate_intrinsics, calibrate_yaw
 
-    output = Output(json)
-    if (map is None) != (robot is None):
-        raise UsageError("the mount needs --map and --robot; the intrinsics need neither")
-    if map is None or robot is None:
-        calibrate_intrinsics(camera, camera_file, camera_info, seconds=seconds, output=output)
+    output, pixels = Output(json), None if size is None else parse_size(size)
+    if map is None:
+        calibrate_intrinsics(camera, camera_file, camera_info, size=pixels, seconds=seconds, output=output)
+    elif camera_info is not None or size is not None:
+        raise UsageError("--camera-info and --size are for the intrinsics, without --map")
     else:
-        if camera_info is not None:
-            raise UsageError("--camera-info: is for the intrinsics, without --map")
-        address = BridgeAddress(robot, namespace, zenoh_config)
-        calibrate_mount(camera, camera_file, map, address=address, seconds=seconds, output=output)
+        calibrate_yaw(camera, camera_file, map, seconds=seconds, output=output)
 
 
 @tag.command()
@@ -163,34 +159,15 @@ def run(
 
 
 @tag.command()
-def relay(
-    *,
-    topic: Annotated[
-        str,
-        typer.Option(
-            "--from", help="The robot's Zenoh router and the topic: ros2/tcp/HOST[:PORT]#topic=amcl_pose"
-        ),
-    ],
-    robot: Robot,
-    frame: Annotated[str, typer.Option(help="Frame of the poses; others are not sent.")] = "map",
-    seconds: Seconds = None,
-    namespace: Namespace = "",
-    zenoh_config: ZenohConfig = None,
-    json: Json = False,
-) -> int:
-    """Send the poses that a ROS 2 robot's own localiser finds, on the key 'pose' of the bridge.
+def cameras(*, json: Json = False) -> int:
+    """List the cameras of this machine (Linux), for --camera.
 
-    The topic has PoseWithCovarianceStamped (AMCL's amcl_pose) or PoseStamped. A topic named tf has
-    transforms: each one of --frame gives a pose of base_link or base_footprint. A PoseStamped and a transform
-    count with 2 cm and 2 degrees. Ends at Ctrl-C with 130; after --seconds with 0, or 1 if no pose was sent.
-
-        rover-ncp tag relay --from 'ros2/tcp/ROBOT#topic=amcl_pose' --robot tcp/127.0.0.1:7449
+    Each with its path, its name, and a path that it keeps when other cameras are plugged in. Ends with 1 if
+    there is none.
     """
-    from deploy.tag.relay import relay as run_relay
-    from deploy.zenoh_client import BridgeAddress
+    from deploy.tag.run import list_cameras
 
-    output, address = Output(json, controls=True), BridgeAddress(robot, namespace, zenoh_config)
-    return run_relay(topic, address=address, frame=frame, seconds=seconds, output=output)
+    return list_cameras(Output(json))
 
 
 def parse_ids(text: str) -> list[int]:
@@ -206,3 +183,11 @@ def parse_ids(text: str) -> list[int]:
     if not numbers or max(numbers) >= IDS:
         raise UsageError(f"--ids {text}: expected numbers from 0 to {IDS - 1}")
     return numbers
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Return width and height of ``1280x720``. Raises UsageError."""
+    found = re.fullmatch(r"(\d{2,5})[x×](\d{2,5})", text.strip().lower())
+    if found is None:
+        raise UsageError(f"--size {text}: expected width and height, such as 1280x720")
+    return int(found[1]), int(found[2])

@@ -36,6 +36,8 @@ class Detector:
     def __init__(self, decimate: float = 1.0) -> None:
         cv2.setNumThreads(1)
         self._detector = apriltag(FAMILY, threads=1, maxhamming=MAX_HAMMING, decimate=decimate)
+        self.twice = frozenset[int]()
+        """Ids that the last picture shows more than once."""
 
     def detect(self, image: NDArray[np.uint8]) -> list[Detection]:
         """Return the tags of a grey picture, without ids that are seen twice: neither can be trusted."""
@@ -46,4 +48,5 @@ class Detector:
             if each["margin"] >= MIN_MARGIN
         ]
         seen = Counter(each.id for each in found)
-        return [each for each in found if seen[each.id] == 1]
+        self.twice = frozenset(each for each, count in seen.items() if count > 1)
+        return [each for each in found if each.id not in self.twice]

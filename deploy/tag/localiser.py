@@ -42,8 +42,11 @@ class TagRunResult(BaseModel):
 
     pictures: int = Field(description="pictures that were read")
     poses: int = Field(description="poses that were found and sent")
-    rejected: dict[str, int] = Field(description="pictures without a pose, by reason")
+    rejected: dict[str, int] = Field(
+        description="pictures without a pose, by reason; those that cannot be read are not in `pictures`"
+    )
     unknown_ids: tuple[int, ...] = Field(description="ids of tags that were seen and are not in the map")
+    twice_ids: tuple[int, ...] = Field(description="ids that one picture showed twice, so that none counts")
     seconds: float = Field(description="duration")
     last: TagPose | None = Field(description="the newest pose, or null")
 
@@ -66,16 +69,22 @@ class TagCalibration(BaseModel):
     )
     pictures: int = Field(description="pictures that were used")
     fx: float = Field(description="focal length, pixels")
-    mount: dict[str, float] | None = Field(
-        default=None, description="the mount on the rover, m and rad, if it was sought"
-    )
-    deviations: dict[str, float] | None = Field(
-        default=None, description="standard deviation of each number of the mount, and of late_s"
-    )
-    late_s: float | None = Field(
-        default=None, description="lateness of pictures against odometry that delay_s lacked"
-    )
-    delay_s: float | None = Field(default=None, description="the camera's delay, as written")
+    yaw: float | None = Field(default=None, description="yaw of the mount, rad, if it was measured")
+    yaw_std: float | None = Field(default=None, description="rad, standard deviation of `yaw`")
+
+
+class TagCamera(BaseModel):
+    """A camera of this machine."""
+
+    path: str = Field(description="for --camera")
+    name: str = Field(description="as the camera calls itself")
+    stable: str = Field(description="a path that it keeps when other cameras are plugged in; empty for none")
+
+
+class TagCameras(BaseModel):
+    """Result of ``tag cameras``."""
+
+    cameras: tuple[TagCamera, ...] = Field(description="the cameras of this machine")
 
 
 class Localiser:
@@ -88,6 +97,7 @@ class Localiser:
         self.pictures = self.poses = 0
         self.rejected = Counter[str]()
         self.unknown: set[int] = set()
+        self.twice: set[int] = set()
         self.last: Located | None = None
         self.state = "no picture yet"
         """The newest pose or reason, for people."""
@@ -128,7 +138,11 @@ class Localiser:
             return Rejection.OLD
         self.detections = self._detector.detect(grey)
         self.unknown |= {each.id for each in self.detections} - self._ids
+        twice = self._detector.twice & self._ids
+        self.twice |= twice
         found, level = self._locator.locate(self.detections), float(grey.mean())
+        if found is Rejection.NO_TAG and twice:
+            return Rejection.TWICE
         if found is Rejection.NO_TAG and level < DARK:
             return Rejection.DARK
         if found is Rejection.NO_TAG and level > BRIGHT:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from deploy.tag.detector import Detection
-from deploy.tag.tag_map import CameraFile, Floats, TagMap
+from deploy.tag.tag_map import CameraFile, Floats, Intrinsics, TagMap
 from rover_ncp.core.geometry import Pose, near, wrap_angle
 
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -33,6 +33,10 @@ BEHIND = 1e3
 """Predicted place, in focal lengths, of a corner that is not in front of the camera."""
 
 
+WIDE = 4.0
+"""Distance of a corner from the middle, in focal lengths (76°), beyond which its place is not sure."""
+
+
 class Rejection(StrEnum):
     """Why a picture gives no pose."""
 
@@ -41,6 +45,7 @@ class Rejection(StrEnum):
     DARK = "the picture is dark: is the lens covered?"
     BRIGHT = "the picture is over-exposed"
     NO_TAG = "no tag of the map in the picture"
+    TWICE = "a tag is in the picture twice: take one of the two prints away"
     DISAGREE = "tags disagree: the size, place or id of one is wrong, or the camera's intrinsics or mount"
     MISFIT = "the tag does not fit: its size, place or id is wrong, or the camera's intrinsics or mount"
     AMBIGUOUS = "two poses fit about as well"
@@ -62,8 +67,7 @@ class Locator:
     def __init__(self, camera: CameraFile, tag_map: TagMap) -> None:
         self._tags = {tag.id: tag for tag in tag_map.tags}
         self._on_rover = tag_map.tags_on == "rover"
-        self._matrix = camera.intrinsics.matrix
-        self._distortion = np.array(camera.intrinsics.distortion)
+        self._intrinsics = camera.intrinsics
         self._focal = 0.5 * (camera.intrinsics.fx + camera.intrinsics.fy)
         self._camera_rotation = camera.mount.rotation @ OPTICAL
         self._camera_position = camera.mount.position
@@ -86,17 +90,17 @@ class Locator:
         return min(agreeing, key=lambda each: each.rms, default=Rejection.DISAGREE)
 
     def known(self, detections: Sequence[Detection]) -> list[Detection]:
-        """Return the tags that are in the map."""
-        return [each for each in detections if each.id in self._tags]
+        """Return the tags that are in the map, without those at the edge of a fisheye's picture."""
+        found = [each for each in detections if each.id in self._tags]
+        return [each for each in found if np.abs(undistorted(self._intrinsics, each.corners)).max() < WIDE]
 
     def observed(self, detections: Sequence[Detection]) -> tuple[Floats, Floats]:
         """Return the corners of tags of the map in the tags' parent (n × 3), and in the picture (n × 2).
 
         In m, and in focal lengths without distortion.
         """
-        pixels = np.concatenate([each.corners for each in detections])
-        flat = cv2.undistortPoints(pixels[:, None, :], self._matrix, self._distortion)[:, 0, :]
-        return np.concatenate([self._tags[each.id].corners for each in detections]), np.asarray(flat)
+        flat = undistorted(self._intrinsics, np.concatenate([each.corners for each in detections]))
+        return np.concatenate([self._tags[each.id].corners for each in detections]), flat
 
     def errors(self, pose: Floats, corners: Floats, flat: Floats) -> Floats:
         """Return how far from `observed` corners those are that a pose predicts, in pixels (2n)."""
@@ -136,9 +140,9 @@ class Locator:
     def _starts(self, detections: Sequence[Detection]) -> list[Floats]:
         """Return the poses that fit the largest tag: from afar two tilts of a square look alike."""
         largest = max(detections, key=lambda each: float(np.ptp(each.corners, axis=0).prod()))
-        corners, pixels = self._tags[largest.id].corners, largest.corners[:, None, :]
+        corners, flat = self._tags[largest.id].corners, undistorted(self._intrinsics, largest.corners)
         _, turns, shifts, _ = cv2.solvePnPGeneric(
-            corners, pixels, self._matrix, self._distortion, flags=cv2.SOLVEPNP_IPPE
+            corners, flat[:, None, :], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
         )
         return [
             self._base(np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(shift[:, 0], np.float64))
@@ -154,6 +158,13 @@ class Locator:
             turn, shift = turn.T, -turn.T @ shift
         theta = math.atan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
         return np.array([shift[0], shift[1], theta])
+
+
+def undistorted(intrinsics: Intrinsics, pixels: Floats) -> Floats:
+    """Return points of the picture (n × 2) in focal lengths, without distortion."""
+    undistort = cv2.fisheye.undistortPoints if intrinsics.model == "fisheye" else cv2.undistortPoints
+    flat = undistort(pixels[:, None, :], intrinsics.matrix, np.array(intrinsics.distortion))[:, 0, :]
+    return np.asarray(flat, np.float64)
 
 
 def corner_rms(errors: Floats) -> float:

@@ -3,6 +3,7 @@
 import contextlib
 import re
 import time
+from collections import Counter
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -13,10 +14,11 @@ import zenoh
 import zenoh.ext
 from scipy.spatial.transform import Rotation
 
-from deploy.tag.camera import LiveCamera, Picture, compressed
+from deploy.tag.camera import LiveCamera, Picture, decode_picture
+from deploy.tag.camera_info import camera_info
 from deploy.tag.locate import OPTICAL
 from deploy.tag.ros_source import Frames, RosSource
-from deploy.tag.tag_map import MOUNT_FIELDS, CameraFile, camera_info
+from deploy.tag.tag_map import MOUNT_FIELDS, CameraFile
 from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.config import validated
 from rover_ncp.core.errors import FormatError, UsageError
@@ -26,8 +28,28 @@ from rover_ncp.wire.messages import BASE_FRAME
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-ENCODINGS = {"mono8": None, "rgb8": cv2.COLOR_RGB2GRAY, "bgr8": cv2.COLOR_BGR2GRAY}
-"""Encodings of images, and OpenCV's conversion to grey levels."""
+LEVELS = {
+    "mono8": (1, 0),
+    "8UC1": (1, 0),
+    "nv12": (1, 0),
+    "nv21": (1, 0),
+    "yuv422": (2, 1),
+    "yuv422_yuy2": (2, 0),
+}
+"""Encodings with grey levels of their own: bytes of a pixel, and which of them is the level."""
+COLOURS = {
+    "rgb8": (3, cv2.COLOR_RGB2GRAY),
+    "bgr8": (3, cv2.COLOR_BGR2GRAY),
+    "8UC3": (3, cv2.COLOR_BGR2GRAY),
+    "rgba8": (4, cv2.COLOR_RGBA2GRAY),
+    "bgra8": (4, cv2.COLOR_BGRA2GRAY),
+    "8UC4": (4, cv2.COLOR_BGRA2GRAY),
+    "bayer_rggb8": (1, cv2.COLOR_BayerRGGB2GRAY),
+    "bayer_bggr8": (1, cv2.COLOR_BayerBGGR2GRAY),
+    "bayer_gbrg8": (1, cv2.COLOR_BayerGBRG2GRAY),
+    "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2GRAY),
+}
+"""Encodings of colours: bytes of a pixel, and OpenCV's conversion to grey levels."""
 MAX_BYTES = 1 << 26
 """Largest message: a picture of 20 megapixels."""
 WAIT_S, POLL_S = 5.0, 0.05
@@ -38,10 +60,10 @@ IMAGE_TOPIC = "camera/image_raw"
 class RosCamera(LiveCamera):
     """Images of a topic. Their stamps may be of another clock than ours."""
 
-    def __init__(self, source: str, delay_s: float) -> None:
-        super().__init__(source)
+    def __init__(self, source: str, left_out: Counter[str]) -> None:
+        super().__init__(source, left_out)
         where = RosSource.parse(source, "image", IMAGE_TOPIC)
-        self._type, self._delay_ns, self._clock = image_type(where.topic), round(delay_s * 1e9), StampClock()
+        self._type, self._clock = image_type(where.topic), StampClock()
         self._session = where.open()
         self._held = self._session.declare_subscriber(where.key(where.topic), self._take)
 
@@ -54,7 +76,7 @@ class RosCamera(LiveCamera):
         stamp_ns = header_stamp_ns(self._type, data)
         measured_ns = self._clock.measured_ns(stamp_ns, now_ns) if stamp_ns else now_ns
         if measured_ns is not None:
-            moment_ns = wall_ns - now_ns + measured_ns - self._delay_ns
+            moment_ns = wall_ns - now_ns + measured_ns
             self.newest.put(partial(read_image, self._type, data, moment_ns))
 
 
@@ -70,21 +92,18 @@ def read_image(ros_type: str, data: bytes, wall_ns: int) -> Picture:
     except FormatError as error:
         raise ValueError(str(error)) from error
     if ros_type == COMPRESSED:
-        return compressed(message.data, wall_ns)
-    if message.encoding not in ENCODINGS:
-        expected = ", ".join(ENCODINGS)
-        raise ValueError(
-            f"an image with the encoding {message.encoding!r}, expected {expected} or a compressed topic"
-        )
-    conversion = ENCODINGS[message.encoding]
+        return decode_picture(message.data.tobytes(), wall_ns)
+    if message.encoding not in {*LEVELS, *COLOURS}:
+        expected = ", ".join([*LEVELS, *COLOURS])
+        raise ValueError(f"an image with the encoding {message.encoding[:40]!r}, expected {expected}")
+    channels, code = (LEVELS | COLOURS)[message.encoding]
     height, width, step = message.height, message.width, message.step
-    channels = 1 if conversion is None else 3
     if not height * width or step < width * channels or len(message.data) < step * height:
         raise ValueError(f"an image of {width} × {height} pixels has {len(message.data)} bytes")
     rows = message.data[: step * height].reshape(height, step)[:, : width * channels]
     pixels = np.ascontiguousarray(rows).reshape(height, width, channels)
-    grey = pixels[:, :, 0] if conversion is None else cv2.cvtColor(pixels, conversion)
-    return Picture(np.asarray(grey, np.uint8), wall_ns)
+    grey = pixels[:, :, code] if message.encoding in LEVELS else cv2.cvtColor(pixels, code)
+    return Picture(np.ascontiguousarray(grey, np.uint8), wall_ns)
 
 
 def ros_camera_file(source: str) -> CameraFile:
@@ -137,7 +156,7 @@ def camera_file_of(info: bytes, statics: Sequence[bytes], *, rectified: bool = F
         k, d = message.p.reshape(3, 4)[:, :3].ravel(), d[:0]
         turn = message.r.reshape(3, 3) if message.r.any() else turn
     intrinsics = camera_info(size, k.tolist(), model, d.tolist(), "camera_info")
-    pose = frames.pose(BASE_FRAME, message.header.frame_id.lstrip("/"))
+    pose = frames.pose(BASE_FRAME, message.header.frame_id)
     turns = Rotation.from_matrix(pose[:3, :3] @ turn.T @ OPTICAL.T).as_euler("ZYX")
     mount = dict(zip(MOUNT_FIELDS, [*pose[:3, 3].tolist(), *turns.tolist()], strict=True))
     return validated({"intrinsics": intrinsics, "mount": mount}, CameraFile, "tf_static")

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from rover_ncp.core.errors import FormatError, NoRobot, UsageError
+from rover_ncp.core.geometry import same_frame
 from rover_ncp.wire.address import parse_ros_endpoint
 from rover_ncp.wire.cdr import decode
-from rover_ncp.wire.messages import TF, read_stamp_ns, read_yaw
+from rover_ncp.wire.messages import TF, read_yaw
 from rover_ncp.wire.zenoh import PORT, client_config, reason
 
 
@@ -57,12 +58,11 @@ class Frames:
     """The frames of a robot by its transforms so far."""
 
     def __init__(self) -> None:
-        self.links: dict[str, tuple[str, NDArray[np.float64], int]] = {}
-        """Of each frame its parent, its newest pose there (4 × 4), and the stamp of that (ns)."""
+        self._links: dict[str, tuple[str, NDArray[np.float64]]] = {}
+        """Of each frame its parent, and its newest pose there (4 × 4)."""
 
-    def take(self, data: bytes) -> set[str]:
-        """Take a TFMessage, and return the parents in it. Raises FormatError."""
-        parents = set[str]()
+    def take(self, data: bytes) -> None:
+        """Take a TFMessage. Raises FormatError."""
         for each in decode(TF, data).transforms:
             shift, turn, pose = each.transform.translation, each.transform.rotation, np.eye(4)
             read_yaw(turn)  # raises FormatError for what is no rotation
@@ -70,18 +70,18 @@ class Frames:
             pose[:3, 3] = shift.x, shift.y, shift.z
             if not np.isfinite(pose).all():
                 raise FormatError(f"the transform to {each.child_frame_id!r} is not finite")
-            parent = each.header.frame_id.lstrip("/")
-            self.links[each.child_frame_id.lstrip("/")] = parent, pose, read_stamp_ns(each.header)
-            parents.add(parent)
-        return parents
+            self._links[each.child_frame_id.lstrip("/")] = each.header.frame_id.lstrip("/"), pose
 
     def pose(self, ancestor: str, frame: str) -> NDArray[np.float64]:
-        """Return the pose (4 × 4) of a frame in one above it. Raises FormatError if none leads there."""
-        pose, at, links = np.eye(4), frame, dict(self.links)
-        while at != ancestor and at in links:
-            at, step, _ = links.pop(at)
+        """Return the pose (4 × 4) of a frame in one above it, which may have a robot's prefix.
+
+        Raises FormatError if no transforms lead there.
+        """
+        pose, at, links = np.eye(4), frame.lstrip("/"), dict(self._links)
+        while not (at and same_frame(at, ancestor)) and at in links:
+            at, step = links.pop(at)
             pose = step @ pose
-        if at == ancestor:
+        if at and same_frame(at, ancestor):
             return pose
-        known = ", ".join(f"{parent} → {child}" for child, (parent, _, _) in self.links.items())
+        known = ", ".join(f"{parent} → {child}" for child, (parent, _) in self._links.items())
         raise FormatError(f"no transforms from {ancestor!r} to {frame!r}, only {known or 'none'}")

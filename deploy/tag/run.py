@@ -2,28 +2,44 @@
 
 import contextlib
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from deploy.tag.calibrate import find_intrinsics, find_mount
-from deploy.tag.camera import LiveCamera, Picture, pictures_of
+from deploy.tag.calibrate import find_intrinsics, find_yaw
+from deploy.tag.camera import (
+    DeviceCamera,
+    DeviceSettings,
+    LiveCamera,
+    Picture,
+    devices,
+    file_pictures,
+    is_device,
+)
+from deploy.tag.camera_info import load_camera_info
 from deploy.tag.detector import Detection, Detector
-from deploy.tag.localiser import Localiser, TagCalibration, TagRunResult, drawn, tag_pose
+from deploy.tag.http_camera import HttpCamera
+from deploy.tag.localiser import (
+    Localiser,
+    TagCalibration,
+    TagCamera,
+    TagCameras,
+    TagRunResult,
+    drawn,
+    tag_pose,
+)
 from deploy.tag.pose_link import PoseLink
 from deploy.tag.ros_camera import RosCamera, ros_camera_file
-from deploy.tag.tag_map import CameraFile, Mount, TagMap, load_camera_info
-from deploy.zenoh_client import BridgeAddress, ZenohClient
-from rover_ncp.core.clock_offset import StampClock
+from deploy.tag.tag_map import CameraFile, Mount, TagMap
+from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml, load_yaml
 from rover_ncp.core.console import Output
-from rover_ncp.core.errors import FormatError, UsageError
+from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import JPEG, begins_with, require_writable, write_atomic
-from rover_ncp.core.geometry import Pose
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
 from rover_ncp.wire.address import ROS2
-from rover_ncp.wire.key_table import KeySpec
-from rover_ncp.wire.messages import pose_with_covariance, read_odometry
+from rover_ncp.wire.messages import pose_with_covariance
 
 UNMEASURED = Mount(x=0.0, y=0.0, z=0.0)
 """What `calibrate` writes where a file has no mount yet."""
@@ -57,7 +73,8 @@ def run_localiser(
     with Interrupts() as interrupts, contextlib.ExitStack() as stack:
         link = stack.enter_context(PoseLink(address)) if address is not None else None
         began = time.monotonic()
-        with opened(source, camera.delay_s) as (pictures, live), output.live(lambda: localiser.state):
+        settings, left_out = device_settings(camera), localiser.rejected
+        with opened(source, settings, left_out) as (pictures, live), output.live(lambda: localiser.state):
             output.announce("localising")
             for each in until(pictures, seconds, lambda: interrupts.raised):
                 found = localiser.take(each, time.time_ns() if live else None)
@@ -74,6 +91,7 @@ def run_localiser(
             poses=localiser.poses,
             rejected=dict(localiser.rejected),
             unknown_ids=tuple(sorted(localiser.unknown)),
+            twice_ids=tuple(sorted(localiser.twice)),
             seconds=time.monotonic() - began,
             last=tag_pose(localiser.last) if localiser.last else None,
         )
@@ -81,34 +99,44 @@ def run_localiser(
     lines += [f"{count} without a pose: {reason}" for reason, count in result.rejected.items()]
     if result.unknown_ids:
         lines.append(f"tags that are not in the map: {', '.join(map(str, result.unknown_ids))}")
+    if result.twice_ids:
+        lines.append(f"tags that are printed twice: {', '.join(map(str, result.twice_ids))}")
     output.result(result, "\n".join(lines))
     return INTERRUPTED if interrupts.raised else 0 if result.poses else 1
 
 
 def calibrate_intrinsics(
-    source: str, camera_file: Path, camera_info: Path | None, *, seconds: float, output: Output
+    source: str,
+    camera_file: Path,
+    camera_info: Path | None,
+    *,
+    size: tuple[int, int] | None,
+    seconds: float,
+    output: Output,
 ) -> None:
-    """Write a camera's intrinsics, from ROS's file or pictures of the board; keep a file's other keys."""
+    """Write a camera's intrinsics, from another program's file or pictures of the board; keep other keys."""
     require_writable(camera_file)
     known = load_yaml(camera_file, CameraFile) if camera_file.exists() else None
     if camera_info is not None:
         intrinsics, rms, used = load_camera_info(camera_info), None, 0
     else:
-        found: list[list[Detection]] = []
-        size, detector, last = (0, 0), Detector(), 0
-        with Interrupts() as interrupts, opened(source) as (pictures, live):
+        settings = DeviceSettings() if known is None else device_settings(known)
+        settings = settings if size is None else settings._replace(size=size)
+        found, taken, last = list[list[Detection]](), (0, 0), 0
+        detector, left_out = Detector(), Counter[str]()
+        with Interrupts() as interrupts, opened(source, settings, left_out) as (pictures, live):
             for each in until(pictures, seconds, lambda: interrupts.raised):
                 if live and each.wall_ns - last < 0.5e9:  # neighbours show nothing new
                     continue
-                last, before, size = each.wall_ns, size, (each.grey.shape[1], each.grey.shape[0])
-                if found and size != before:
+                last, before, taken = each.wall_ns, taken, (each.grey.shape[1], each.grey.shape[0])
+                if found and taken != before:
                     raise UsageError(
-                        f"{source}: pictures of {before[0]} × {before[1]} and {size[0]} × {size[1]} pixels, "
-                        "expected one size"
+                        f"{source}: pictures of {before[0]} × {before[1]} and {taken[0]} × {taken[1]} "
+                        "pixels, expected one size"
                     )
                 found.append(detector.detect(each.grey))
                 output.say(f"picture {len(found)}: {len(found[-1])} tags of the board")
-        intrinsics, rms, used = find_intrinsics(found, size)
+        intrinsics, rms, used = find_intrinsics(found, taken)
     camera = CameraFile(intrinsics=intrinsics, mount=UNMEASURED) if known is None else known
     camera = camera.model_copy(update={"intrinsics": intrinsics})
     _write(camera_file, camera)
@@ -128,78 +156,73 @@ def _mounted(camera_file: Path) -> CameraFile:
     return camera
 
 
-def calibrate_mount(
-    source: str, camera_file: Path, map_file: Path, *, address: BridgeAddress, seconds: float, output: Output
-) -> None:
-    """Improve the mount in a camera's file by a drive in which it sees tags."""
+def calibrate_yaw(source: str, camera_file: Path, map_file: Path, *, seconds: float, output: Output) -> None:
+    """Measure the yaw of the mount in a camera's file by a straight drive in which it sees tags."""
     camera, tag_map = _mounted(camera_file), load_yaml(map_file, TagMap)
     if tag_map.tags_on == "rover":
         raise UsageError(f"{map_file}: tags_on: rover: the mount of a ceiling's camera is measured by hand")
     require_writable(camera_file)
-    odometry, detector = _Odometry(), Detector(2.0)  # as in `run`: the drive's processes need the processor
-    seen: list[tuple[int, list[Detection]]] = []
+    detector, left_out = Detector(2.0), Counter[str]()  # as in `run`: the drive needs the processor
+    seen: list[list[Detection]] = []
     with (
         Interrupts() as interrupts,
-        ZenohClient(address, odometry.take),
-        opened(source, camera.delay_s) as (pictures, _),
+        opened(source, device_settings(camera), left_out) as (pictures, _),
     ):
-        output.announce("collecting: drive and turn slowly, tags in view; Ctrl-C when done")
+        output.announce("collecting: drive about 1 m straight ahead, slowly, tags in view; Ctrl-C when done")
         for each in until(pictures, seconds, lambda: interrupts.raised):
-            seen.append((each.wall_ns, detector.detect(each.grey)))
-    if not odometry.samples:
-        raise UsageError(
-            f"no odometry arrived from the bridge at {address.robot}; with certificates, use a driver's: a "
-            "localiser's may not read it"
-        )
-    found = find_mount(camera, tag_map, odometry.samples, seen)
-    calibrated = found.applied(camera)
-    _write(camera_file, calibrated)
+            seen.append(detector.detect(each.grey))
+    found = find_yaw(camera, tag_map, seen)
+    mount = camera.mount.model_copy(update={"yaw": round(found.yaw, 5)})
+    _write(camera_file, camera.model_copy(update={"mount": mount}))
     result = TagCalibration(
         out=str(camera_file),
-        rms_px=found.rms,
+        rms_px=None,
         pictures=found.pictures,
         fx=camera.intrinsics.fx,
-        mount=found.mount.model_dump(),
-        deviations=found.deviations,
-        late_s=found.late_s,
-        delay_s=calibrated.delay_s,
+        yaw=mount.yaw,
+        yaw_std=found.deviation,
     )
-    std = found.deviations
-    values = ", ".join(f"{name} {value:.4f} ± {std[name]:.4f}" for name, value in found.mount)
     output.result(
         result,
-        f"wrote {camera_file}: {values} (m, rad); corners fit to {found.rms:.2f} px; pictures "
-        f"{found.late_s:.3f} ± {std['late_s']:.3f} s later than delay_s said, now {calibrated.delay_s:.3f} s",
+        f"wrote {camera_file}: yaw {mount.yaw:.4f} ± {found.deviation:.4f} rad, before it was "
+        f"{camera.mount.yaw:.4f}; {found.pictures} pictures on {found.distance:.2f} m",
     )
 
 
-class _Odometry:
-    """Poses of the base with the moments of their measurement by this machine's wall clock, in ns."""
+def list_cameras(output: Output) -> int:
+    """See ``commands.cameras``; return the exit code."""
+    found = devices()
+    lines = [f"{each.path}  {each.name}" + (f"  ({each.stable})" if each.stable else "") for each in found]
+    result = TagCameras(cameras=tuple(TagCamera(**each._asdict()) for each in found))
+    output.result(result, "\n".join(lines) or "no camera: is it plugged in, and passed to this container?")
+    return 0 if found else 1
 
-    def __init__(self) -> None:
-        self._clock = StampClock()
-        self.samples: list[tuple[int, Pose]] = []
 
-    def take(self, row: KeySpec, data: bytes) -> None:
-        """Take a message of the bridge; an unreadable one counts as none."""
-        if row.name != "odom":
-            return
-        with contextlib.suppress(FormatError):
-            sample, now_ns = read_odometry(data), time.monotonic_ns()
-            measured_ns = self._clock.measured_ns(sample.stamp_ns, now_ns)
-            if measured_ns is not None:
-                self.samples.append((time.time_ns() - now_ns + measured_ns, sample.pose))
+def device_settings(camera: CameraFile) -> DeviceSettings:
+    """Return what a device is set to for a camera's calibration to be right."""
+    return DeviceSettings((camera.intrinsics.width, camera.intrinsics.height), camera.rate_hz, camera.focus)
 
 
 @contextlib.contextmanager
-def opened(source: str, delay_s: float = 0.0) -> Iterator[tuple[Iterator[Picture], bool]]:
-    """Open a source of pictures, and say whether it is a camera that runs."""
-    pictures = RosCamera(source, delay_s) if source.startswith(ROS2) else pictures_of(source, delay_s)
-    if isinstance(pictures, LiveCamera):
-        with pictures:
-            yield iter(pictures), True
+def opened(
+    source: str, settings: DeviceSettings, left_out: Counter[str]
+) -> Iterator[tuple[Iterator[Picture], bool]]:
+    """Open a source of pictures, and say whether it is a camera that runs.
+
+    Pictures that cannot be read are counted in ``left_out``. Raises UsageError and FileError.
+    """
+    camera: LiveCamera
+    if source.startswith(ROS2):
+        camera = RosCamera(source, left_out)
+    elif "://" in source:
+        camera = HttpCamera(source, left_out)
+    elif is_device(source):
+        camera = DeviceCamera(source, settings, left_out)
     else:
-        yield pictures, False
+        yield file_pictures(source, left_out), False
+        return
+    with camera:
+        yield iter(camera), True
 
 
 def until(
@@ -216,4 +239,4 @@ def until(
 
 
 def _write(path: Path, camera: CameraFile) -> None:
-    write_atomic(path, dump_yaml(camera.model_dump(mode="json")))
+    write_atomic(path, dump_yaml(camera.model_dump(mode="json", exclude_none=True)))

@@ -4,20 +4,19 @@ A mount is a pose in space: x forward, y left, z up in m; yaw, pitch, roll in ra
 that a positive pitch points down. A camera looks along its x axis, a tag's printed side faces along its own.
 """
 
+import logging
 import math
 from collections import Counter
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
-from rover_ncp.core.config import StrictModel, read_yaml, validated
-from rover_ncp.core.errors import ConfigError
-from rover_ncp.core.files import read_text
+from rover_ncp.core.config import StrictModel
+
+_LOGGER = logging.getLogger("rover_ncp")
 
 Floats = NDArray[np.float64]
 Coordinate = Annotated[float, Field(ge=-1000.0, le=1000.0, description="m")]
@@ -26,6 +25,8 @@ Turn = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi, description="rad"
 FAMILY = "tag36h11"
 IDS = 587
 """Number of tags in the family."""
+FOCAL = 0.1, 20.0
+"""Least and largest focal length, in longer sides of the picture: views of 157° and 3°."""
 
 
 class Mount(StrictModel):
@@ -89,7 +90,11 @@ class TagMap(StrictModel):
 
 
 class Intrinsics(StrictModel):
-    """A camera's picture: its size in pixels, and OpenCV's camera matrix and distortion (plumb bob)."""
+    """A camera's picture: its size in pixels, and OpenCV's camera matrix and distortion.
+
+    ``pinhole`` has 4, 5, 8, 12 or 14 coefficients (plumb bob, rational and their extensions), ``fisheye`` has
+    4 (equidistant).
+    """
 
     width: int = Field(ge=16, le=20_000)
     height: int = Field(ge=16, le=20_000)
@@ -97,7 +102,31 @@ class Intrinsics(StrictModel):
     fy: float = Field(gt=0)
     cx: float
     cy: float
-    distortion: tuple[float, ...] = Field(default=(0.0,) * 5, min_length=4, max_length=8)
+    model: Literal["pinhole", "fisheye"] = "pinhole"
+    distortion: tuple[float, ...] = (0.0,) * 5
+
+    @model_validator(mode="after")
+    def _is_of_a_camera(self) -> Self:
+        counts = {"pinhole": (4, 5, 8, 12, 14), "fisheye": (4,)}[self.model]
+        if len(self.distortion) not in counts:
+            expected = " or ".join(map(str, counts))
+            raise ValueError(
+                f"{len(self.distortion)} coefficients of a {self.model} camera, expected {expected}"
+            )
+        if not np.isfinite(self.distortion).all():
+            raise ValueError("a coefficient of the distortion is not finite")
+        least, most = (share * max(self.width, self.height) for share in FOCAL)
+        if not (least <= self.fx <= most and 0.5 <= self.fy / self.fx <= 2.0):
+            raise ValueError(
+                f"focal lengths {self.fx:g} and {self.fy:g} do not fit a picture of {self.width} × "
+                f"{self.height} pixels, expected {least:g} to {most:g}, and about equal ones"
+            )
+        if not (0.0 <= self.cx <= self.width and 0.0 <= self.cy <= self.height):
+            raise ValueError(
+                f"the principal point {self.cx:g}, {self.cy:g} is outside the picture of {self.width} × "
+                f"{self.height} pixels"
+            )
+        return self
 
     @property
     def matrix(self) -> Floats:
@@ -111,42 +140,23 @@ class Intrinsics(StrictModel):
 
 
 class CameraFile(StrictModel):
-    """A camera: its intrinsics, and its mount on the rover (or in the map, for tags on the rover)."""
+    """A camera: intrinsics, settings, and its mount on the rover (or in the map, for tags on the rover)."""
 
     intrinsics: Intrinsics
     mount: Mount
-    delay_s: float = Field(
-        default=0.0,
-        ge=-2.0,
-        le=2.0,
-        description="s from exposure to a picture's stamp, or else to its arrival; < 0: its clock is behind",
+    rate_hz: float | None = Field(default=None, gt=0, le=1000, description="pictures per second of a device")
+    focus: float | None = Field(
+        default=None,
+        ge=0,
+        le=10_000,
+        description="focus of a device in its driver's units, with its autofocus off",
     )
 
-
-def load_camera_info(path: Path) -> Intrinsics:
-    """Read intrinsics in the YAML of ROS's camera_calibration. Raises FileError and ConfigError."""
-    data, source = read_yaml(read_text(path), str(path)), str(path)
-    try:
-        k = [float(value) for value in data["camera_matrix"]["data"]]
-        model = data.get("distortion_model", "plumb_bob")
-        distortion = [float(value) for value in data["distortion_coefficients"]["data"]]
-        size = data["image_width"], data["image_height"]
-    except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(
-            source,
-            [f"no camera_info ({error}): expected image_width, camera_matrix, distortion_coefficients"],
-        ) from error
-    return camera_info(size, k, model, distortion, source)
-
-
-def camera_info(
-    size: tuple[int, int], k: Sequence[float], model: str, distortion: Sequence[float], source: str
-) -> Intrinsics:
-    """Return intrinsics from fields of ROS's CameraInfo. Raises ConfigError."""
-    if any(distortion) and model not in {"plumb_bob", "rational_polynomial"}:
-        raise ConfigError(source, [f"distortion_model {model}: expected plumb_bob or rational_polynomial"])
-    if len(k) != 9:
-        raise ConfigError(source, [f"a camera matrix of {len(k)} numbers, expected 9"])
-    named = {"width": size[0], "height": size[1], "fx": k[0], "cx": k[2], "fy": k[4], "cy": k[5]}
-    given = {"distortion": tuple(distortion)} if len(distortion) else {}
-    return validated(named | given, Intrinsics, source)
+    @model_validator(mode="before")
+    @classmethod
+    def _without_delay(cls, data: Any) -> Any:
+        """Leave out a key of earlier versions, which `tag calibrate` wrote into every file."""
+        if isinstance(data, dict) and "delay_s" in data:
+            _LOGGER.warning("a camera's delay_s has no effect: leave it out; a drive finds the delay itself")
+            return {key: value for key, value in data.items() if key != "delay_s"}
+        return data

@@ -42,8 +42,12 @@ BUMP, CLIFF, STALL, WHEEL_DROP = 1, 2, 3, 4  # of its hazards, those that stop a
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 TF = "tf2_msgs/msg/TFMessage"
 
+WITH_COVARIANCE_BYTES = 4 + 12 + 56 + 288
+"""Length of a PoseWithCovarianceStamped with an empty frame, at least; a PoseStamped is shorter."""
 TWIST_BYTES = 52
 """A Twist is six float64 behind the CDR header; a TwistStamped is always longer."""
+UPRIGHT = math.cos(math.radians(30.0))
+"""Least vertical part of a pose's z axis: no rover stands on a steeper slope."""
 _UNIT_TOLERANCE = 0.1
 """How far the squared length of a rotation's quaternion may be from 1: some publishers round to float32."""
 # Planar measurements say nothing of z, roll and pitch: REP convention is a large variance there.
@@ -201,6 +205,34 @@ def pose_with_covariance(pose: Pose, covariance: FloatArray, stamp_ns: int, fram
         POSE_WITH_COVARIANCE,
         header=header_of(stamp_ns, frame),
         pose={"pose": _pose(pose), "covariance": full.ravel()},
+    )
+
+
+def with_covariance(data: bytes) -> bytes:
+    """Return an external pose as a PoseWithCovarianceStamped; a PoseStamped gets variances of 0: not known.
+
+    The two types differ in their length. Anything else is returned as it is.
+    """
+    if len(data) >= WITH_COVARIANCE_BYTES:
+        return data
+    try:
+        message = decode(POSE_STAMPED, data)
+    except FormatError:
+        return data
+    stamp, position, turn = message.header.stamp, message.pose.position, message.pose.orientation
+    return encode(
+        POSE_WITH_COVARIANCE,
+        header={
+            "stamp": {"sec": stamp.sec, "nanosec": stamp.nanosec},
+            "frame_id": message.header.frame_id,
+        },
+        pose={
+            "pose": {
+                "position": {"x": position.x, "y": position.y, "z": position.z},
+                "orientation": {"x": turn.x, "y": turn.y, "z": turn.z, "w": turn.w},
+            },
+            "covariance": np.diag([0.0, 0.0, *[_UNKNOWN] * 3, 0.0]).ravel(),
+        },
     )
 
 
@@ -401,7 +433,15 @@ def _pose(pose: Pose) -> dict[str, Any]:
 
 
 def _read_pose(pose: Any) -> Pose:
-    return Pose(pose.position.x, pose.position.y, read_yaw(pose.orientation))
+    yaw, q = read_yaw(pose.orientation), pose.orientation
+    upright = 1.0 - 2.0 * (q.x * q.x + q.y * q.y)
+    if upright < UPRIGHT:
+        tilt = math.degrees(math.acos(max(upright, -1.0)))
+        raise FormatError(
+            f"the pose lies on its side: its z axis is {tilt:.0f}° from vertical, expected z up (REP-103); a "
+            "motion capture with y up has to be set to z up"
+        )
+    return Pose(pose.position.x, pose.position.y, yaw)
 
 
 def read_yaw(q: Any) -> float:

@@ -28,6 +28,8 @@ from sim.camera.render import Renderer
 BOUNDARY = "picture"
 START_S = 30.0
 """Longest wait for the process to listen."""
+DELAY_S = 0.1
+"""Time from the exposure of a picture to its stamp."""
 QUALITY = 92
 """Of the JPEGs; with less, the tags' edges move."""
 
@@ -98,7 +100,7 @@ def _serve(
                     x, y, theta, wall = pose
                     picture = renderer.picture(Pose(x, y, theta))
                     jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-                    waiting.append((now + camera.delay_s, wall + camera.delay_s, jpeg[1].tobytes()))
+                    waiting.append((now + DELAY_S, wall + DELAY_S, jpeg[1].tobytes()))
                 while waiting and waiting[0][0] <= time.monotonic():
                     _, stamp, data = waiting.popleft()
                     head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n"

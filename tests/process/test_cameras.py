@@ -1,5 +1,7 @@
-"""Cameras over sockets: an MJPEG stream, a ROS 2 robot's in both Zenoh forms; poses of ROS for the bridge."""
+"""Cameras over sockets: HTTP, and a ROS 2 robot's in both Zenoh forms."""
 
+import base64
+import hashlib
 import http.server
 import itertools
 import math
@@ -7,6 +9,9 @@ import socket
 import struct
 import threading
 import time
+import urllib.parse
+import urllib.request
+from collections import Counter
 
 import cv2
 import numpy as np
@@ -16,57 +21,77 @@ from kit.zenoh_session import open_router, repeating
 
 from bridge.ros2.discovery import Convention
 from bridge.ros2.ros_node import RosNode
-from deploy.tag.camera import pictures_of
-from deploy.tag.ros_camera import CAMERA_INFO, COMPRESSED, IMAGE, RosCamera
-from rover_ncp import cli
+from deploy.tag.http_camera import HttpCamera
+from deploy.tag.ros_camera import CAMERA_INFO, COMPRESSED, IMAGE
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Pose
-from rover_ncp.wire.messages import (
-    POSE_STAMPED,
-    POSE_WITH_COVARIANCE,
-    TF,
-    Transform,
-    pose_stamped,
-    pose_with_covariance,
-    read_pose,
-    transforms,
-)
+from rover_ncp.wire.messages import TF
 
 POSE = Pose(0.9, 0.05, 0.1)
 PICTURES = [picture_of(POSE, seed=seed) for seed in range(3)]
 
 
-class Stream:
-    """An MJPEG server with ``parts``, of which each is bytes to send or seconds to wait."""
+class Server:
+    """A camera over HTTP. ``answer`` gets the request and writes all after its status and headers."""
 
-    def __init__(self, parts):
+    def __init__(self, answer, host="127.0.0.1"):
         class Handler(http.server.BaseHTTPRequestHandler):
             def do_GET(self):
-                self.send_response(200)
-                self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=b")
-                self.end_headers()
-                for part in parts:
-                    if isinstance(part, bytes):
-                        self.wfile.write(part)
-                    else:
-                        time.sleep(part)
+                answer(self)
 
             def log_message(self, *arguments):
                 pass
 
-        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        kind = type("Kind", (http.server.ThreadingHTTPServer,), {"address_family": family})
+        self._server = kind((host, 0), Handler)
         self._server.daemon_threads = True
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
-        self.address = f"http://127.0.0.1:{self._server.server_address[1]}/"
+        named = f"[{host}]" if ":" in host else host
+        self.host = f"{named}:{self._server.server_address[1]}"
 
     def close(self):
         self._server.shutdown()
         self._server.server_close()
 
 
+@pytest.fixture
+def serve():
+    """Return a function that starts a server and returns its host and port."""
+    servers = []
+
+    def start(answer, host="127.0.0.1"):
+        servers.append(Server(answer, host))
+        return servers[-1].host
+
+    yield start
+    for server in servers:
+        server.close()
+
+
+def stream_of(*parts, content="multipart/x-mixed-replace; boundary=b"):
+    """Answer with a stream of ``parts``, of which each is bytes to send or seconds to wait."""
+
+    def answer(request):
+        request.send_response(200)
+        request.send_header("Content-Type", content)
+        request.end_headers()
+        for part in parts:
+            if isinstance(part, bytes):
+                request.wfile.write(part)
+            else:
+                time.sleep(part)
+
+    return answer
+
+
+def jpeg(level):
+    return cv2.imencode(".jpg", np.full((48, 64), level, np.uint8))[1].tobytes()
+
+
 def part(level, stamp=None):
-    data = cv2.imencode(".jpg", np.full((48, 64), level, np.uint8))[1].tobytes()
+    data = jpeg(level)
     header = f"--b\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n"
     header += f"X-Timestamp: {stamp}\r\n" if stamp else ""
     return f"{header}\r\n".encode() + data + b"\r\n"
@@ -75,58 +100,161 @@ def part(level, stamp=None):
 DAMAGED = b"--b\r\nContent-Length: 4\r\n\r\nabcd"
 
 
-@pytest.fixture
-def stream():
-    servers = []
-
-    def serve(*parts):
-        servers.append(Stream(parts))
-        return pictures_of(servers[-1].address, delay_s=0.25)
-
-    yield serve
-    for server in servers:
-        server.close()
+def levels_of(address, count=1):
+    """Return the grey levels of the camera's first pictures."""
+    with HttpCamera(address, Counter()) as camera:
+        return [int(each.grey[0, 0]) for each in itertools.islice(iter(camera), count)]
 
 
-def test_stream_gives_the_newest_picture_with_its_moment(stream):
-    with stream(part(50, "12.5"), 0.4, part(90), 1.0) as camera:
+def test_stream_gives_the_newest_picture_with_its_moment(serve):
+    host = serve(stream_of(part(50, "12.5"), 0.4, part(90, "12.9"), part(200, "13.0"), 1.0))
+    with HttpCamera(f"http://{host}/", Counter()) as camera:
         pictures = iter(camera)
-        first, second = next(pictures), next(pictures)
-    assert (first.wall_ns, int(first.grey[0, 0])) == (12_250_000_000, 50)
-    assert int(second.grey[0, 0]) == 90
-    assert 0.2e9 < time.time_ns() - second.wall_ns < 5e9
+        first = next(pictures)
+        time.sleep(0.6)
+        second = next(pictures)
+    assert [int(each.grey[0, 0]) for each in (first, second)] == [50, 200]
+    assert 0.0 <= time.time_ns() - second.wall_ns < 1e9
+    assert second.wall_ns - first.wall_ns == pytest.approx(0.5e9, abs=0.15e9)
 
 
-def test_damaged_picture_is_left_out(stream, caplog):
-    with stream(part(50), 0.2, DAMAGED, 0.2, DAMAGED, 0.2, part(90), 0.2) as camera:
+def test_damaged_picture_is_left_out_and_counted(serve, caplog):
+    host, left_out = serve(stream_of(part(50), 0.2, DAMAGED, 0.2, DAMAGED, 0.2, part(90), 0.2)), Counter()
+    with HttpCamera(f"http://{host}/", left_out) as camera:
         levels = [int(each.grey[0, 0]) for each in itertools.islice(iter(camera), 2)]
     assert levels == [50, 90]
+    assert left_out == {"a picture is neither a JPEG nor a PNG": 2}
     assert caplog.text.count("left out: a picture is neither a JPEG nor a PNG") == 1
 
 
-def test_server_that_does_not_speak_http_ends_the_command_with_its_words():
+def chunked(request):
+    """Answer with a chunked stream without a type."""
+    request.protocol_version = "HTTP/1.1"
+    request.send_response(200)
+    request.send_header("Transfer-Encoding", "chunked")
+    request.end_headers()
+    for data in (part(50)[:30], part(50)[30:], b"--b\r\n"):
+        request.wfile.write(f"{len(data):x}\r\n".encode() + data + b"\r\n")
+    time.sleep(0.5)
+
+
+def redirecting(request):
+    if request.path == "/there":
+        stream_of(part(50), 0.5)(request)
+    else:
+        request.send_response(302)
+        request.send_header("Location", "/there")
+        request.end_headers()
+
+
+@pytest.mark.parametrize(
+    ("answer", "host"),
+    [
+        (stream_of(part(50), 0.5, content='multipart/mixed; boundary="b"'), "127.0.0.1"),
+        (stream_of(part(50), 0.5), "::1"),
+        (stream_of(jpeg(50), content="image/jpeg"), "127.0.0.1"),
+        (chunked, "127.0.0.1"),
+        (redirecting, "127.0.0.1"),
+    ],
+    ids=["mixed", "IPv6", "one picture", "chunked", "redirected"],
+)
+def test_camera_is_read_as_a_browser_does(serve, answer, host, monkeypatch):
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")  # a camera is not read through a proxy
+    assert levels_of(f"http://{serve(answer, host)}/") == [50]
+
+
+def test_picture_that_is_not_a_stream_is_asked_for_again(serve):
+    levels = itertools.count(50, 10)
+
+    def answer(request):
+        stream_of(jpeg(next(levels)), content="image/jpeg")(request)
+
+    host = serve(answer)
+    assert levels_of(f"http://{host}/capture", 3) == [50, 60, 70]
+
+
+SECRET = "p@ss:w%2Frd"
+
+
+def protected(scheme):
+    """Answer with a stream if name and password of HTTP's ``scheme`` are right."""
+    name, password = "robot", urllib.parse.unquote(SECRET)
+
+    def answer(request):
+        given = request.headers.get("Authorization", "")
+        if scheme == "Basic":
+            right = given == "Basic " + base64.b64encode(f"{name}:{password}".encode()).decode()
+        else:
+            fields = urllib.request.parse_keqv_list(urllib.request.parse_http_list(given.partition(" ")[2]))
+            hashed = [f"{name}:cam:{password}", f"GET:{request.path}"]
+            a1, a2 = (hashlib.md5(each.encode()).hexdigest() for each in hashed)
+            right = fields.get("response") == hashlib.md5(f"{a1}:n:{a2}".encode()).hexdigest()
+        if right:
+            stream_of(part(50), 0.5)(request)
+        else:
+            challenge = f'{scheme} realm="cam"{", nonce=n" * (scheme == "Digest")}'
+            request.send_response(401)
+            request.send_header("WWW-Authenticate", challenge)
+            request.end_headers()
+
+    return answer
+
+
+@pytest.mark.parametrize("scheme", ["Basic", "Digest"])
+def test_password_of_the_address_is_used_and_in_no_message(serve, scheme, caplog):
+    host = serve(protected(scheme))
+    assert levels_of(f"http://robot:{SECRET}@{host}/s?user=robot") == [50]
+    for login, words in (("", "asks for a password"), ("robot:wr0ng@", "refuses this name and password")):
+        with pytest.raises(UsageError, match=words) as caught:
+            levels_of(f"http://{login}{host}/s?pwd=wr0ng")
+        assert "wr0ng" not in f"{caught.value}{caplog.text}"
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "http://",
+        "http://robot:s3cret@:81/",
+        "http://robot:s3c/ret@cam/",
+        "http://robot:s3cret@cam:0/",
+        "rtsp://a:s3cret@cam/",
+    ],
+)
+def test_address_that_cannot_be_read_is_not_shown(address):
+    with pytest.raises(UsageError, match="expected http://") as caught:
+        HttpCamera(address, Counter())
+    assert "s3c" not in str(caught.value)
+
+
+def test_server_that_does_not_speak_http_or_does_not_answer_ends_the_command():
     with socket.create_server(("127.0.0.1", 0)) as server:
-        camera = pictures_of(f"http://127.0.0.1:{server.getsockname()[1]}/")
-        with camera, pytest.raises(UsageError, match="hello"):
+        address = f"http://127.0.0.1:{server.getsockname()[1]}/?pwd=s3cret"
+        camera = HttpCamera(address, Counter())
+        with camera, pytest.raises(UsageError, match=r"/\?\.\.\.: it does not speak HTTP"):
             accepted, _ = server.accept()
             with accepted:
                 accepted.sendall(b"hello\r\n\r\n")
             next(iter(camera))
+    with pytest.raises(UsageError, match=r"/\?\.\.\.: Connection refused"):
+        levels_of(address)
 
 
 @pytest.mark.parametrize(
-    ("parts", "words"),
+    ("answer", "words"),
     [
-        ((part(50),), "sends no more pictures"),
-        ((part(50), *[DAMAGED, 0.4] * 10), "neither a JPEG nor a PNG"),
-        ((part(50), part(90, "inf")), "infinity"),
-        ((part(50), b"--b\r\nContent-Length: 99999999999\r\n\r\n"), "a picture of 99999999999 bytes"),
-        ((part(50), 3.5), "no picture for 3 s|timed out"),
+        (stream_of(part(50)), "sends no more pictures"),
+        (stream_of(part(50), *[DAMAGED, 0.4] * 10), "neither a JPEG nor a PNG"),
+        (stream_of(part(50), 3.5), "no picture for 3 s|no answer for 3 s"),
+        (
+            stream_of(b"<html></html>", content="text/html"),
+            "text/html, no pictures: give the address",
+        ),
+        (lambda request: request.send_error(404), "HTTP 404"),
     ],
 )
-def test_camera_that_dies_ends_the_command_with_one_line(stream, parts, words):
-    with stream(*parts) as camera, pytest.raises(UsageError, match=words):
-        list(itertools.islice(iter(camera), 10))
+def test_camera_that_dies_ends_the_command_with_one_line(serve, answer, words):
+    with pytest.raises(UsageError, match=words):
+        levels_of(f"http://{serve(answer)}/", 10)
 
 
 def stamped(data):
@@ -187,57 +315,8 @@ def test_poses_come_from_a_ros_camera_with_its_own_camera_info_and_mount(
     assert math.dist((found["last"]["x"], found["last"]["y"]), POSE[:2]) < 0.01
 
 
-def test_picture_of_ros_is_as_much_older_than_its_stamp_as_its_file_says(publish):
-    source = f"ros2/{publish(Convention.ROS2DDS, [(RAW, IMAGE, [*map(image, PICTURES)])])}"
-    with RosCamera(source, 0.0) as stamped_right, RosCamera(source, 2.0) as stamped_late:
-        ages_s = [(time.time_ns() - next(iter(each)).wall_ns) / 1e9 for each in (stamped_right, stamped_late)]
-    assert 1.0 < ages_s[1] - ages_s[0] < 3.0
-
-
 def test_ros_camera_without_camera_info_says_what_to_give(publish, tags, run_json, monkeypatch):
     monkeypatch.setattr("deploy.tag.ros_camera.WAIT_S", 0.3)
     code, found = run_json(f"tag run --camera ros2/{publish(Convention.ROS2DDS, [])} --map {tags}")
     assert code == 2
     assert "no camera_info on 'camera/camera_info' within 0.3 s; give --camera-file" in found["error"]
-
-
-AMCL = pose_with_covariance(POSE, np.eye(3) * 1e-4, 7, "map")
-TRANSFORMS = transforms(
-    [
-        Transform("map", "odom", 0.0, 0.0, 0.0, 0.0),
-        Transform("odom", "base_link", *POSE[:2], 0.0, POSE.theta),
-    ],
-    7,
-)
-
-
-@pytest.mark.parametrize(
-    ("topic", "ros_type", "data", "convention", "settings"),
-    [
-        ("amcl_pose", POSE_WITH_COVARIANCE, AMCL, Convention.RMW_ZENOH, "#rmw=zenoh&domain=3"),
-        ("here", POSE_STAMPED, pose_stamped(POSE, 7, "map"), Convention.ROS2DDS, "#topic=here"),
-        ("tf", TF, TRANSFORMS, Convention.ROS2DDS, "#topic=tf"),
-    ],
-)
-def test_poses_of_ros_reach_the_bridge(publish, topic, ros_type, data, convention, settings, run_json):
-    source = publish(convention, [(topic, ros_type, [data])])
-    bridge, address = open_router()
-    with bridge:
-        arrived = []
-        held = bridge.declare_subscriber("pose", lambda sample: arrived.append(sample.payload.to_bytes()))
-        code, found = run_json(f"tag relay --from ros2/{source}{settings} --robot {address} --seconds 0.6")
-        del held
-    assert code == 0
-    assert found["poses"] == len(arrived) > 0
-    found = read_pose(arrived[0])
-    assert found.pose == pytest.approx(POSE)
-    assert (found.frame, found.covariance[0, 0]) == ("map", 1e-4 if topic == "amcl_pose" else 0.0)
-
-
-def test_pose_of_another_frame_is_not_relayed_and_names_both(publish, capsys):
-    source = publish(Convention.ROS2DDS, [("amcl_pose", POSE_WITH_COVARIANCE, [AMCL])])
-    bridge, address = open_router()
-    with bridge:
-        command = f"tag relay --from ros2/{source} --robot {address} --seconds 0.5 --frame odom"
-        assert cli.run(command.split()) == 1
-    assert capsys.readouterr().out.count("pose in frame 'map', expected 'odom'") == 1

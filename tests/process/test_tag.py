@@ -19,7 +19,6 @@ from sim.live.processes import Process, wait_for
 CAMERA = CameraFile(
     intrinsics=Intrinsics(width=640, height=480, fx=400.0, fy=400.0, cx=319.5, cy=239.5),
     mount=Mount(x=0.1, y=0.0, z=0.3),
-    delay_s=0.05,
 )
 TAGS = TagMap(
     frame="course",

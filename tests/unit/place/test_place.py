@@ -11,13 +11,12 @@ from deploy.drive.measurements import pose_reader
 from deploy.place.place import load_place
 from deploy.place.plan import approach, in_the_way, retreat, to_staging
 from deploy.place.survey import blurred, complaint, survey
-from deploy.zenoh_client import with_covariance
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import FormatError, NoPose, UsageError
 from rover_ncp.core.geometry import ORIGIN, Pose, distance, wrap_angle
 from rover_ncp.course.course import OMEGA_MAX, V_MAX
 from rover_ncp.course.feasibility import Cause, check_course
-from rover_ncp.wire.messages import PoseSample, pose_stamped, pose_with_covariance, read_pose
+from rover_ncp.wire.messages import PoseSample, pose_stamped, pose_with_covariance, read_pose, with_covariance
 
 DIRECTIONS = "forward", "backward"
 STARTS = Pose(0.0, 0.0, 0.0), Pose(1.8, 2.5, 2.0), Pose(1.5, 1.0, -3.1), Pose(3.0, 1.4, 1.0)

@@ -1,14 +1,18 @@
 """Pictures of a camera that works, and of cameras that do not."""
 
+import math
+from collections import Counter
+
 import cv2
 import numpy as np
 import pytest
 from kit.tags import CAMERA, WALL, picture_of
 
-from deploy.tag.camera import Picture, pictures_of
+from deploy.tag.camera import Picture, file_pictures
 from deploy.tag.localiser import Localiser, drawn
 from deploy.tag.locate import Rejection
 from deploy.tag.run import until
+from deploy.tag.tag_map import Tag, TagMap
 from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.core.geometry import Pose
 
@@ -74,15 +78,29 @@ def test_picture_for_people_marks_the_tags(localiser):
     assert green > 100 > max(blue, red)
 
 
-def test_folder_of_pictures_is_read_in_order(tmp_path):
-    for index, grey in enumerate((10, 200)):
-        cv2.imwrite(str(tmp_path / f"{index}.png"), np.full((48, 64), grey, np.uint8))
-    assert [int(each.grey[0, 0]) for each in pictures_of(str(tmp_path))] == [10, 200]
+def test_tag_that_is_printed_twice_is_named():
+    localiser = Localiser(CAMERA, WALL.model_copy(update={"tags": WALL.tags[:1]}), 2.0)
+    twin = Tag(id=7, size=0.14, x=2.0, y=-0.2, z=0.3, yaw=math.pi)
+    both = picture_of(POSE, tag_map=TagMap.model_construct(tags=(WALL.tags[0], twin)))
+    assert localiser.take(Picture(both, SECOND_NS)) is None
+    assert (localiser.rejected, localiser.twice) == ({Rejection.TWICE: 1}, {7})
+
+
+def test_folder_of_pictures_is_read_in_order_without_what_is_no_picture(tmp_path):
+    for name, grey in (("0.png", 10), ("1.JPG", 200)):
+        coded = cv2.imencode(name[1:].lower(), np.full((48, 64), grey, np.uint8))[1]
+        (tmp_path / name).write_bytes(coded.tobytes())
+        (tmp_path / f"._{name}").write_bytes(b"a Mac's by-product")
+    left_out = Counter()
     (tmp_path / "2.png").write_bytes(b"no picture")
-    with pytest.raises(FileError, match=r"2\.png: not a picture"):
-        list(pictures_of(str(tmp_path)))
+    assert [int(each.grey[0, 0]) for each in file_pictures(str(tmp_path), left_out)] == [10, 200]
+    assert left_out.total() == 1
+    for good in ("0.png", "1.JPG"):
+        (tmp_path / good).unlink()
+    with pytest.raises(FileError, match="no picture can be read: a picture is neither"):
+        list(file_pictures(str(tmp_path), left_out))
     with pytest.raises(FileError, match="no such file"):
-        pictures_of(str(tmp_path / "nothing.mp4"))
+        file_pictures(str(tmp_path / "nothing.mp4"), left_out)
 
 
 def test_reading_ends_when_the_user_wants():

@@ -1,0 +1,129 @@
+"""Calibrations as other programs write them."""
+
+import cv2
+import numpy as np
+import pytest
+
+from deploy.tag.camera_info import load_camera_info
+from deploy.tag.locate import undistorted
+from deploy.tag.tag_map import Intrinsics
+from rover_ncp.core.errors import ConfigError
+
+K, D = "[500.5, 0, 320, 0, 501, 241, 0, 0, 1]", (0.1, -0.2, 0.001, 0.002, 0.03)
+SIZE = "image_width: 640\nimage_height: 480\n"
+
+
+def ros(d, more, k=K):
+    matrix = f"camera_matrix: {{rows: 3, cols: 3, data: {k}}}\n"
+    return f"{SIZE}{matrix}{more}distortion_coefficients: {{rows: 1, cols: {len(d)}, data: {list(d)}}}\n"
+
+
+OPENCV = f"""%YAML:1.0
+---
+calibration_time: "Sat Nov 28"
+{SIZE}camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: {K}
+distortion_coefficients: !!opencv-matrix
+   rows: 5
+   cols: 1
+   dt: d
+   data: {list(D)}
+"""
+XML = f"""<?xml version="1.0"?>
+<opencv_storage>
+<image_width>640</image_width><image_height>480</image_height>
+<cameraMatrix type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>d</dt>
+  <data>500.5 0. 320. 0. 501. 241. 0. 0. 1.</data></cameraMatrix>
+<distCoeffs type_id="opencv-matrix"><rows>1</rows><cols>5</cols><dt>d</dt>
+  <data>{" ".join(map(str, D))}</data></distCoeffs>
+</opencv_storage>
+"""
+ECHO = f"height: 480\nwidth: 640\ndistortion_model: plumb_bob\nd: {list(D)}\nk: {K}\nr: [1]\n---\n"
+ECHO_ROS1 = ECHO.replace("\nd:", "\nD:").replace("\nk:", "\nK:")
+KALIBR = """cam0:
+  camera_model: pinhole
+  distortion_coeffs: [0.1, -0.2, 0.001, 0.002]
+  distortion_model: radtan
+  intrinsics: [500.5, 501.0, 320.0, 241.0]
+  resolution: [640, 480]
+"""
+RATIONAL = (*D, 0.4, 0.1, 0.02, *[0.0] * 6)
+
+
+@pytest.mark.parametrize(
+    ("text", "model", "distortion"),
+    [
+        pytest.param(ros(D, "distortion_model: plumb_bob\n"), "pinhole", D, id="camera_calibration"),
+        pytest.param(ros(RATIONAL, "distortion_model: rational_polynomial\n"), "pinhole", RATIONAL, id="14"),
+        pytest.param(ros(RATIONAL[:8], ""), "pinhole", RATIONAL[:8], id="8 without a model"),
+        pytest.param(ros(D[:4], "camera_model: fisheye\n"), "fisheye", D[:4], id="camera_model"),
+        pytest.param(ros(D[:4], "distortion_model: equidistant\n"), "fisheye", D[:4], id="equidistant"),
+        pytest.param(ECHO, "pinhole", D, id="topic echo"),
+        pytest.param(f"---\n{ECHO}{ECHO}", "pinhole", D, id="echo of several"),
+        pytest.param(ECHO_ROS1, "pinhole", D, id="ROS 1"),
+        pytest.param(OPENCV, "pinhole", D, id="OpenCV's YAML"),
+        pytest.param(XML, "pinhole", D, id="OpenCV's XML"),
+        pytest.param(KALIBR, "pinhole", D[:4], id="Kalibr"),
+        pytest.param(KALIBR.replace("radtan", "equidistant"), "fisheye", D[:4], id="Kalibr's fisheye"),
+    ],
+)
+def test_calibration_of_each_format_is_read(tmp_path, text, model, distortion):
+    file = tmp_path / "info.yaml"
+    file.write_text(text)
+    found = load_camera_info(file)
+    assert (found.width, found.height, found.fx, found.fy, found.cx, found.cy) == (
+        640,
+        480,
+        500.5,
+        501,
+        320,
+        241,
+    )
+    assert (found.model, found.distortion) == (model, pytest.approx(distortion))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (ros(D[:4], ""), "4 coefficients without distortion_model: add it"),
+        (ros(D[:4], "distortion_model: double_sphere\n"), "double_sphere: expected one of plumb_bob"),
+        (ros(D, "distortion_model: plumb_bob\ncamera_model: fisheye\n"), "contradicts"),
+        (ros(D, "distortion_model: equidistant\n"), "5 coefficients of a fisheye camera, expected 4"),
+        (ros(D[:3], "distortion_model: plumb_bob\n"), "3 coefficients"),
+        (ros(D, "", K.replace("501", "1")), "focal lengths 500.5 and 1 do not fit"),
+        (
+            ros(D, "", K.replace("320", "3200")),
+            "principal point 3200, 241 is outside the picture of 640 × 480",
+        ),
+        (ros(D, "", "[5e4, 0, 320, 0, 5e4, 241, 0, 0, 1]"), "focal lengths 50000"),
+        (ros(D, "", "[.nan, 0, 320, 0, 501, 241, 0, 0, 1]"), "fx"),
+        (ros(D, "", "[0, 0, 0, 0, 0, 0, 0, 0, 0]"), "the camera is not calibrated"),
+        (ros(D, "", "[500, 0, 320, 0, 500, 241, 0, 0, 0]"), "expected fx, 0, cx, 0, fy, cy, 0, 0, 1"),
+        (
+            "image_width: 640\n",
+            "no image_height, camera_matrix, distortion_coefficients; expected a calibration",
+        ),
+        ("image_width: 640\ncamera_matrix: 3\n", "no image_height, distortion_coefficients"),
+        ("# oST version 5.0 parameters\n\n\n[image]\n\nwidth\n640\n", "expected a calibration of ROS"),
+        (KALIBR + KALIBR.replace("cam0", "cam1"), "2 cameras, expected one"),
+        ("%YAML:1.0\n---\nnothing: [", "FileStorage|expected a calibration"),
+    ],
+)
+def test_calibration_that_cannot_be_right_is_refused(tmp_path, text, words):
+    file = tmp_path / "info.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=words):
+        load_camera_info(file)
+
+
+def test_points_of_a_fisheye_are_where_opencv_projects_them():
+    fisheye = Intrinsics(
+        width=640, height=480, fx=300, fy=300, cx=320, cy=240, model="fisheye", distortion=D[:4]
+    )
+    flat = np.array([[0.0, 0.0], [0.5, -0.3], [-1.2, 0.8]])
+    rays = cv2.convertPointsToHomogeneous(flat)
+    pixels, _ = cv2.fisheye.projectPoints(rays, np.zeros(3), np.zeros(3), fisheye.matrix, np.array(D[:4]))
+    assert undistorted(fisheye, pixels[:, 0, :]) == pytest.approx(flat, abs=1e-6)

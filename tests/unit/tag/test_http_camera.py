@@ -1,0 +1,204 @@
+"""Streams of cameras as bytes, their stamps, and the devices of a machine."""
+
+import itertools
+import time
+from collections import Counter
+
+import cv2
+import numpy as np
+import pytest
+
+from deploy.tag.camera import Device, DeviceCamera, DeviceSettings, devices
+from deploy.tag.http_camera import MAX_HEAD, MAX_PART, PartReader, PictureMoments
+from rover_ncp.core.errors import UsageError
+
+PICTURES = [cv2.imencode(".jpg", np.full((8, 8), level, np.uint8))[1].tobytes() for level in (10, 90, 200)]
+NS_PER_S = 1_000_000_000
+
+
+def stream(parts=PICTURES, *, line="--frame", head="Content-Type: image/jpeg\r\n", length=True, after="\r\n"):
+    """Return a stream; ``line`` begins each part."""
+    for data in parts:
+        lengths = f"Content-Length: {len(data)}\r\n" if length else ""
+        yield f"{line}\r\n{head}{lengths}\r\n".encode() + data + after.encode()
+
+
+def pictures(chunks, boundary="frame"):
+    """Return the data of the parts, and the reasons for those that are left out."""
+    reader = PartReader(boundary)
+    found = [each for chunk in chunks for each in reader.feed(chunk)]
+    return [each.data for each in found if not isinstance(each, str)], [
+        each for each in found if isinstance(each, str)
+    ]
+
+
+@pytest.mark.parametrize("size", [1, 7, 1 << 20])
+@pytest.mark.parametrize(
+    ("form", "boundary"),
+    [
+        ({}, "frame"),
+        ({"length": False}, "frame"),
+        ({"length": False, "after": ""}, "frame"),
+        ({}, ""),
+        ({}, "--frame"),
+        ({}, "another"),
+        ({"line": "--b", "length": False}, "b"),
+        ({"line": "frame"}, "frame"),
+        ({"line": "--video boundary--"}, "--video boundary--"),
+        ({"line": "\r\n--frame", "after": ""}, "frame"),
+        ({"head": ""}, "frame"),
+        ({"head": "CONTENT-TYPE:image/jpeg\r\nX-Other: 1\r\n"}, "frame"),
+        ({"head": "Content-Length: 999999999999\r\n", "length": False}, "frame"),
+        ({"head": "Content-Length: many\r\n", "length": False}, "frame"),
+    ],
+)
+def test_stream_of_each_dialect_gives_its_pictures(form, boundary, size):
+    data = b"".join(stream(**form))
+    chunks = [data[at : at + size] for at in range(0, len(data), size)]
+    assert pictures(chunks, boundary) == (PICTURES, [])
+
+
+def test_lines_that_end_with_lf_and_text_before_the_first_part():
+    data = [each.replace(b"\r\n\r\n", b"\n\n").replace(b"\r\nC", b"\nC") for each in stream(after="\n")]
+    assert pictures([b"a multipart message: nothing here\n", *data]) == (PICTURES, [])
+
+
+def test_picture_without_a_length_does_not_wait_for_the_next():
+    assert pictures(itertools.islice(stream(length=False), 1)) == (PICTURES[:1], [])
+
+
+@pytest.mark.parametrize("length", [-3, 3, 500])
+def test_wrong_length_costs_no_other_picture(length):
+    wrong = f"--frame\r\nContent-Length: {len(PICTURES[0]) + length}\r\n\r\n".encode() + PICTURES[0] + b"\r\n"
+    found, _ = pictures([wrong, *stream()])
+    assert found[-3:] == PICTURES
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        (b"--frame\r\n" + b"X-Long: " + b"x" * 4 * MAX_HEAD + b"\r\n\r\n", "header has more than"),
+        (b"--frame\r\n" + b"X-Many: 1\r\n" * MAX_HEAD + b"\r\n", "header has more than"),
+        (b"--frame\r\n\r\n" + b"\x00" * 2 * MAX_PART + b"\r\n", "picture of more than 8 MiB"),
+    ],
+)
+def test_part_without_an_end_is_left_out_and_held_in_bounds(bad, words):
+    reader, found, held = PartReader("frame"), [], 0
+    data = bad + b"".join(stream())
+    for at in range(0, len(data), 1 << 16):
+        found += list(reader.feed(data[at : at + (1 << 16)]))
+        held = max(held, len(reader._buffer))
+    assert words in found[0]
+    assert [each.data for each in found if not isinstance(each, str)] == PICTURES
+    assert held <= MAX_PART + (1 << 17)
+
+
+def test_endless_beginning_ends_the_stream():
+    with pytest.raises(ValueError, match="no part of its stream begins"):
+        pictures([b"x" * 1000] * 100)
+
+
+def moments(stamps, period_s=0.1, transit_s=(0.0,) * 60):
+    """Return ages in s of pictures that are sent every ``period_s`` and arrive ``transit_s`` later."""
+    clock, found = PictureMoments(), []
+    for k, (stamp, late_s) in enumerate(zip(stamps, transit_s, strict=False)):
+        arrival_ns = round((1000.0 + k * period_s + late_s) * NS_PER_S)
+        moment_ns = clock.wall_ns(stamp, arrival_ns, -7)
+        found.append(None if moment_ns is None else round((arrival_ns - moment_ns) / NS_PER_S, 6))
+    return found
+
+
+@pytest.mark.parametrize("began_s", [0.5, 1_732_000_000.0, 1_732_003_600.0])
+def test_stamps_of_any_clock_tell_how_late_a_picture_is(began_s):
+    """Since the camera's start (ESP32), of this machine's clock, and of one an hour ahead."""
+    transit_s = [0.01, 0.05, 0.01, 0.3, 0.02]
+    ages = moments([f"{began_s + 0.1 * k:.6f}" for k in range(5)], transit_s=transit_s)
+    assert ages == pytest.approx([0.0, 0.04, 0.0, 0.29, 0.01], abs=1e-5)
+
+
+@pytest.mark.parametrize("stamp", [None, "2026-11-27T23:00:00Z", "nan", "inf", "-1", "0", "1e300", ""])
+def test_picture_without_a_usable_stamp_counts_from_its_arrival(stamp):
+    assert moments([stamp] * 3) == [0.0] * 3
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        ["5.0"] * 60,
+        [str(1_732_000_000 + k // 10) for k in range(60)],
+        [str(5000 + 100 * k) for k in range(60)],
+    ],
+    ids=["constant", "whole seconds", "milliseconds"],
+)
+def test_stamps_that_are_no_clock_are_given_up(stamps):
+    found = moments(stamps)
+    assert found[-40:] == [0.0] * 40
+    assert found.count(None) < 10
+
+
+def test_devices_are_listed_with_a_name_that_stays(tmp_path):
+    for number, name, index in ((10, "Other", "0"), (2, "Webcam C920", "0"), (3, "Webcam C920", "1")):
+        node = tmp_path / f"sys/class/video4linux/video{number}"
+        node.mkdir(parents=True)
+        (node / "name").write_text(f"{name}\n")
+        (node / "index").write_text(f"{index}\n")
+    links = tmp_path / "dev/v4l/by-id"
+    links.mkdir(parents=True)
+    (tmp_path / "dev/video2").touch()
+    (links / "usb-046d_C920-video-index0").symlink_to("../../video2")
+    assert devices(tmp_path) == [
+        ("/dev/video2", "Webcam C920", "/dev/v4l/by-id/usb-046d_C920-video-index0"),
+        ("/dev/video10", "Other", ""),
+    ]
+
+
+class FakeCapture:
+    """A device that can do 1280 × 720 and has an autofocus."""
+
+    def __init__(self, *opened):
+        self.opened, self.was_set = opened, {cv2.CAP_PROP_AUTOFOCUS: 1.0}
+        self.size = (640, 480)
+        FakeCapture.last = self
+
+    def isOpened(self):  # noqa: N802, OpenCV's name
+        return True
+
+    def set(self, key, value):
+        self.was_set[key] = value
+        if key == cv2.CAP_PROP_FRAME_WIDTH and value > 640:
+            self.size = (1280, 720)
+        return True
+
+    def get(self, key):
+        return self.was_set.get(key, 0.0)
+
+    def read(self):
+        time.sleep(0.01)
+        return True, np.zeros((self.size[1], self.size[0], 3), np.uint8)
+
+    def release(self):
+        pass
+
+
+@pytest.mark.parametrize("focus", [None, 30.0])
+def test_device_is_set_to_its_calibration(monkeypatch, caplog, tmp_path, focus):
+    monkeypatch.setattr(cv2, "VideoCapture", FakeCapture)
+    link = tmp_path / "by-id"
+    link.symlink_to("/dev/video7")
+    settings = DeviceSettings((1280, 720), 30.0, focus)
+    with DeviceCamera(str(link), settings, Counter()) as camera:
+        assert next(iter(camera)).grey.shape == (720, 1280)
+    device = FakeCapture.last
+    assert (device.opened[0], device.was_set[cv2.CAP_PROP_FPS]) == (7, 30.0)
+    assert ("its autofocus is on" in caplog.text) is (focus is None)
+    assert focus is None or (device.get(cv2.CAP_PROP_AUTOFOCUS), device.get(cv2.CAP_PROP_FOCUS)) == (0, 30)
+
+
+def test_device_that_is_not_there_names_those_that_are(monkeypatch):
+    monkeypatch.setattr("deploy.tag.camera.devices", lambda: [Device("/dev/video5", "Webcam", "")])
+    camera = DeviceCamera("/dev/video94", DeviceSettings(), Counter())
+    with (
+        camera,
+        pytest.raises(UsageError, match="no /dev/video94; cameras of this machine: /dev/video5"),
+    ):
+        next(iter(camera))

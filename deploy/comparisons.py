@@ -29,7 +29,7 @@ MAX_GYRO_LAG_S, MAX_POSE_LAG_S = 0.2, 0.25
 """Largest lag behind odometry; a drive expects poses 0.05 s late, with a deviation of 0.05 s."""
 MAX_GYRO_BIAS_RAD_S = 0.4
 """Twice the deviation that the estimator expects."""
-MIN_POSE_HZ = 1.0
+MIN_POSE_HZ, MAX_SCATTER_M = 1.0, 0.1
 MIN_SAMPLES = 5
 """Fewer samples of a motion show nothing."""
 ROOM_M, ROOM_SHARE = 0.03, 0.3
@@ -118,7 +118,9 @@ def poses_at_rest(rest: Samples, frames: Sequence[str], age_s: float) -> Answer:
     words = f"{rate:.1f} poses a second (at least {MIN_POSE_HZ:g}) in the frame {named} ({expected})"
     if len(set(frames)) > 1:
         return False, f"{words}: expected one frame; do two localisers send pose?"
-    return rate >= MIN_POSE_HZ, f"{words}, {age_s:.2f} s old by their stamps"
+    scatter_m = float(np.hypot(*np.std([(pose.x, pose.y) for _, pose in rest.poses], axis=0)))
+    words += f", {age_s:.2f} s old by their stamps, scatter {scatter_m:.3f} m (at most {MAX_SCATTER_M:g} m)"
+    return rate >= MIN_POSE_HZ and scatter_m <= MAX_SCATTER_M, words
 
 
 def poses_on_way(straight: Samples, *, on_floor: bool) -> Answer:

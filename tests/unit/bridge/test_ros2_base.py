@@ -182,6 +182,19 @@ def test_a_stop_button_that_is_silent_is_named_and_one_that_cannot_be_read_ends_
     assert world.base.health().silent == ()
 
 
+def test_sensor_on_which_nothing_comes_is_named_with_what_was_found_instead():
+    world = World(BURGER)
+    world.tell(announced("bot1/imu", IMU))
+    world.tell(announced("battery_state", TWIST))
+    world.run(1.0)
+    imu_words, battery_words, *_ = world.base.health().unheard
+    assert imu_words == f"no message on imu: {IMU} is published on bot1/imu"
+    found = f"it has the type {TWIST}, expected {BATTERY_STATE}"
+    assert battery_words == f"no message on battery_state: {found}"
+    world.hear("imu", encode(IMU))
+    assert "imu" not in str(world.base.health().unheard)
+
+
 @pytest.mark.parametrize(("status", "charging"), [(0, None), (1, True), (2, False), (3, False), (4, None)])
 def test_battery_is_known_for_a_minute(ready, status, charging):
     ready.hear("battery_state", encode(BATTERY_STATE, voltage=11.5, power_supply_status=status))

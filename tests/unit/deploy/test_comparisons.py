@@ -152,6 +152,7 @@ def test_sensors_that_show_no_motion_are_unknown_on_blocks():
 def test_poses_that_are_rare_or_in_two_frames_are_not_right():
     assert poses_at_rest(REST, ["course"] * 60, 0.1)[0]
     assert not poses_at_rest(samples(hz=0.5), ["course"], 0.1)[0]
+    assert not poses_at_rest(samples(noise=0.2), ["course"], 0.1)[0]
     found, words = poses_at_rest(REST, ["map", "course"] * 30, 0.1)
     assert not found
     assert "course, map" in words

@@ -2,10 +2,12 @@
 
 import math
 import time
+from collections import deque
 from dataclasses import replace
 from datetime import date
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from kit.described import described
 from kit.virtual_drive import ChangedLink
@@ -22,9 +24,9 @@ from deploy.drive.signed_lease import NOT_ACCEPTED
 from deploy.publishers import Publishers
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import SafetyStop
-from rover_ncp.core.geometry import ORIGIN, Velocity
+from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, compose
 from rover_ncp.robot.description import DeadBand, load_description
-from rover_ncp.wire.messages import imu, read_imu
+from rover_ncp.wire.messages import imu, pose_with_covariance, read_imu
 from rover_ncp.wire.protocol import BaseReply, GateStatus
 from sim.base.faults import Faults, parse_fault
 from sim.base.firmware import Firmware
@@ -141,6 +143,7 @@ def check(
     config=None,
     change=(),
     on_floor=False,
+    localise=lambda link, rover: None,
 ):
     """Check a robot on the virtual clock; return the findings, the link and the rover."""
     robot = load_description(robot) if isinstance(robot, str) else robot
@@ -152,12 +155,14 @@ def check(
     bridge, battery = VirtualBridge(base, limits), Battery()
     bridge.sleep(3.0)
     link = ChangedLink(bridge, battery.record)
+    link._start = None  # poses are those of `localise`
     measurements = Measurements(link, pose_frame=None)
     link.change |= dict(change)
 
     def press_bumper(data):
         if while_turning and rover.velocity.omega > 0.05:
             base.inject(parse_fault(while_turning))
+        localise(link, rover)
         return data
 
     link.change["odom"] = press_bumper
@@ -252,6 +257,35 @@ def test_gyro_is_compared_with_odometry(robot, factor, name, words):
 def test_gyro_of_the_description_that_is_silent_is_found():
     findings, _, _ = check(robot="turtlebot4", model="turtlebot4", change={"imu": lambda data: None})
     assert (findings[-1].name, findings[-1].ok) == ("gyro", False)
+
+
+def localiser(frame, of=lambda pose: pose, late_s=0.0):
+    """Return a localiser: ``of`` makes a pose of the true one, which it stamps late."""
+    seen = deque(maxlen=1 + round(10 * late_s))
+
+    def localise(link, rover):
+        seen.append(of(compose(Pose(1.0, 2.0, 2.0), rover.pose)))
+        stamp_ns = link.bridge.time_ns()
+        link.localise(pose_with_covariance(seen[0], 1e-4 * np.eye(3), stamp_ns, frame), link.bridge.now_ns)
+
+    return localise
+
+
+@pytest.mark.parametrize(
+    ("localise", "name", "words"),
+    [
+        (localiser("map"), "bridge", ""),
+        (localiser("map", late_s=0.6), "pose-way", "stamp a pose with the time of its picture"),
+        (localiser("map", lambda p: Pose(0.5 * p.x, 0.5 * p.y, p.theta)), "pose-way", "size of tags or map"),
+        (localiser("map", lambda p: Pose(p.x, p.y, p.theta + 1.5)), "pose-way", "camera's mount"),
+        (localiser("map", lambda p: ORIGIN), "pose-way", "repeats itself"),
+        (localiser("map", lambda p: Pose(p.x, p.y, 2.0)), "pose-turn", "repeats itself"),
+    ],
+)
+def test_external_poses_are_compared_with_odometry(localise, name, words):
+    findings, _, _ = check(model="p3at-sh", localise=localise, on_floor=True)
+    assert (findings[-1].name, findings[-1].ok) == (name, not words), findings[-1].detail
+    assert words in findings[-1].detail
 
 
 def with_band(v, omega):

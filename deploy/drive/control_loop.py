@@ -103,8 +103,6 @@ class Drive:
         self.verdict: Verdict | None = None
         self.estimate: Estimate | None = None
         """The newest estimate of a tick."""
-        self.predicted_error_m: float | None = None
-        """Predicted error of the estimate at the goal without further poses, in 95 % of drives."""
         self.latencies_ns: list[int] = []
         """From the arrival of odometry to its command on the wire."""
 
@@ -169,7 +167,6 @@ class Drive:
         )
         self.controller.start(start.sample.pose, 0.0, pose, covariance)
         self._publisher.start(record, start.sample.pose)
-        self._predict_accuracy()
         if not self.config.dry_run:
             self._request_motors()
         self._enter(Phase.DRIVING)
@@ -193,17 +190,6 @@ class Drive:
         if heard.taken["pose"] or "pose" in heard.complaints:
             why = heard.complaints.get("pose", "too seldom, or without a valid covariance")
             raise SafetyStop("start-pose", f"external poses arrive, but none can be used: {why}")
-
-    def _predict_accuracy(self) -> None:
-        """Predict the error of the estimate at the goal."""
-        if isinstance(self.controller, Docking) or not self.controller.plans:
-            return
-        readings = self.measurements.gyro()
-        self._apply(readings)
-        error = self.predicted_error_m = self.controller.predicted_error_m(gyro=bool(readings))
-        if not self.placed:
-            words = f"predicted position error of the estimate at the goal: {error:.2f} m in 95 % of drives"
-            _LOGGER.info(f"{words}; {self._remedies()}")
 
     def _why_uncertain(self) -> str:
         verdict, estimate = self.verdict, self.estimate

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from deploy.drive.dead_zone import DeadZone
 from deploy.drive.hold import HOLD, hold_from_s, holds
-from deploy.estimator.estimator import Estimate, Estimator, error_95_m
+from deploy.estimator.estimator import Estimate, Estimator
 from deploy.estimator.measurements import Outcome
 from deploy.estimator.settings import TURN_GAINS, EstimatorSettings
 from rover_ncp.circuit.policy import Policy
@@ -33,9 +33,6 @@ from rover_ncp.course.scoring import Verdict, judge
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
-
-FORECAST_TICKS = 2
-"""Steps of a forecast; a gyro's readings may be 0.25 s apart."""
 
 
 @dataclass(frozen=True)
@@ -130,16 +127,6 @@ class Controller:
         self._runner.reset()
         self._runner.tick(self._observation(pose, 0, 0.0))
 
-    def predicted_error_m(self, *, gyro: bool) -> float:
-        """Return the predicted position error (m, 95 %) of the estimate at the goal.
-
-        After `start`; for a drive along the course's reference without further external poses.
-        """
-        reference = self._reference or plan_reference(self._course)
-        ticks = [reference.tick(index) for index in range(0, reference.ticks + 1, FORECAST_TICKS)]
-        path, motion = zip(*ticks, strict=True)
-        return error_95_m(self.estimator.forecast(path, motion, FORECAST_TICKS * TICK_S, gyro=gyro))
-
     def take(self, sample: OdometrySample | TurnSample | PoseSample, t: float) -> Outcome | None:
         """Give the estimator a sample, as `take`."""
         return take(self.estimator, sample, t)
@@ -192,11 +179,6 @@ class Controller:
     def potentials(self) -> NDArray[np.float64]:
         """The potentials of the newest tick, in mV."""
         return self._runner.potentials
-
-    @property
-    def plans(self) -> bool:
-        """Whether the course's reference is planned, which takes up to a second."""
-        return self._reference is not None
 
     def verdict(self) -> Verdict:
         """Judge the drive so far on the estimate: the last pose with its covariance, and the motion before.

@@ -73,9 +73,6 @@ class DriveResult(RecordingResult):
     reason: str = Field(description="in words")
     stopped_by: str | None = Field(description="the safety rule")
     contact: str | None = Field(description="that the base reported: a pressed bumper or a stall")
-    predicted_error_m: float | None = Field(
-        description="in 95 % of drives, by the filter's covariance, if no external pose comes after the start"
-    )
     estimate_error_m: float | None = Field(description="of the estimate to the goal, at the end")
     estimate_error_rad: float | None = Field(description="of its heading")
     dock: DockResult | None = Field(description="how a drive to or from a place ended; null for a course")
@@ -151,7 +148,6 @@ def result_of(drive: Drive, recording: Mapping[str, Any]) -> DriveResult:
         reason=drive.reason,
         stopped_by=drive.stop.rule if drive.stop else None,
         contact=drive.monitor.contact or None,
-        predicted_error_m=drive.predicted_error_m,
         estimate_error_m=verdict.error_m if verdict else None,
         estimate_error_rad=verdict.error_rad if verdict else None,
         odometry_to_command_ms=Latency(p50=p50, p99=p99),

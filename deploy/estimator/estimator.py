@@ -10,10 +10,8 @@ Rules of this file:
 One extended Kalman filter: `motion` is its model, `history` applies the measurements, also late ones.
 """
 
-import copy
 import math
 from collections import Counter, deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,14 +21,11 @@ from deploy.estimator.history import TURN_S, History
 from deploy.estimator.measurements import GyroAngle, Outcome
 from deploy.estimator.motion import (
     ASIDE,
-    BIAS,
     CENTER,
     DISTANCE,
     GAIN,
     GYRO,
-    MOTION,
     OMEGA,
-    OWN,
     POSE,
     SIZE,
     WHEEL_MISMATCH,
@@ -40,7 +35,7 @@ from deploy.estimator.motion import (
     turned_without_gain,
 )
 from deploy.estimator.settings import GYRO_S, EstimatorSettings
-from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, compose, inverse, near
+from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, near
 from rover_ncp.wire.messages import GYRO_GAP_S
 
 GYRO_OFF_RAD_S = 1.0
@@ -76,7 +71,13 @@ class Estimate:
     @property
     def error_95_m(self) -> float:
         """Position error that 95 % of such estimates do not exceed."""
-        return error_95_m(self.covariance)
+        # The squared distance is a sum of two scaled χ²; one of the same mean and variance stands for it.
+        variances = np.clip(np.linalg.eigvalsh(self.covariance[:2, :2]), 0.0, None)
+        total = float(variances.sum())
+        if total == 0.0:
+            return 0.0
+        scale = float(np.square(variances).sum()) / total
+        return math.sqrt(2.0 * scale * gammaincinv(0.5 * total / scale, 0.95))
 
 
 class _Gyro:
@@ -257,26 +258,6 @@ class Estimator:
             t, pose, Velocity(ahead, turn), rows @ P @ rows.T, float(x[GYRO] * x[GAIN]), float(x[CENTER])
         )
 
-    def forecast(
-        self, path: Sequence[Pose], motion: Sequence[Velocity], period_s: float, gyro: bool
-    ) -> Array:
-        """Return the pose's covariance (3, 3) after a drive from here, without external poses.
-
-        ``path`` are odometry's poses (any frame), ``period_s`` apart, ``motion`` the velocities there.
-        """
-        ahead = copy.deepcopy(self)
-        ahead._bursts = _BurstStamps()
-        x, _ = self._history.at(self._history.t)
-        own_path = compose(Pose(*x[OWN].tolist()), inverse(path[0]))
-        t = self._history.t
-        for pose, velocity in zip(path, motion, strict=True):
-            if gyro:
-                x[MOTION] = velocity
-                ahead.gyro(true_motion(x, self._settings)[2] / float(x[GYRO]) + float(x[BIAS]), t)
-            ahead.odometry(compose(own_path, pose), velocity, t)
-            t += period_s
-        return ahead.at(t).covariance[:3, :3]
-
     @property
     def nis(self) -> dict[str, float | None]:
         """Mean NIS of the accepted external poses while the rover stood and moved; 3 is expected."""
@@ -327,17 +308,6 @@ class Estimator:
         """Note the first fault."""
         if not self.fault:
             self.fault, self.fault_rule = words, rule
-
-
-def error_95_m(covariance: Array) -> float:
-    """Return the position error in m that 95 % of estimates with a covariance (≥ 2, ≥ 2) do not exceed."""
-    # The squared distance is a sum of two scaled χ²; one of the same mean and variance stands for it.
-    variances = np.clip(np.linalg.eigvalsh(covariance[:2, :2]), 0.0, None)
-    total = float(variances.sum())
-    if total == 0.0:
-        return 0.0
-    scale = float(np.square(variances).sum()) / total
-    return math.sqrt(2.0 * scale * gammaincinv(0.5 * total / scale, 0.95))
 
 
 def completed(covariance: Array, settings: EstimatorSettings) -> Array | None:

@@ -26,8 +26,6 @@ class Belief(NamedTuple):
     """Position error of the estimate; NaN if a safety rule stopped the drive."""
     squared: float
     """Squared error, normalised by the estimate's covariance: χ² with 2 degrees of freedom."""
-    predicted_m: float
-    """Error of the estimate predicted before the drive (95 %); NaN if there was no prediction."""
 
 
 class Percentiles(BaseModel):
@@ -41,7 +39,6 @@ class EstimateSummary(BaseModel):
     """The driver's estimates in many drives, against the truth."""
 
     error_m: Percentiles | None = Field(description="of the driver's estimate at the goal")
-    predicted_error_m: Percentiles | None = Field(description="as deploy predicts it, without external poses")
     inside: dict[str, float | None] = Field(
         description="share of drives whose true position is inside the 50 % and the 95 % ellipse"
     )
@@ -64,10 +61,9 @@ def belief_of(drive: Drive, pose: Pose) -> Belief:
         error = np.array([estimate.pose.x - pose.x, estimate.pose.y - pose.y])
         error_m = distance(estimate.pose, pose)
         squared = float(error @ np.linalg.solve(estimate.covariance[:2, :2], error))
-    predicted_m = math.nan if drive.predicted_error_m is None else drive.predicted_error_m
     verdict = None if drive.verdict is None else drive.verdict.words
     probability = None if drive.verdict is None else drive.verdict.probability
-    return Belief(verdict, probability, error_m, squared, predicted_m)
+    return Belief(verdict, probability, error_m, squared)
 
 
 def summary(beliefs: Sequence[Belief], parked: Sequence[bool]) -> EstimateSummary:
@@ -78,7 +74,6 @@ def summary(beliefs: Sequence[Belief], parked: Sequence[bool]) -> EstimateSummar
     squared = np.array([belief.squared for belief in beliefs if math.isfinite(belief.squared)])
     return EstimateSummary(
         error_m=_percentiles([belief.error_m for belief in beliefs]),
-        predicted_error_m=_percentiles([belief.predicted_m for belief in beliefs]),
         inside={
             f"{share:.0%}": float(np.mean(squared <= -2.0 * math.log(1.0 - share))) if len(squared) else None
             for share in ELLIPSES
@@ -98,9 +93,6 @@ def words(found: EstimateSummary) -> Iterator[str]:
             f"{1000 * error.p95:.0f} mm; inside its 50 % ellipse {inside['50%']:.0%}, "
             f"its 95 % ellipse {inside['95%']:.0%}"
         )
-    if found.predicted_error_m is not None:
-        predicted_mm = 1000 * found.predicted_error_m.p50
-        yield f"predicted before the drive, without external poses: {predicted_mm:.0f} mm in 95 %"
     counts = ", ".join(f"{verdict}: {count}" for verdict, count in found.verdicts.items())
     agrees = (
         "" if found.verdict_agrees is None else f"; {found.verdict_agrees:.1%} of the certain ones are true"

@@ -185,7 +185,7 @@ def test_declared_noise_does_not_hide_that_a_rover_creeps(noise_m, noise_m_s, v)
 @pytest.mark.parametrize("gap_s", [9.0, 11.0, 60.0])
 @pytest.mark.parametrize("noise_m", [0.0, 0.005])
 def test_a_rover_that_stands_may_wait_for_long_before_its_first_odometry(gap_s, noise_m):
-    """A long way is planned, and its accuracy predicted, between the start and the first sample."""
+    """A long way is planned between the start and the first sample."""
     robot = described("husky-a200", odometry={"noise_m": noise_m})
     estimator = Estimator(settings_for(None, robot))
     estimator.start(Pose(0.0, 0.0, 0.0), 0.0, Pose(3.0, 0.0, 0.5))

@@ -114,20 +114,6 @@ def test_late_poses_out_of_order_count_as_prompt_ones():
     assert np.allclose(np.diag(a.covariance), np.diag(b.covariance), rtol=0.05)
 
 
-@pytest.mark.parametrize("gyro", [False, True])
-def test_forecast_is_the_covariance_that_the_drive_then_has(gyro):
-    drive = SkidDrive(SETTINGS, 2, 0)
-    estimator = Estimator(SETTINGS)
-    estimator.start(drive.pose(0), 0.0, drive.report(0)[0])
-    before = estimator.at(0.0)
-    path, motion = zip(*(drive.report(tick) for tick in range(0, drive.ticks + 1, 2)), strict=True)
-    forecast = estimator.forecast(path, motion, 2 * DT, gyro=gyro)
-    assert np.array_equal(estimator.at(0.0).covariance, before.covariance)
-    covariance = drive.follow(gyro=gyro)[1][-1]
-    deviations, expected = (np.sqrt(np.linalg.eigvalsh(found[:2, :2])) for found in (forecast, covariance))
-    assert deviations == pytest.approx(expected, rel=0.2)  # the drive's own gains change the covariance
-
-
 def test_measured_errors_of_odometry_enter_the_estimate():
     usual = SETTINGS.distance_gain_std
     std = {"odometry_heading": 0.01, "odometry_distance": usual, "rotation_center_m": 0.004}

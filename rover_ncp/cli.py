@@ -11,7 +11,9 @@ import json
 import os
 import sys
 import traceback
+from importlib.machinery import PathFinder
 from importlib.metadata import distribution, entry_points
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -23,6 +25,7 @@ from rover_ncp.core.errors import FileError, MissingExtra, RoverNcpError
 from rover_ncp.core.interruption import INTERRUPTED, is_interruption
 
 GROUP = "rover_ncp.commands"
+_OWN_PACKAGES = ("bridge", "deploy", "sim")
 EXIT_CODES = {
     0: "done",
     1: "not parked or docked; a check that failed; a recording that replays differently; no pose to send",
@@ -171,6 +174,26 @@ def interrupted(arguments: list[str]) -> int:
     return INTERRUPTED
 
 
+def _prefer_own_packages() -> list[str]:
+    """Let no module of a user, on PYTHONPATH or in the working folder, take the place of a package of ours.
+
+    Its folder goes behind ours in ``sys.path``, which processes that this one spawns take over. Returns the
+    modules that would have been imported.
+    """
+    ours = str(Path(__file__).parents[1])
+    if ours not in sys.path:
+        sys.path.append(ours)
+    shadows = {}
+    for folder in sys.path[: sys.path.index(ours)]:
+        found = [PathFinder.find_spec(name, [folder or os.curdir]) for name in _OWN_PACKAGES]
+        if modules := [each.origin or each.name for each in found if each is not None and each.loader]:
+            shadows[folder] = modules
+    for folder in shadows:
+        sys.path.remove(folder)
+        sys.path.insert(sys.path.index(ours) + 1, folder)
+    return [module for modules in shadows.values() for module in modules]
+
+
 def main() -> int:
     """Run the command line of this process, and return its exit code."""
     # Python would put the current folder in front of all packages in each child, and a user's folder may hold
@@ -179,7 +202,12 @@ def main() -> int:
     # Read by numpy and scipy when they are loaded. For matrices as small as ours BLAS's threads only wait for
     # each other: on a busy machine planning a course took fifty times as long with two.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Pictures go into files. Jupyter's backend is no name that every installation of matplotlib knows.
+    os.environ["MPLBACKEND"] = "agg"
+    shadows = _prefer_own_packages()
     stdout, stderr = install()
+    for module in shadows:
+        keep(sys.stderr, f"rover-ncp: {printable(module)} is not used: a package of rover-ncp has its name\n")
     try:
         code = run(sys.argv[1:])
     except SystemExit as ended:  # typer's, after it has printed completions for a shell

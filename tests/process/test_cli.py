@@ -1,4 +1,5 @@
 import json
+import os
 import re
 import subprocess
 import sys
@@ -55,6 +56,20 @@ def test_help_teaches_and_a_command_imports_nothing_heavy_and_no_other_command()
 
 def test_the_version_is_that_of_the_distribution():
     assert python(["-m", "rover_ncp", "--version"]).stdout == f"rover-ncp {version('rover-ncp')}\n"
+
+
+def test_neither_a_users_modules_nor_jupyters_backend_keep_a_command_from_running(tmp_path):
+    shadows = [tmp_path / "bridge/__init__.py", tmp_path / "deploy.py", tmp_path / "sim/__init__.py"]
+    for module in shadows:
+        module.parent.mkdir(exist_ok=True)
+        module.write_text("raise ValueError")
+    (tmp_path / "mine.py").write_text("")
+    train = "train --agents 2 --iterations 1 --processes 2 --course parking --out run"  # spawns processes
+    for command in ("course check parking --out picture.png", "tag print --ids 0 --size 0.14", train):
+        environment = os.environ | {"PYTHONPATH": ".", "MPLBACKEND": "module://no_such.backend"}
+        done = python(["-m", "rover_ncp", *command.split()], cwd=tmp_path, env=environment)
+        assert all(f"{module} is not used" in done.stderr for module in shadows)
+        assert "mine.py" not in done.stderr
 
 
 @pytest.mark.parametrize(

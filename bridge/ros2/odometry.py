@@ -35,6 +35,8 @@ JUMP_M, JUMP_RAD = 0.05, 0.1
 """A pose farther from the last one than the robot can drive, and this, has jumped."""
 MAX_NAME = 60
 """Longest frame name in a message."""
+MIN_RATE_S, OTHER_RATE = 1.0, 0.03
+"""A clock's rate is compared over so long; clocks of computers differ by far less."""
 ALTERNATIONS = 2
 CONFLICT_S = 1.0
 
@@ -71,6 +73,8 @@ class RosOdometer:
         """The last two, the newest last, and when each last published."""
         self._clock = StampClock()
         self._stamp_ns = 0
+        self._stamps: deque[tuple[float, int]] = deque(maxlen=64)
+        """When messages arrived, without those of a burst, and their stamps."""
         self._seen: deque[tuple[float, Pose]] = deque(maxlen=2)
         self._velocity, self._jumped = STANDSTILL, False
         self._alternations: deque[float] = deque(maxlen=ALTERNATIONS)
@@ -149,6 +153,8 @@ class RosOdometer:
         if stamp_ns == 0:  # a publisher without a clock
             return True
         arrived_ns = round(arrived_s * 1e9)
+        if not self._stamps or arrived_s - self._stamps[-1][0] >= BURST_S:
+            self._stamps.append((arrived_s, stamp_ns))
         measured_ns = self._clock.measured_ns(stamp_ns, arrived_ns)
         self.set_back_s = self._clock.set_back_s
         if self.set_back_s:
@@ -168,9 +174,17 @@ class RosOdometer:
         self._age_s = (arrived_ns - measured_ns) * 1e-9
         if self._age_s > STALE_S:
             self.counters["stale"] += 1
-            self.problem = f"odometry arrives {self._age_s:.1f} s late"
+            self.problem = f"odometry arrives {self._age_s:.1f} s late{self._clock_rate()}"
             return False
         return True
+
+    def _clock_rate(self) -> str:
+        """Return in words if the robot's clock runs at another rate; "" if not, or not known."""
+        (began_s, began_ns), (now_s, now_ns) = self._stamps[0], self._stamps[-1]
+        rate = (now_ns - began_ns) * 1e-9 / (now_s - began_s) if now_s - began_s >= MIN_RATE_S else 1.0
+        if abs(rate - 1.0) < OTHER_RATE:
+            return ""
+        return f": its stamps advance by {rate:.2f} s in a second of this computer, as in a slow simulation"
 
     def _moved(self, sample: OdometrySample, arrived_s: float, source: bytes | None) -> Moved:
         if self._seen and (reason := self._restarted(sample.pose, arrived_s, source)):

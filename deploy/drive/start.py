@@ -39,7 +39,11 @@ class StartDetector:
         """Return the odometry at the start. Raises SafetyStop, NoPose, AnotherDriver, KeyboardInterrupt."""
         config = self._config
         if not monitor.until(self._stands, config.still_wait_s):
-            raise SafetyStop("not-standing", f"the rover does not stand still for {config.still_s:g} s")
+            words = f"the rover does not stand still for {config.still_s:g} s"
+            newest = self._measurements.newest
+            if newest is None or self._clock.monotonic_ns() - newest.arrival_ns > config.still_s * NS_PER_S:
+                words = f"the bridge at {self._link.robot} sends no odometry: {monitor.why_no_odometry()}"
+            raise SafetyStop("not-standing", words)
         if config.pose == "required" and not monitor.until(
             lambda: self._stands() and bool(self._poses), config.pose_wait_s
         ):

@@ -21,6 +21,17 @@ def test_jitter_does_not_lose_it(ready):
     assert [type(event) for event in ready.events] == [Ready]
 
 
+def test_clock_that_runs_slower_is_named(ready):
+    began_s = ready.now
+
+    def slow():
+        ready.hear("odom", odometry(EPOCH_S + began_s + 0.9 * (ready.now - began_s)))
+
+    ready.run(5.0, odom=False, each=slow)
+    (lost,) = [event for event in ready.events if isinstance(event, Lost)][:1]
+    assert "its stamps advance by 0.9" in lost.reason
+
+
 def test_bursts_of_old_odometry_do_not_count(ready):
     for _ in range(6):
         first_s = EPOCH_S + ready.now

@@ -41,6 +41,8 @@ class BaseReport:
     """Age of the battery's state: some robots report it seldom."""
     motors_on: bool = True
     stop_pressed: bool = False
+    hazard_unknown: str = ""
+    """Why it is not known whether a stop is pressed or a hazard is there; "" = it is known."""
     stalled: tuple[bool, bool] = (False, False)
     """Left and right motor."""
     bumpers: tuple[int, int] = (0, 0)

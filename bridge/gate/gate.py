@@ -123,6 +123,7 @@ def _hazard(state: GateState, limits: Limits, known: Contact) -> Reason | None:
         return Reason.NO_BASE
     for flagged, reason in (
         (base.stop_pressed, Reason.STOP_BUTTON),
+        (base.hazard_unknown, Reason.HAZARD_UNKNOWN),
         (base.bumpers[0] & ~known.front or base.bumpers[1] & ~known.rear, Reason.BUMPER),
         (any(base.stalled) and not known.stalled, Reason.STALL),
         (low is not None and state.now - low >= limits.battery_low_s, Reason.LOW_BATTERY),

@@ -21,6 +21,8 @@ class Reason(StrEnum):
     """A stop was requested on ``rover/stop`` and is not yet released."""
     NO_BASE = "no-base"
     STOP_BUTTON = "stop-button"
+    HAZARD_UNKNOWN = "hazard-unknown"
+    """A topic that reports a stop button or hazards is silent, or its messages cannot be read."""
     BUMPER = "bumper"
     STALL = "stall"
     LOW_BATTERY = "low-battery"
@@ -224,6 +226,8 @@ def describe(reason: Reason, state: GateState) -> str:
         return state.stop_reason or UNNAMED
     if reason is Reason.NO_BASE and state.lost:
         return f"{REASONS[reason]}: {state.lost}"[:DETAIL_LENGTH]
+    if reason is Reason.HAZARD_UNKNOWN and state.base is not None:
+        return f"{REASONS[reason]}: {state.base.hazard_unknown}"[:DETAIL_LENGTH]
     if reason is Reason.ANOTHER_DRIVER and state.lease is not None:
         return f"{state.lease.name or 'a driver without a name'} holds the lease"
     return REASONS.get(reason, "")

@@ -6,7 +6,7 @@ from pathlib import Path
 from bridge.ros2.discovery import Convention
 from rover_ncp.core.console import printable
 from rover_ncp.core.errors import UsageError
-from rover_ncp.robot.description import Topics
+from rover_ncp.robot.description import HazardTopic, Topics
 from rover_ncp.wire.address import parse_ros_endpoint
 from rover_ncp.wire.messages import (
     BATTERY_STATE,
@@ -65,8 +65,14 @@ def parse_ros_address(text: str, zenoh_config: Path | None = None) -> RosAddress
 def sensor_topics(topics: Topics) -> list[tuple[str, str]]:
     """Return name and type of each topic that a robot publishes for its base."""
     found = [(topics.odom, ODOMETRY), (topics.imu, IMU), (topics.battery_state, BATTERY_STATE)]
-    found += [(topics.scan, LASER_SCAN), (topics.stop, BOOL), (topics.hazards, HAZARDS)]
+    found.append((topics.scan, LASER_SCAN))
     return [(name, ros_type) for name, ros_type in found if name is not None]
+
+
+def hazard_topics(topics: Topics) -> list[tuple[HazardTopic, str]]:
+    """Return each topic that reports hazards, and its type."""
+    found = ((topics.stop, BOOL), (topics.hazards, HAZARDS))
+    return [(topic, ros_type) for topic, ros_type in found if topic is not None]
 
 
 def command_type(topics: Topics) -> str:

@@ -28,6 +28,7 @@ from bridge.base import (
     Setpoint,
 )
 from bridge.inbox import RobotMessage
+from bridge.ros2.announced import AnnouncedTopics
 from bridge.ros2.base_timeout import HALTED, TimeoutMeasurement, TimeoutRecord
 from bridge.ros2.discovery import Announced
 from bridge.ros2.gyro import GyroTurns
@@ -38,19 +39,18 @@ from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.robot.description import RobotDescription, Topics
 from rover_ncp.wire.cdr import encode
+from rover_ncp.wire.header import header_of
 from rover_ncp.wire.messages import (
     BATTERY_STATE,
     BUMP,
     CLIFF,
     IMU,
     LASER_SCAN,
-    ODOMETRY,
     STALL,
     TWIST,
     TWIST_STAMPED,
     WHEEL_DROP,
     BatterySample,
-    header_of,
     read_battery,
 )
 from rover_ncp.wire.protocol import TimeoutState
@@ -65,8 +65,6 @@ WAIT_S = 6.0
 """A robot that is not ready after this time cannot be served."""
 CLEAR_S = 2.0
 """How long a contradiction must be over before the base is ready again."""
-MAX_TOKENS = 1000
-"""Announced topics beyond this number are not remembered; they only serve to name things."""
 OWN_S = 2.0
 """How long after it was sent a command of ours is recognised."""
 COAST_S, DRIVES_ALONE_S = 2.0, 0.5
@@ -134,7 +132,7 @@ class Ros2Base:
         assert description.topics is not None
         self._line, self._description, self._topics = line, description, description.topics
         self._odometer = RosOdometer(self._topics, description.motion)
-        self._tokens: dict[Announced, None] = {}
+        self._announced = AnnouncedTopics(line.topic, line.zid)
         self._contradictions: dict[str, float] = {}
         """Reasons against being ready, and when each was last seen."""
         self._loop = self._ready = self._was_ready = self._named = False
@@ -175,10 +173,10 @@ class Ros2Base:
                         Notice(f"odometry on {where} leaves a frame empty: it is taken for {frames}")
                     )
             case TokenSeen(token, there):
-                if not there:
-                    self._tokens.pop(token, None)
-                elif len(self._tokens) < MAX_TOKENS:
-                    self._tokens[token] = None
+                self._announced.update(token, there)
+                for topic in self._hazards.topics:
+                    if not there and self._announced.publishes(token, topic):
+                        self._hazards.lose_publisher(topic)
             case LoopSeen(there):
                 self._loop = there
         changes += self._watch(now)
@@ -212,7 +210,9 @@ class Ros2Base:
     def health(self) -> LinkHealth:
         counters = self._odometer.counters | {"imu left out": self._turns.left_out}
         silent = tuple(self._line.topic(topic) for topic in sorted(self._hazards.silent))
-        unheard = tuple(self._found_instead(topic, wanted) for topic, wanted in self._unheard.items())
+        unheard = tuple(
+            self._announced.found_instead(topic, wanted) for topic, wanted in self._unheard.items()
+        )
         return LinkHealth(counters["unreadable"] > 0, counters, silent, unheard)
 
     @property
@@ -260,7 +260,7 @@ class Ros2Base:
             elif topic == self._topics.scan and self._room is not None:
                 self._room.take(message.payload, now)
             elif topic in self._hazards.topics:
-                self._hazards.take(topic, message.payload)
+                self._hazards.take(topic, message.payload, now)
             elif topic == self._topics.battery_state:
                 battery = read_battery(message.payload)
                 if math.isfinite(battery.voltage):
@@ -287,6 +287,9 @@ class Ros2Base:
         x, y, theta = moved.pose
         ahead, behind = self._room.clear(now) if self._room is not None else (math.nan, math.nan)
         stop_pressed, hazards = self._hazards.since_last()
+        unknown = self._hazards.unknown(
+            now, self._line.topic, lambda each: bool(self._announced.publishers(each))
+        )
         age_s = now - self._battery_s
         battery, age_s = (self._battery, age_s) if age_s <= BATTERY_S else (_NO_BATTERY, 0.0)
         report = BaseReport(
@@ -296,6 +299,7 @@ class Ros2Base:
             charging=battery.charging,
             battery_age_s=age_s,
             stop_pressed=stop_pressed,
+            hazard_unknown=unknown,
             stalled=(STALL in hazards, STALL in hazards),
             # Bumpers and cliff sensors are in front. With a dropped wheel no direction is free.
             bumpers=(int(not hazards.isdisjoint(_BUMPERS)), int(WHEEL_DROP in hazards)),
@@ -313,19 +317,9 @@ class Ros2Base:
                 f"the bridge's own commands on {where} come back to it, or another bridge drives this robot"
             ] = now
             return
-        others = sorted({found.who for found in self._announced(self._topics.cmd_vel, published=True)})
-        who = " or ".join(others) or "a publisher without a name"
+        who = " or ".join(self._announced.publishers(self._topics.cmd_vel)) or "a publisher without a name"
         self._contradictions[f"{who} publishes {where} too"] = now
         self._odometer.counters["foreign"] += 1
-
-    def _announced(self, topic: str, published: bool) -> list[Announced]:
-        """Return what others announce of a topic."""
-        name = self._line.topic(topic)
-        return [
-            found
-            for found in self._tokens
-            if found.topic == name and found.published == published and found.zid != self._line.zid
-        ]
 
     # State.
 
@@ -356,15 +350,13 @@ class Ros2Base:
             return _LOOP
         where = self._line.topic(self._topics.odom)
         if self._odometer.publishers(now) > 1:
-            who = sorted({found.who for found in self._announced(self._topics.odom, published=True)})
+            who = self._announced.publishers(self._topics.odom)
             named = f": {' and '.join(who)}" if len(who) > 1 else ""
             self._contradictions[f"two publishers on {where}{named}"] = now
         recent = {reason: at for reason, at in self._contradictions.items() if now - at < CLEAR_S}
         self._contradictions = recent
-        hazards = self._hazards.unreadable.items()
-        unreadable = [f"{self._line.topic(each)} cannot be read: {why}" for each, why in hazards]
-        if recent or unreadable:
-            return [*recent, *unreadable][0]
+        if recent:
+            return next(iter(recent))
         if not self._ready:
             return self._other_type() if self._odometer.enough(now) else self._no_odometry(where, now)
         if self._odometer.restarts != self._known_restarts:
@@ -374,40 +366,22 @@ class Ros2Base:
         return self._odometer.problem or f"no odometry on {where} for {LOSS_S} s"
 
     def _no_odometry(self, where: str, now: float) -> str:
-        types = sorted({found.ros_type for found in self._announced(self._topics.odom, published=True)})
-        if types and types != [ODOMETRY]:
-            return f"{where} has the type {', '.join(types)}, expected {ODOMETRY}"
+        topic = self._topics.odom
+        if words := self._announced.odometry_type(topic):
+            return words
         rate = self._odometer.rate_hz(now)
         if rate > 0:
             least = f"expected {MIN_IN_RATE / RATE_S:g} or more, evenly"
             return self._odometer.problem or f"odometry on {where} arrives {rate:.1f} times a second, {least}"
-        published = sorted(
-            {found.topic for found in self._tokens if found.published and found.zid != self._line.zid}
-        )
-        known = f"published there: {', '.join(published[:8])}" if published else "no topic is announced there"
-        return f"no {ODOMETRY} arrives on {where}; {known}"
-
-    def _found_instead(self, topic: str, wanted: str) -> str:
-        """Return what is announced in place of a topic on which nothing comes."""
-        where = self._line.topic(topic)
-        others = [found for found in self._tokens if found.published and found.zid != self._line.zid]
-        types = sorted({found.ros_type for found in others if found.topic == where} - {wanted})
-        elsewhere = sorted({found.topic for found in others if found.ros_type == wanted} - {where})
-        words = f"no message on {where}"
-        if types:
-            return f"{words}: it has the type {', '.join(types[:3])}, expected {wanted}"
-        if elsewhere:
-            return f"{words}: {wanted} is published on {', '.join(elsewhere[:3])}"
-        return f"{words}, expected {wanted}"
+        return self._announced.instead_of_odometry(topic)
 
     def _other_type(self) -> str:
         """Return what is wrong with the type of ``cmd_vel``, as the robot announces it."""
         wanted = f"geometry_msgs/msg/{self._topics.cmd_vel_type}"
-        types = {found.ros_type for found in self._announced(self._topics.cmd_vel, published=False)}
-        if not types or wanted in types:
+        if not (types := self._announced.other_type(self._topics.cmd_vel, wanted)):
             return ""
-        where, found = self._line.topic(self._topics.cmd_vel), ", ".join(sorted(types))
-        return f"the robot takes {found} on {where}: set topics.cmd_vel_type in the description, now {wanted}"
+        where = self._line.topic(self._topics.cmd_vel)
+        return f"the robot takes {types} on {where}: set topics.cmd_vel_type in the description, now {wanted}"
 
     def _send(self, velocity: Velocity, now: float) -> None:
         data = command(self._topics, velocity, self._odometer.robot_clock_ns(now))

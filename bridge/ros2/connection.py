@@ -13,7 +13,7 @@ from typing import Any
 import zenoh
 
 from bridge.inbox import Inbox, RobotMessage
-from bridge.ros2.address import RosAddress, command_type, sensor_topics
+from bridge.ros2.address import RosAddress, command_type, hazard_topics, sensor_topics
 from bridge.ros2.base import TokenSeen
 from bridge.ros2.discovery import Announced, Convention, read_topic_token
 from bridge.ros2.rmw import Attachment, read_token
@@ -46,6 +46,9 @@ class RosConnection:
         )
         for name, ros_type in sensor_topics(topics):
             node.subscribe(name, ros_type, self._receiver(name), reliable=False)
+        for found, ros_type in hazard_topics(topics):
+            receive = self._receiver(found.topic)
+            node.subscribe(found.topic, ros_type, receive, reliable=found.latched, latched=found.latched)
         self._commands = node.publisher(topics.cmd_vel, taken)
         self.source = self._commands.source
         for ros_type in (TWIST, TWIST_STAMPED) if rmw else (taken,):
@@ -71,6 +74,7 @@ class RosConnection:
 
     def close(self) -> None:
         """End the session; its tokens go with it."""
+        self._node.close()
         session: Any = self._session
         session.close()
 

@@ -78,6 +78,8 @@ class RosNode:
             self._graph = Graph(domain, self._zid, self._namespace, name)
         self._tokens = [self._graph.node_token() if self._graph else bridge_token(self._zid)]
         self._held: list[Any] = []
+        self._latched: list[Any] = []
+        """Subscribers of latched topics."""
 
     def topic(self, name: str) -> str:
         """Return a topic with the namespace, without a leading slash."""
@@ -98,11 +100,22 @@ class RosNode:
         *,
         announced: bool = True,
         reliable: bool = True,
+        latched: bool = False,
     ) -> None:
-        """Call ``receive`` with each message of a topic from outside this session."""
-        topic = self._topic(name, ros_type)
+        """Call ``receive`` with each message of a topic from outside this session.
+
+        Of a ``latched`` one also with the last message of each publisher, which may have sent it long ago.
+        """
+        topic = self._topic(name, ros_type, latched)
         if announced:
             self._tokens.append(self._token(topic, published=False, reliable=reliable))
+        if latched:
+            history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+            late = zenoh.ext.declare_advanced_subscriber(
+                self._session, self._key(topic), receive, history=history
+            )
+            self._latched.append(late)
+            return
         # Messages of our own come back only from outside, and then through a loop.
         subscriber = self._session.declare_subscriber(
             self._key(topic), receive, allowed_origin=zenoh.Locality.REMOTE
@@ -113,6 +126,11 @@ class RosNode:
         """Show the node, its publishers and its subscribers to others."""
         tokens = self._session.liveliness()
         self._held += [tokens.declare_token(token) for token in self._tokens]
+
+    def close(self) -> None:
+        """End the subscriptions of latched topics: with one of them, Zenoh hangs when it closes a session."""
+        while self._latched:
+            self._latched.pop().undeclare()
 
     def _topic(self, name: str, ros_type: str, latched: bool = False) -> Topic:
         return Topic(self.topic(name), ros_type, latched, self._hashed)

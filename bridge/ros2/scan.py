@@ -9,7 +9,8 @@ from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.errors import FormatError
 from rover_ncp.robot.description import Circle, RobotDescription
 from rover_ncp.wire.cdr import decode
-from rover_ncp.wire.messages import LASER_SCAN, read_stamp_ns
+from rover_ncp.wire.header import read_stamp_ns
+from rover_ncp.wire.messages import LASER_SCAN
 
 VALID_S = 1.0
 """How long a scan counts from its stamp on, as a sonar's range does."""

@@ -172,6 +172,33 @@ class Battery(StrictModel):
     """Below this voltage the gate stops the robot."""
 
 
+class HazardTopic(StrictModel):
+    """A topic that reports hazards, and how its silence is noticed. A name alone has a period of 1 s."""
+
+    topic: TopicName
+    """The topic's name."""
+    periodic_s: float | None = Field(default=None, gt=0, le=5)
+    """Longest time between two messages; three times that without one is a hazard. None = 1, or `latched`."""
+    latched: bool = False
+    """Published at changes only, reliably and transient local; a publisher that is gone is a hazard."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_name(cls, value: Any) -> Any:
+        return {"topic": value} if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _is_one_of_both(self) -> Self:
+        if self.latched and self.periodic_s is not None:
+            raise ValueError("either periodic_s or latched: a topic with a period needs no latch")
+        return self
+
+    @property
+    def max_silence_s(self) -> float:
+        """Longest time without a message; infinite for a latched topic."""
+        return math.inf if self.latched else 3.0 * (self.periodic_s or 1.0)
+
+
 class Topics(StrictModel):
     """ROS 2 topics without a leading slash; None = the robot has none."""
 
@@ -187,9 +214,9 @@ class Topics(StrictModel):
     """sensor_msgs/BatteryState."""
     scan: TopicName | None = None
     """sensor_msgs/LaserScan; needs the section `scan`."""
-    stop: TopicName | None = None
+    stop: HazardTopic | None = None
     """std_msgs/Bool, true while an emergency stop is pressed."""
-    hazards: TopicName | None = None
+    hazards: HazardTopic | None = None
     """irobot_create_msgs/HazardDetectionVector: bumps, cliffs, stalls and wheels in the air."""
     odom_frame: str = "odom"
     """frame_id of the odometry, of which the part behind the last slash counts; an empty one fits always."""

@@ -5,8 +5,6 @@ counter-clockwise (REP-103). Stamps are ns since the epoch. `rover_ncp.wire.key_
 `rover_ncp.wire.protocol` the tags of commands and the JSON of queries, `rover_ncp.wire.cdr` the bytes.
 """
 
-import functools
-import logging
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -14,12 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.wire.cdr import decode, encode
-
-_LOGGER = logging.getLogger("rover_ncp")
+from rover_ncp.wire.header import header_of, read_stamp_ns
 
 FloatArray = NDArray[np.float64]
 
@@ -394,34 +390,6 @@ def text(content: str) -> bytes:
 def read_text(data: bytes) -> str:
     """Read a String. Raises FormatError."""
     return str(decode(STRING, data).data)
-
-
-def header_of(stamp_ns: int, frame: str) -> dict[str, Any]:
-    """Return a Header, as `encode` takes one.
-
-    ROS has 32 bits for the seconds, until 2038-01-19. A later stamp becomes 0, which receivers take for a
-    publisher without a clock.
-    """
-    seconds, nanoseconds = divmod(stamp_ns, NS_PER_S)
-    if not -(2**31) <= seconds < 2**31:
-        _warn_of_clock()
-        seconds = nanoseconds = 0
-    return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame}
-
-
-@functools.cache
-def _warn_of_clock() -> None:
-    _LOGGER.warning(
-        "a clock is outside the time that ROS's stamps can hold (1901 to 2038-01-19): messages go out with "
-        "the stamp 0; set the clock of this computer, or of the robot"
-    )
-
-
-def read_stamp_ns(header: Any) -> int:
-    """Return the stamp of a Header, in ns. Raises FormatError."""
-    if header.stamp.nanosec >= NS_PER_S:
-        raise FormatError(f"a stamp of {header.stamp.nanosec} ns beyond its seconds, expected less than 10⁹")
-    return int(header.stamp.sec) * NS_PER_S + int(header.stamp.nanosec)
 
 
 def _rotation(yaw: float) -> dict[str, float]:

@@ -263,6 +263,7 @@ REASONS = {
     "stopped": "a stop was requested, and is not released",
     "no-base": "the base is not connected",
     "stop-button": "the STOP button is pressed",
+    "hazard-unknown": "a topic that reports hazards cannot be relied on",
     "bumper": "a bumper is pressed",
     "stall": "a motor is stalled",
     "low-battery": "the battery is low",

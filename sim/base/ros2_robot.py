@@ -56,6 +56,9 @@ class Ros2Robot(SimulatedBase):
         super().__init__(description, rover, faults, start_s, trial)
         assert description.topics is not None
         self.topics = description.topics
+        self._stop, self._hazards = (
+            found.topic if found else None for found in (self.topics.stop, self.topics.hazards)
+        )
         self.drive.enable(True)
         self._ignored = 0
         self._random, self._epoch_s = random.Random(seed), epoch_s
@@ -64,8 +67,8 @@ class Ros2Robot(SimulatedBase):
             self.topics.odom: description.odometry.rate_hz,
             self.topics.imu: description.gyro.rate_hz if description.gyro else 0.0,
             self.topics.battery_state: 1.0 / BATTERY_S,
-            self.topics.stop: SWITCHES_HZ,
-            self.topics.hazards: SWITCHES_HZ,
+            self._stop: SWITCHES_HZ,
+            self._hazards: SWITCHES_HZ,
             self.topics.scan: description.scan.rate_hz if description.scan else 0.0,
         }
         self._rates = {name: hz for name, hz in rates.items() if name is not None and hz}
@@ -164,12 +167,12 @@ class Ros2Robot(SimulatedBase):
             low = self._fault("low-battery")
             volts = self.robot.battery.nominal_v if low is None else low
             self._emit(topics.battery_state, messages.battery_state(volts, self._stamp_ns()))
-        if topics.stop in due:
-            self._emit(topics.stop, encode(messages.BOOL, data=self._fault("stop-button") is not None))
-        if topics.hazards in due:
+        if self._stop in due:
+            self._emit(self._stop, encode(messages.BOOL, data=self._fault("stop-button") is not None))
+        if self._hazards in due:
             kinds = {"bumper": messages.BUMP, "stall": messages.STALL}
             found = [kind for fault, kind in kinds.items() if self._fault(fault) is not None]
-            self._emit(topics.hazards, messages.hazards(found, self._stamp_ns()))
+            self._emit(self._hazards, messages.hazards(found, self._stamp_ns()))
         if topics.scan in due:
             self._emit(topics.scan, self._scan())
         if topics.odom in due:

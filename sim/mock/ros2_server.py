@@ -10,7 +10,7 @@ from typing import Any
 
 import zenoh
 
-from bridge.ros2.address import command_type, sensor_topics
+from bridge.ros2.address import command_type, hazard_topics, sensor_topics
 from bridge.ros2.discovery import Convention
 from bridge.ros2.ros_node import RosNode
 from rover_ncp.core.errors import PortInUse
@@ -52,6 +52,9 @@ class Ros2Server(RealTimeLoop):
         self._node = RosNode(self._session, convention, domain=domain, namespace=namespace, name=name)
         self._publishers = {
             name: self._node.publisher(name, ros_type) for name, ros_type in sensor_topics(topics)
+        } | {
+            found.topic: self._node.publisher(found.topic, ros_type, found.latched)
+            for found, ros_type in hazard_topics(topics)
         }
         self._node.subscribe(topics.cmd_vel, command_type(topics), self._receive)
         self._node.announce()

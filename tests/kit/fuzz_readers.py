@@ -29,6 +29,7 @@ from deploy.drive.records import CONFIG_FILE, attachments
 from deploy.replay import TOPICS, replay
 from deploy.view.recorded_drive import read_drive
 from kit.bnn_text import circuit_to_bnn
+from kit.described import described
 from kit.ros2_world import Line
 from kit.virtual_drive import VirtualDrive
 from rover_ncp.circuit.bnn import circuit_from_bnn
@@ -39,7 +40,7 @@ from rover_ncp.core.files import read_bytes, resolve, shipped_names
 from rover_ncp.core.geometry import STANDSTILL, Pose
 from rover_ncp.course.course import Course
 from rover_ncp.recording.recording import RecordingWriter, header_stamp_ns, read_recording
-from rover_ncp.robot.description import RobotDescription, load_description
+from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire import protocol as lease
 from rover_ncp.wire.key_table import KEYS, Kind
@@ -188,9 +189,7 @@ def _robot(data):
     """A ROS 2 robot whose topics send anything, before and after good odometry; its tokens are anything."""
     words = data.decode(errors="replace")
     tokens = [read(words) for read in (read_topic_token, read_token)]
-    burger = load_description("turtlebot3-burger")
-    switches = burger.topics.model_copy(update={"stop": "stop", "hazards": "hazards"})
-    robot = burger.model_copy(update={"topics": switches})
+    robot = described("turtlebot3-burger", topics={"stop": "stop", "hazards": "hazards"})
     base = Ros2Base(Line(), robot, unsafe=False)
     for token in tokens:
         if token is not None:

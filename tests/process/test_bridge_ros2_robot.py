@@ -12,6 +12,7 @@ from contextlib import closing, contextmanager
 
 import pytest
 from kit.bridge_bench import Driver, wait_for
+from kit.described import described
 from kit.ros2_world import BURGER, odometry
 from kit.zenoh_session import open_router
 
@@ -19,12 +20,13 @@ from bridge.inbox import Inbox, RobotMessage
 from bridge.ros2.address import parse_ros_address
 from bridge.ros2.base import command
 from bridge.ros2.connection import RosConnection
-from bridge.ros2.discovery import Announced
+from bridge.ros2.discovery import Announced, Convention
+from bridge.ros2.ros_node import RosNode
 from rover_ncp import cli
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import ClosedAtExit
-from rover_ncp.wire.cdr import encode
-from rover_ncp.wire.messages import TWIST_STAMPED, read_twist
+from rover_ncp.wire.cdr import decode, encode
+from rover_ncp.wire.messages import BOOL, TWIST_STAMPED, read_twist
 from rover_ncp.wire.zenoh import CLIENT
 from sim.live.live_run import RMW_ZENOH, ROS2DDS, LiveRun
 from sim.live.processes import Process
@@ -56,10 +58,10 @@ def test_the_robot_is_driven_and_odometry_begins_at_zero(tmp_path):
 
 
 @contextmanager
-def connected(base):
+def connected(base, topics=BURGER.topics):
     """The bridge's connection with a robot, and what arrived of each topic and of tokens."""
     inbox, messages, tokens = Inbox(), {}, []
-    with closing(RosConnection(parse_ros_address(base), BURGER.topics, inbox)) as connection:
+    with closing(RosConnection(parse_ros_address(base), topics, inbox)) as connection:
 
         def look():
             for _, arrival in inbox.take(0.02):
@@ -147,6 +149,21 @@ def test_a_second_publisher_of_commands_arrives_with_its_name():
         network.session.put(network.cmd_key, encode(TWIST_STAMPED), attachment=attachment)
         assert wait_for(lambda: look()[0].get("cmd_vel")).source == b"j" * 16
         token.undeclare()
+
+
+@FORMS
+def test_a_latched_stop_that_was_pressed_before_the_bridge_came_arrives(form):
+    topics = described(BURGER.name, topics={"stop": {"topic": "stop", "latched": True}}).topics
+    with RobotNetwork(form) as network:
+        convention = Convention.RMW_ZENOH if form == RMW_ZENOH else Convention.ROS2DDS
+        node = RosNode(network.session, convention, name="estop")
+        button = node.publisher("stop", BOOL, latched=True)
+        button.put(encode(BOOL, data=True))
+        node.announce()
+        with connected(network.base, topics) as (_, look):
+            wait_for(lambda: "stop" in look()[0])
+            assert decode(BOOL, look()[0]["stop"].payload).data
+            wait_for(lambda: any(token.topic == "stop" and token.published for token in look()[1]))
 
 
 @pytest.mark.long

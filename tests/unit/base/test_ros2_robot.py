@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from kit.described import described
 from kit.ros2_world import twist
 
 from rover_ncp.core.geometry import Velocity
@@ -54,7 +55,7 @@ def test_heading_is_reported_in_the_described_steps():
 
 def faulty(fault):
     """Return what a ROS 2 robot sends in 4 s; a fault counts from its first command."""
-    description = load_description("turtlebot4")
+    description = described("turtlebot4", topics={"cmd_vel_type": "Twist"})
     rover = PymunkRover(described_rover(description), Ground())
     robot = Ros2Robot(description, rover, Faults([parse_fault(fault)]), 0.0)
     for period in range(1, 41):

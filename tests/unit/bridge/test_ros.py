@@ -13,8 +13,9 @@ from bridge.ros2 import messages as ros
 from bridge.ros2.covariance import OdometryErrors, Variances
 from rover_ncp.core.files import shipped_names
 from rover_ncp.robot.description import load_description
+from rover_ncp.wire.header import read_stamp_ns
 from rover_ncp.wire.key_table import spec
-from rover_ncp.wire.messages import decode, read_odometry, read_stamp_ns, text
+from rover_ncp.wire.messages import decode, read_odometry, text
 from rover_ncp.wire.protocol import dump_json
 
 ROBOT = ROBOTS["p3at-sh"]

@@ -5,6 +5,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from kit.described import described
 from kit.ros2_world import BURGER, EPOCH_S, OURS, World, announced, beyond_its_second, header, odometry, twist
 
 from bridge.base import Failed, Lost, Notice, Ready, Recovered
@@ -12,17 +13,15 @@ from bridge.ros2.base import LoopSeen, TokenSeen
 from bridge.ros2.discovery import Announced
 from rover_ncp.core.config import validated
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.robot.description import Topics, load_description
+from rover_ncp.robot.description import Topics
 from rover_ncp.wire.cdr import decode, encode
 from rover_ncp.wire.messages import (
     BATTERY_STATE,
-    BOOL,
     IMU,
     ODOMETRY,
     POSE_STAMPED,
     TWIST,
     TWIST_STAMPED,
-    hazards,
     read_twist,
     text,
 )
@@ -81,7 +80,7 @@ def test_a_twist_stamped_carries_the_robots_time(ready):
 
 
 def test_a_twist_has_the_velocity_and_nothing_else():
-    world = World(load_description("turtlebot4"))
+    world = World(described("turtlebot4", topics={"cmd_vel_type": "Twist"}))
     world.setpoint_v = 0.25
     world.run(2.0, frames=("odom", "base_link"))
     sent = decode(TWIST, world.line.sent[-1])
@@ -133,53 +132,6 @@ def test_the_line_is_closed_even_if_it_does_not_take_the_last_zero(ready, monkey
     with pytest.raises(OSError):
         ready.base.close(ready.now)
     assert ready.line.closed
-
-
-@pytest.mark.parametrize("pressed", [True, False])
-def test_gyro_battery_stop_button_and_hazards_are_passed_on(pressed):
-    topics = BURGER.topics.model_copy(update={"stop": "stop", "hazards": "hazard_detection"})
-    world = World(BURGER.model_copy(update={"topics": topics}))
-    world.run(2.0)
-    world.hear("imu", encode(IMU, angular_velocity={"z": 0.2}))
-    world.hear("battery_state", encode(BATTERY_STATE, voltage=11.5, power_supply_status=1))
-    world.hear("stop", encode(BOOL, data=pressed))
-    world.hear("hazard_detection", hazards((1, 3) if pressed else (0, 5), 0))
-    world.run(0.1)
-    report = world.reports[-1]
-    assert (report.stop_pressed, report.stalled[0], any(report.bumpers)) == (pressed,) * 3
-    assert world.turns[-1].rate == pytest.approx(0.2)
-    assert (report.battery_v, report.charging) == (pytest.approx(11.5), True)
-
-
-def test_a_stop_and_a_contact_that_end_before_the_next_odometry_are_passed_on_once():
-    topics = BURGER.topics.model_copy(update={"stop": "stop", "hazards": "hazard_detection"})
-    world = World(BURGER.model_copy(update={"topics": topics}))
-    world.run(2.0)
-    for pressed, kinds in ((True, (1,)), (False, (3,)), (False, ())):
-        world.hear("stop", encode(BOOL, data=pressed))
-        world.hear("hazard_detection", hazards(kinds, 0))
-    before = len(world.reports)
-    world.run(0.5)
-    found = [(report.stop_pressed, report.bumpers, report.stalled) for report in world.reports[before:]]
-    assert found[0] == (True, (1, 0), (True, True))
-    assert set(found[1:]) == {(False, (0, 0), (False, False))}
-
-
-def test_a_stop_button_that_is_silent_is_named_and_one_that_cannot_be_read_ends_the_drive():
-    topics = BURGER.topics.model_copy(update={"stop": "stop", "hazards": "hazard_detection"})
-    world = World(BURGER.model_copy(update={"topics": topics}))
-    world.run(2.0)
-    assert world.base.health().silent == (world.line.topic("hazard_detection"), world.line.topic("stop"))
-    world.hear("stop", encode(BOOL, data=False))
-    assert world.base.health().silent == (world.line.topic("hazard_detection"),)
-    world.hear("hazard_detection", hazards((1, 3), 0)[:-3])
-    world.run(0.1)
-    assert isinstance(world.events[-1], Lost)
-    assert world.events[-1].reason.startswith(f"{world.line.topic('hazard_detection')} cannot be read: ")
-    world.hear("hazard_detection", hazards((), 0))
-    world.run(2.0)
-    assert isinstance(world.events[-1], Recovered)
-    assert world.base.health().silent == ()
 
 
 def test_sensor_on_which_nothing_comes_is_named_with_what_was_found_instead():

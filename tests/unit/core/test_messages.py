@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, Velocity, wrap_angle
 from rover_ncp.wire import messages
+from rover_ncp.wire.header import _warn_of_clock
 from rover_ncp.wire.messages import imu, read_imu
 
 STAMP = 1_700_000_123_456_789_012
@@ -156,7 +157,7 @@ def test_neurons_keep_their_names():
 
 @pytest.mark.parametrize("stamp_ns", [2**31 * 10**9, 2**63 - 1, -(2**31) * 10**9 - 1])
 def test_a_stamp_that_ros_cannot_hold_is_sent_as_none_with_one_warning(stamp_ns, caplog):
-    messages._warn_of_clock.cache_clear()
+    _warn_of_clock.cache_clear()
     for _ in range(2):
         assert messages.read_odometry(messages.odometry(ORIGIN, STANDSTILL, stamp_ns)).stamp_ns == 0
     assert len(caplog.messages) == 1

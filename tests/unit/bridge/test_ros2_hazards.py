@@ -1,0 +1,131 @@
+"""A ROS 2 robot's stop button and hazards: what stops it, and what their silence does."""
+
+import pytest
+from kit.described import described
+from kit.ros2_world import World
+from kit.virtual_bench import VirtualDriver, VirtualRig
+
+from bridge.base import Ready
+from bridge.ros2.base import TokenSeen
+from bridge.ros2.discovery import Announced
+from rover_ncp.core.config import validated
+from rover_ncp.core.errors import ConfigError
+from rover_ncp.robot.description import HazardTopic, load_description
+from rover_ncp.wire.cdr import encode
+from rover_ncp.wire.messages import BATTERY_STATE, BOOL, IMU, hazards
+
+LATCHED = {"topic": "stop", "latched": True}
+
+
+def world_of(**topics):
+    """Return a ready robot with these topics for hazards."""
+    world = World(described("turtlebot3-burger", topics=topics)).run(2.0)
+    assert isinstance(world.last, Ready)
+    return world
+
+
+def press(world, pressed):
+    world.hear("stop", encode(BOOL, data=pressed))
+
+
+def unknown(world, seconds=0.1):
+    """Let time pass; return why it is not known whether there is a hazard."""
+    world.run(seconds)
+    return world.reports[-1].hazard_unknown
+
+
+def publisher(there, zid="estop"):
+    return TokenSeen(Announced(zid, True, "stop", BOOL, "/estop"), there)
+
+
+@pytest.mark.parametrize("pressed", [True, False])
+def test_gyro_battery_stop_button_and_hazards_are_passed_on(pressed):
+    world = world_of(stop="stop", hazards="hazard_detection")
+    world.hear("imu", encode(IMU, angular_velocity={"z": 0.2}))
+    world.hear("battery_state", encode(BATTERY_STATE, voltage=11.5, power_supply_status=1))
+    press(world, pressed)
+    world.hear("hazard_detection", hazards((1, 3) if pressed else (0, 5), 0))
+    world.run(0.1)
+    report = world.reports[-1]
+    assert (report.stop_pressed, report.stalled[0], any(report.bumpers)) == (pressed,) * 3
+    assert world.turns[-1].rate == pytest.approx(0.2)
+    assert (report.battery_v, report.charging) == (pytest.approx(11.5), True)
+
+
+def test_a_stop_and_a_contact_that_end_before_the_next_odometry_are_passed_on_once():
+    world = world_of(stop="stop", hazards="hazard_detection")
+    for pressed, kinds in ((True, (1,)), (False, (3,)), (False, ())):
+        press(world, pressed)
+        world.hear("hazard_detection", hazards(kinds, 0))
+    before = len(world.reports)
+    world.run(0.5)
+    found = [(report.stop_pressed, report.bumpers, report.stalled) for report in world.reports[before:]]
+    assert found[0] == (True, (1, 0), (True, True))
+    assert set(found[1:]) == {(False, (0, 0), (False, False))}
+
+
+def test_each_topic_must_be_heard_and_readable():
+    world = world_of(stop="stop", hazards="hazard_detection")
+    assert world.base.health().silent == ("hazard_detection", "stop")
+    assert unknown(world) == "stop: no message has come"
+    press(world, False)
+    assert unknown(world) == "hazard_detection: no message has come"
+    assert world.base.health().silent == ("hazard_detection",)
+    world.hear("hazard_detection", hazards((1, 3), 0)[:-3])
+    assert unknown(world).startswith("hazard_detection: a message cannot be read: ")
+    world.hear("hazard_detection", hazards((), 0))
+    assert unknown(world) == ""
+
+
+@pytest.mark.parametrize(("stop", "silence_s"), [("stop", 3.0), ({"topic": "stop", "periodic_s": 0.2}, 0.6)])
+def test_silence_of_three_periods_counts_as_a_hazard(stop, silence_s):
+    world = world_of(stop=stop)
+    press(world, False)
+    assert unknown(world, silence_s - 0.1) == ""
+    assert unknown(world, 0.3) == f"stop: no message for {silence_s:g} s, which is three periods"
+    press(world, False)
+    assert unknown(world) == ""
+
+
+def test_a_latched_stop_counts_while_its_publisher_is_announced():
+    world = world_of(stop=LATCHED)
+    press(world, False)
+    assert "no publisher is announced" in unknown(world)
+    world.tell(publisher(True, zid="ours"))  # a token of the bridge itself
+    assert "no publisher is announced" in unknown(world)
+    world.tell(publisher(True))
+    assert unknown(world, 60.0) == ""
+    world.tell(publisher(False))
+    assert "no publisher is announced" in unknown(world)
+    world.tell(publisher(True))  # it began again, and may be pressed now
+    assert "no message has come" in unknown(world)
+    press(world, False)
+    assert unknown(world) == ""
+
+
+def test_a_topic_is_periodic_or_latched():
+    with pytest.raises(ConfigError, match="either periodic_s or latched"):
+        validated(LATCHED | {"periodic_s": 1.0}, HazardTopic, "robot.yaml")
+
+
+@pytest.mark.parametrize("model", ["husky-a200", "jackal-j100", "turtlebot4"])
+def test_a_driver_gets_no_lease_while_hazards_are_not_heard_and_loses_it_when_they_fall_silent(model):
+    robot = load_description(model)
+    topic = (robot.topics.stop or robot.topics.hazards).topic
+    rig = VirtualRig(robot)
+    emit, rig.muted = rig.base._emit, True
+    rig.base._emit = lambda name, data: (rig.muted and name == topic) or emit(name, data)
+    driver = VirtualDriver(rig)
+    rig.sleep(3.0)
+    refusal = driver.motors()
+    assert (refusal.granted, refusal.reason) == (False, "hazard-unknown")
+    assert topic in refusal.detail
+    rig.muted = False
+    rig.sleep(0.5)
+    assert driver.motors().granted
+    driver.drive(0.5, 0.1)
+    rig.muted = True
+    driver.drive(3.5, 0.1)
+    assert driver.gate.ended == "hazard-unknown"
+    assert f"{topic}: no message for" in driver.gate.ended_detail
+    assert rig.stands_after(0.5)

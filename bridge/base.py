@@ -80,6 +80,13 @@ class TurnRate:
 
 
 @dataclass(frozen=True)
+class Docked:
+    """The robot says whether it is docked."""
+
+    docked: bool
+
+
+@dataclass(frozen=True)
 class Lost:
     """A ready base was lost: it gets no setpoint, and its motors must be requested again."""
 
@@ -105,7 +112,7 @@ class Notice:
     text: str
 
 
-BaseEvent: TypeAlias = Ready | BaseReport | TurnRate | Lost | Recovered | Failed | Notice
+BaseEvent: TypeAlias = Ready | BaseReport | TurnRate | Docked | Lost | Recovered | Failed | Notice
 
 
 class BaseTimeout(NamedTuple):

@@ -11,6 +11,7 @@ from rover_ncp.wire.address import parse_ros_endpoint
 from rover_ncp.wire.messages import (
     BATTERY_STATE,
     BOOL,
+    DOCKED_TYPES,
     HAZARDS,
     IMU,
     LASER_SCAN,
@@ -66,6 +67,7 @@ def sensor_topics(topics: Topics) -> list[tuple[str, str]]:
     """Return name and type of each topic that a robot publishes for its base."""
     found = [(topics.odom, ODOMETRY), (topics.imu, IMU), (topics.battery_state, BATTERY_STATE)]
     found.append((topics.scan, LASER_SCAN))
+    found.append((topics.docked, DOCKED_TYPES[topics.docked_field]))
     return [(name, ros_type) for name, ros_type in found if name is not None]
 
 

@@ -19,6 +19,7 @@ from bridge.base import (
     BaseEvent,
     BaseReport,
     BaseTimeout,
+    Docked,
     Failed,
     LinkHealth,
     Lost,
@@ -52,6 +53,7 @@ from rover_ncp.wire.messages import (
     WHEEL_DROP,
     BatterySample,
     read_battery,
+    read_docked,
 )
 from rover_ncp.wire.protocol import TimeoutState
 
@@ -261,6 +263,8 @@ class Ros2Base:
                 self._room.take(message.payload, now)
             elif topic in self._hazards.topics:
                 self._hazards.take(topic, message.payload, now)
+            elif topic == self._topics.docked:
+                return [Docked(read_docked(message.payload, self._topics.docked_field))]
             elif topic == self._topics.battery_state:
                 battery = read_battery(message.payload)
                 if math.isfinite(battery.voltage):

@@ -29,6 +29,7 @@ from deploy.estimator.estimator import Estimate
 from deploy.estimator.measurements import Outcome
 from deploy.place.docking import Docking
 from deploy.place.outcome import Evidence
+from deploy.place.place import Proof
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import SafetyStop, UnreachableError
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
@@ -312,8 +313,9 @@ class Drive:
         """Give a docking what the base reports beside its motion, and return it for the record."""
         # What is pressed when the lease is granted does not end it.
         touched = self._touched or (self.estimate is None and self._link.bumpers.pressed[docking.leading_end])
-        charge = self._link.charge
-        evidence = Evidence(touched, charge.at(now_ns), charge.reports)
+        charge, topic = self._link.charge, self._link.docked
+        found = topic if docking.place.proof is Proof.TOPIC else (charge.at(now_ns), charge.reports)
+        evidence = Evidence(touched, *found)
         docking.note(evidence)
         return evidence
 

@@ -11,7 +11,7 @@ from typing import Generic, NamedTuple, TypeVar
 from deploy.drive.signed_lease import DriverLease
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.wire.messages import read_battery, read_bumpers, read_text
+from rover_ncp.wire.messages import read_battery, read_bumpers, read_docked, read_text
 from rover_ncp.wire.protocol import BaseReply, GateStatus, MotorsReply, parse_json
 
 ItemT = TypeVar("ItemT")
@@ -50,6 +50,13 @@ class Charge(NamedTuple):
     def at(self, now_ns: int) -> bool | None:
         """Return whether the battery charges; None if that is not known, or the message is old."""
         return self.charging if now_ns - self.arrival_ns <= CHARGING_NS else None
+
+
+class DockedTopic(NamedTuple):
+    """What the newest message of the robot's topic says, and the number of them."""
+
+    docked: bool | None = None
+    reports: int = 0
 
 
 class Inbox(Generic[ItemT]):
@@ -95,7 +102,7 @@ class Link(ABC):
         self.gate = GateStatus()
         """The newest gate status."""
         self.bumpers = Bumpers()
-        self.charge = Charge()
+        self.charge, self.docked = Charge(), DockedTopic()
         self.lease = DriverLease()
         self.complaints: dict[str, str] = {}
         """Why the first message of a topic that was not used could not be."""
@@ -124,6 +131,8 @@ class Link(ABC):
                 self.charge = Charge(
                     battery.charging, before.reports + is_new, battery.stamp_ns, arrival.arrival_ns
                 )
+            case "docked":
+                self.docked = DockedTopic(read_docked(arrival.data), self.docked.reports + 1)
             case "bumpers":
                 pressed, times = read_bumpers(arrival.data), self.bumpers.times
                 self.bumpers = Bumpers(pressed, (times[0] + pressed[0], times[1] + pressed[1]))

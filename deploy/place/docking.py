@@ -5,7 +5,7 @@ Rules of this file:
 1. One estimator, in the frame of the external poses, goes through all stages. Where poses are lost, odometry
    carries on.
 2. The gate stops a rover that touches something, and revokes the lease, as always. This controller alone
-   declares the rover *docked*: by contact only during the approach, at the place.
+   declares the rover *docked*.
 3. A rover that is not docked after its last try stands at the staging pose. After a safety rule's stop it
    stands where it is.
 """
@@ -24,14 +24,13 @@ from deploy.drive.start import median_pose
 from deploy.estimator.estimator import Estimate, Estimator
 from deploy.estimator.measurements import Outcome
 from deploy.place.outcome import DockError, DockResult, Evidence, PoseErrors, Stage
-from deploy.place.place import CONTACT_M, Place, Proof
+from deploy.place.place import AT_PLACE_M, Place, Proof
 from deploy.place.plan import FAR_M, Way, approach, in_the_way, retreat, tail, to_staging
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import ConfigError, SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, near, wrap_angle
 from rover_ncp.course.course import TICK_S
 from rover_ncp.course.scoring import (
-    SURE,
     Failure,
     Parked,
     Verdict,
@@ -47,16 +46,16 @@ STAGED_M, STAGED_RAD = 0.10, math.radians(10.0)
 """How far from the staging pose an approach may begin: the policy's training."""
 UNSEEN = 0.1, 0.1, math.radians(10.0)
 """Standard deviations of the place of a rover that is to be undocked and that no external pose shows."""
-CHARGER_M, CHARGER_RAD = 0.10, math.radians(10.0)
-"""How far from the place a charge counts: farther away it is that of another charger."""
+DOCK_M, DOCK_RAD = 0.10, math.radians(10.0)
+"""How far from the place a report counts: farther away it is of another dock."""
 CONTACT_S = 0.5
 """External poses of so long before contact count for its place; the rover has moved 2 cm meanwhile."""
 BOUNCE_S = 2.0
 """How long a bumper may open and close as the rover begins to back out; it can only drive away."""
-CHARGE_S = 25.0
-"""How long a docked rover waits for the charge, which some robots report each 10 s or later."""
+REPORT_S = 25.0
+"""How long a rover waits for the report that proves a docking; some robots send it each 10 s or later."""
 LATE_S = 35.0
-"""How much longer where the last report, which is older, says that it charges."""
+"""How much longer where the last report, which is older, says that it is docked."""
 MIN_POSES = 3
 """External poses that a median needs."""
 KEPT_POSES = 300
@@ -66,6 +65,29 @@ BLIND_S = 60.0
 """How long the rover may move by odometry alone, where poses are lost."""
 MAX_STAGINGS = 5
 """Ways to the staging pose in one drive."""
+
+
+_NO_PROOF = {
+    (Proof.CHARGING, None): (
+        DockError.FAILED_TO_CHARGE,
+        "battery_state does not tell whether the battery charges: unknown, or full",
+    ),
+    (Proof.CHARGING, False): (DockError.FAILED_TO_CHARGE, f"no charge within {REPORT_S:g} s"),
+    (Proof.CHARGING, True): (DockError.FAILED_TO_CHARGE, "no new battery_state"),
+    (Proof.TOPIC, None): (
+        DockError.FAILED_TO_CONTROL,
+        "no message on 'docked': the bridge's description must name topics.docked, and the robot send it",
+    ),
+    (Proof.TOPIC, False): (
+        DockError.FAILED_TO_CONTROL,
+        f"within {REPORT_S:g} s the robot's topic did not say that it is docked",
+    ),
+    (Proof.TOPIC, True): (
+        DockError.FAILED_TO_CONTROL,
+        "the robot's topic said that it is docked only before the end of the approach",
+    ),
+}
+"""Error and words of a rover that waited in vain, by proof and by what the newest report says."""
 
 
 class _TailEstimator(Estimator):
@@ -111,7 +133,7 @@ class Docking:
         self._tries = self._stagings = 0
         self._gives_up = False
         """Whether no further try can succeed."""
-        self._evidence, self._charge_until, self._known_reports = Evidence(), math.inf, 0
+        self._evidence, self._wait_until, self._known_reports = Evidence(), math.inf, 0
         self._poses: deque[tuple[float, Pose]] = deque(maxlen=KEPT_POSES)
         """Times and values of the newest external poses."""
         self._potentials = self._approach.controller.potentials
@@ -131,12 +153,12 @@ class Docking:
         problem = in_the_way(self.place, self._approach.way, self._config.described)
         if problem:
             self._end(DockError.FAILED_TO_CONTROL, problem)
-        elif in_line and CONTACT_M < out_m < self.place.staging_m - STAGED_M:
+        elif in_line and AT_PLACE_M < out_m < self.place.staging_m - STAGED_M:
             # It may stand in the dock: it does not turn on the spot there.
             self._begin(Stage.CONTROLLING if self._undock else Stage.RETRY, self._way_out(out_m), 0, pose)
-        elif in_line and abs(out_m) <= CONTACT_M and self._undock:
+        elif in_line and abs(out_m) <= AT_PLACE_M and self._undock:
             self._begin(Stage.CONTROLLING, self._retreat, 0, pose)
-        elif in_line and abs(out_m) <= CONTACT_M:
+        elif in_line and abs(out_m) <= AT_PLACE_M:
             self._tries = 1
             self._begin(Stage.CONTROLLING, self._approach, -self._approach.way.course.ticks, pose)
         elif self._undock:
@@ -194,7 +216,7 @@ class Docking:
 
     def _advance(self, index: int, t: float, estimate: Estimate) -> None:
         """Go on to the next stage if the present one is over."""
-        contact, charging, reports = self._evidence
+        contact, docked, reports = self._evidence
         is_new = reports > self._known_reports
         ended = index - self._began >= self._now.way.course.ticks
         if self._config.dry_run and ended and self._began >= 0:
@@ -211,15 +233,11 @@ class Docking:
                 self._end(DockError.FAILED_TO_CONTROL, "the rover is not at the staging pose")
             case Stage.CONTROLLING if not self._undock and (contact or ended):
                 self._judge(index, t, contact)
-            case Stage.WAIT_FOR_CHARGE if charging and is_new:
+            case Stage.WAIT_FOR_CHARGE if docked and is_new:
                 self._end(DockError.NONE)
-            case Stage.WAIT_FOR_CHARGE if t >= self._charge_until and charging is None:
-                self._gives_up = True
-                words = "battery_state does not tell whether the battery charges: unknown, or full"
-                self._missed(index, estimate.pose, DockError.FAILED_TO_CHARGE, words)
-            case Stage.WAIT_FOR_CHARGE if t >= self._charge_until + (LATE_S if charging else 0.0):
-                words = "no new battery_state" if charging else f"no charge within {CHARGE_S:g} s"
-                self._missed(index, estimate.pose, DockError.FAILED_TO_CHARGE, words)
+            case Stage.WAIT_FOR_CHARGE if t >= self._wait_until + (LATE_S if docked else 0.0):
+                self._gives_up = docked is None
+                self._missed(index, estimate.pose, *_NO_PROOF[self.place.proof, docked])
             case Stage.RETRY if ended and (self._gives_up or self._tries > self.place.retries):
                 self.over = True
             case Stage.RETRY if ended:
@@ -233,33 +251,23 @@ class Docking:
         verdict = leg.verdict()
         off = self.place.errors(pose)
         by_poses = self._by_poses(t, contact)
-        sure = verdict.probability
-        if proof is Proof.CONTACT:
-            sure = self.place.contact_probability(pose, estimate.covariance[:3, :3])
-        assert sure is not None  # an estimate was judged
-        self._judged = _Judged(sure, off, by_poses)
-        in_line = abs(off.lateral_m) <= self.place.position_m and abs(off.yaw_rad) <= self.place.heading_rad
+        self._judged = _Judged(verdict.probability, off, by_poses)
         where = f"{off} of the place by the estimate"
-        at_place = proof is Proof.CONTACT and in_line and abs(off.longitudinal_m) <= CONTACT_M
-        far = not near(pose, self.place.goal, CHARGER_M, CHARGER_RAD)
+        far = not near(pose, self.place.goal, DOCK_M, DOCK_RAD)
         why = ""
-        if proof is Proof.CONTACT and not contact:
-            why = f"no contact at the place, {where}"
-        elif contact and not (at_place or (proof is Proof.CHARGING and not far)):
+        if contact and (proof is Proof.POSE or far):
             why = f"contact {where}"
-        elif proof is Proof.CHARGING and far:
-            why = f"too far for the place's charger, {where}"
-        elif proof is Proof.CONTACT and sure < SURE:
-            why = f"contact {where}, which is sure to {sure:.0%}"
-        elif proof is Proof.POSE and by_poses is not None and not self.place.allows(by_poses):
-            why = f"{by_poses} of the place by the external poses alone, {where}"
-        elif proof is Proof.POSE and verdict.words is not Parked.YES:
-            why = verdict.reason or f"within the tolerances with a probability of {sure:.0%}"
-        elif proof is Proof.CHARGING:
+        elif proof is not Proof.POSE and far:
+            why = f"too far for the place's dock, {where}"
+        elif proof is not Proof.POSE:
             # An earlier report may be of another place.
-            self._charge_until, self._known_reports = t + CHARGE_S, self._evidence.battery_reports
+            self._wait_until, self._known_reports = t + REPORT_S, self._evidence.reports
             self.stage = Stage.WAIT_FOR_CHARGE
             return
+        elif by_poses is not None and not self.place.allows(by_poses):
+            why = f"{by_poses} of the place by the external poses alone, {where}"
+        elif verdict.words is not Parked.YES:
+            why = verdict.reason or f"within the tolerances with a probability of {verdict.probability:.0%}"
         if why:
             self._missed(index, pose, DockError.FAILED_TO_CONTROL, why)
         else:
@@ -307,9 +315,9 @@ class Docking:
 
     def _way_out(self, out_m: float) -> "_Leg":
         """Return the way to the staging pose from so far out of the place."""
-        if out_m <= CONTACT_M:
+        if out_m <= AT_PLACE_M:
             return self._retreat
-        out_m = min(out_m, self.place.staging_m - CONTACT_M)
+        out_m = min(out_m, self.place.staging_m - AT_PLACE_M)
         return self._leg(self._dock, retreat(self.place, self._slower, out_m))
 
     def _leg(self, policy: Policy, way: Way) -> "_Leg":

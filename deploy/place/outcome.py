@@ -37,9 +37,10 @@ class Evidence(NamedTuple):
 
     contact: bool = False
     """A bumper or a stall revoked the lease since the last tick, or a bumper was pressed at the first one."""
-    charging: bool | None = None
-    battery_reports: int = 0
-    """Number of the battery's reports so far."""
+    docked: bool | None = None
+    """Whether the place's proof is there by the newest report, of a charge or on a topic; None = unknown."""
+    reports: int = 0
+    """Number of such reports so far."""
 
 
 class PoseErrors(BaseModel):
@@ -67,7 +68,7 @@ class DockResult(BaseModel):
     num_retries: int = Field(description="tries after the first")
     stage: Stage = Field(description="the last stage")
     at: str = Field(description="where the rover stands: place, staging pose, or elsewhere")
-    proof: str = Field(description="that the place asks for: pose, contact or charging")
+    proof: str = Field(description="that the place asks for: pose, charging or topic")
     probability: float | None = Field(
         description="that the rover is within the tolerances, by the estimate at the end of the last approach"
     )

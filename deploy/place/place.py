@@ -5,20 +5,17 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from deploy.place.outcome import PoseErrors
 from rover_ncp.core.config import StrictModel, load_yaml
 from rover_ncp.core.geometry import Pose, compose, relative
 from rover_ncp.course.course import FAR_M, Angle, Name, Obstacle
-from rover_ncp.course.scoring import pose_samples
 
 SUFFIXES = {".yaml", ".yml"}
 MAX_OBSTACLES = 100
-CONTACT_M = 0.05
-"""How far from a place, along its heading, contact counts as that with the dock."""
+AT_PLACE_M = 0.05
+"""How far from a place, along its heading, a rover may be that counts as standing in it."""
 
 
 class Proof(StrEnum):
@@ -26,10 +23,10 @@ class Proof(StrEnum):
 
     POSE = "pose"
     """The estimate is within the tolerances with a probability of 95 %."""
-    CONTACT = "contact"
-    """The base reports a pressed bumper or a stall at the place."""
     CHARGING = "charging"
     """The base reports that its battery is charging."""
+    TOPIC = "topic"
+    """A topic of a ROS 2 robot, `topics.docked` of its description, says that it is docked."""
 
 
 PlaceCoordinate = Annotated[float, Field(ge=10.0 - FAR_M, le=FAR_M - 10.0)]
@@ -70,7 +67,7 @@ class Place(StrictModel):
     )
     position_m: float = Field(default=0.02, gt=0, le=0.2, description="tolerance of the position, m")
     heading_rad: float = Field(default=0.035, gt=0, le=0.5, description="tolerance of the heading: 2°")
-    proof: Proof = Field(default=Proof.POSE, description="what proves the docking: pose, contact or charging")
+    proof: Proof = Field(default=Proof.POSE, description="what proves the docking: pose, charging or topic")
     retries: int = Field(default=3, ge=0, le=20, description="further tries after a miss")
     obstacles: tuple[Obstacle, ...] = Field(
         default=(), max_length=MAX_OBSTACLES, description="that the way there must not touch"
@@ -110,15 +107,6 @@ class Place(StrictModel):
         """Whether errors are within the tolerances."""
         away = math.hypot(off.longitudinal_m, off.lateral_m)
         return away <= self.position_m and abs(off.yaw_rad) <= self.heading_rad
-
-    def contact_probability(self, pose: Pose, covariance: NDArray[np.float64]) -> float:
-        """Return the probability that contact at a pose of ``covariance`` (3, 3) is at the place, in line."""
-        turn, off, theta = np.eye(3), self.errors(pose), self.goal.theta
-        cos, sin = math.cos(theta), math.sin(theta)
-        turn[:2, :2] = [[cos, sin], [-sin, cos]]
-        mean = Pose(off.longitudinal_m, off.lateral_m, off.yaw_rad)
-        errors = np.abs(pose_samples(mean, turn @ covariance @ turn.T))
-        return float(np.mean((errors <= (CONTACT_M, self.position_m, self.heading_rad)).all(axis=1)))
 
 
 def place_path(name: str) -> Path:

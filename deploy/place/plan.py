@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
-from deploy.place.place import CONTACT_M, Place, Proof
+from deploy.place.place import AT_PLACE_M, Place
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose, compose, distance, wrap_angle
@@ -43,8 +43,6 @@ SETTLE_S = 3.0
 """Rest at the end of a way, to come to rest."""
 DOCK_S = 8.0
 """Rest at the place, at the end of which the rover must stand."""
-PRESS_M = 0.03
-"""How far the reference leads beyond a place that contact proves."""
 FAR_M = 3.0
 """Largest distance of a start from the staging pose."""
 SMALL_M, SMALL_RAD = 0.02, 0.03
@@ -88,11 +86,10 @@ def tail(pose: Pose) -> Pose:
 
 def approach(place: Place, slower: float = 1.0) -> Way:
     """Return the way from the staging pose into the place; ``slower`` as for courses."""
-    press = PRESS_M if place.proof is Proof.CONTACT else 0.0
     first = max(place.staging_m - SLOW_M, 0.0)
-    pieces = [Piece(first, 0.0, LOOK_S), Piece(place.staging_m - first + press, 0.0, DOCK_S, SLOW_M_S)]
+    pieces = [Piece(first, 0.0, LOOK_S), Piece(place.staging_m - first, 0.0, DOCK_S, SLOW_M_S)]
     way = _way(place, place.name, place.staging, pieces, backward=place.backward, slower=slower)
-    # Judged against the place, not against the point beyond it.
+    # The reference ends at the place but for rounding.
     *points, last = way.course.checkpoints
     points.append(last.model_copy(update=place.goal._asdict()))
     course = way.course.model_copy(update={"checkpoints": tuple(points)})
@@ -114,7 +111,7 @@ def in_the_way(place: Place, way: Way, robot: RobotDescription | None = None) ->
         # What it touches at its place may be the dock.
         out_m = place.out_m(pose)
         for number, obstacle in enumerate(place.obstacles, 1):
-            if out_m > CONTACT_M and clearance_at(pose, [obstacle], robot) == 0.0:
+            if out_m > AT_PLACE_M and clearance_at(pose, [obstacle], robot) == 0.0:
                 return f"the approach touches obstacle {number}, {out_m:.2f} m before {place.name}"
     return ""
 

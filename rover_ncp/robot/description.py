@@ -218,6 +218,10 @@ class Topics(StrictModel):
     """std_msgs/Bool, true while an emergency stop is pressed."""
     hazards: HazardTopic | None = None
     """irobot_create_msgs/HazardDetectionVector: bumps, cliffs, stalls and wheels in the air."""
+    docked: TopicName | None = None
+    """Says whether the robot is docked, again and again; for the proof `topic` of a place."""
+    docked_field: Literal["data", "is_docked"] = "data"
+    """Its field: `data` of std_msgs/Bool, or `is_docked` of irobot_create_msgs/DockStatus."""
     odom_frame: str = "odom"
     """frame_id of the odometry, of which the part behind the last slash counts; an empty one fits always."""
     base_frame: str = "base_link"

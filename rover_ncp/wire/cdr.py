@@ -18,6 +18,7 @@ from rosbags.typesys.store import Typestore
 from rover_ncp.core.errors import FormatError
 
 _OTHERS = {
+    "irobot_create_msgs/msg/DockStatus": "std_msgs/Header header\nbool dock_visible\nbool is_docked\n",
     "irobot_create_msgs/msg/HazardDetection": "std_msgs/Header header\nuint8 type\n",
     "irobot_create_msgs/msg/HazardDetectionVector": (
         "std_msgs/Header header\nirobot_create_msgs/HazardDetection[] detections\n"

@@ -69,6 +69,7 @@ KEYS: tuple[KeySpec, ...] = (
     KeySpec("tf", _TF, 4096, "odom → base_link, each SIP"),
     KeySpec("tf_static", _TF, 1 << 16, "poses of the sensors on the base", latched=True),
     KeySpec("battery_state", "sensor_msgs/msg/BatteryState", 4096, "once a second"),
+    KeySpec("docked", "std_msgs/msg/Bool", 512, "whether a ROS 2 robot is docked, by each of its messages"),
     KeySpec("sonar", "sensor_msgs/msg/PointCloud2", 1 << 16, "the echoes of one SIP, in base_link"),
     KeySpec("bumpers", "std_msgs/msg/UInt8MultiArray", 4096, "front and rear bits, 1 = pressed, each SIP"),
     KeySpec("diagnostics", "diagnostic_msgs/msg/DiagnosticArray", 1 << 16, "base, link and gate"),

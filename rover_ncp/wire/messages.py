@@ -34,6 +34,8 @@ IMU = "sensor_msgs/msg/Imu"
 BATTERY_STATE = "sensor_msgs/msg/BatteryState"
 BOOL = "std_msgs/msg/Bool"
 HAZARDS = "irobot_create_msgs/msg/HazardDetectionVector"
+DOCKED_TYPES = {"data": BOOL, "is_docked": "irobot_create_msgs/msg/DockStatus"}
+"""The type of a topic that says whether the robot is docked, by the field that says so."""
 BUMP, CLIFF, STALL, WHEEL_DROP = 1, 2, 3, 4  # of its hazards, those that stop a robot
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 TF = "tf2_msgs/msg/TFMessage"
@@ -322,6 +324,16 @@ def hazards(kinds: Sequence[int], stamp_ns: int) -> bytes:
 def read_hazards(data: bytes) -> frozenset[int]:
     """Read the kinds of a HazardDetectionVector. Raises FormatError."""
     return frozenset(int(found.type) for found in decode(HAZARDS, data).detections)
+
+
+def boolean(value: bool) -> bytes:
+    """Return a Bool."""
+    return encode(BOOL, data=value)
+
+
+def read_docked(data: bytes, field: str = "data") -> bool:
+    """Read the field of a message that says whether the robot is docked. Raises FormatError."""
+    return bool(getattr(decode(DOCKED_TYPES[field], data), field))
 
 
 def point_cloud(points: Sequence[tuple[float, float, float]], stamp_ns: int) -> bytes:

@@ -189,7 +189,7 @@ def _robot(data):
     """A ROS 2 robot whose topics send anything, before and after good odometry; its tokens are anything."""
     words = data.decode(errors="replace")
     tokens = [read(words) for read in (read_topic_token, read_token)]
-    robot = described("turtlebot3-burger", topics={"stop": "stop", "hazards": "hazards"})
+    robot = described("turtlebot3-burger", topics={"stop": "stop", "hazards": "hazards", "docked": "dock"})
     base = Ros2Base(Line(), robot, unsafe=False)
     for token in tokens:
         if token is not None:
@@ -199,7 +199,7 @@ def _robot(data):
         good = odometry(HERE, STANDSTILL, round(1e9 * (1000 + now)), frames=("odom", "base_footprint"))
         topics = {
             "odom": data if k % 10 == 9 else good,
-            **dict.fromkeys(("imu", "battery_state", "scan", "stop", "hazards"), data),
+            **dict.fromkeys(("imu", "battery_state", "scan", "stop", "hazards", "dock"), data),
         }
         topics |= {"cmd_vel": data} if k == 35 else {}
         for topic, payload in topics.items():

@@ -8,7 +8,7 @@ import pytest
 from kit.described import described
 from kit.ros2_world import BURGER, EPOCH_S, OURS, World, announced, beyond_its_second, header, odometry, twist
 
-from bridge.base import Failed, Lost, Notice, Ready, Recovered
+from bridge.base import Docked, Failed, Lost, Notice, Ready, Recovered
 from bridge.ros2.base import LoopSeen, TokenSeen
 from bridge.ros2.discovery import Announced
 from rover_ncp.core.config import validated
@@ -17,6 +17,7 @@ from rover_ncp.robot.description import Topics
 from rover_ncp.wire.cdr import decode, encode
 from rover_ncp.wire.messages import (
     BATTERY_STATE,
+    DOCKED_TYPES,
     IMU,
     ODOMETRY,
     POSE_STAMPED,
@@ -132,6 +133,18 @@ def test_the_line_is_closed_even_if_it_does_not_take_the_last_zero(ready, monkey
     with pytest.raises(OSError):
         ready.base.close(ready.now)
     assert ready.line.closed
+
+
+@pytest.mark.parametrize("field", ["data", "is_docked"])
+@pytest.mark.parametrize("docked", [True, False])
+def test_each_word_of_the_robot_that_it_is_docked_is_passed_on(field, docked):
+    topics = BURGER.topics.model_copy(update={"docked": "dock", "docked_field": field})
+    world = World(BURGER.model_copy(update={"topics": topics}))
+    world.run(2.0)
+    for _ in range(2):
+        world.hear("dock", encode(DOCKED_TYPES[field], **{field: docked}))
+    world.run(0.2)
+    assert [event for event in world.events if isinstance(event, Docked)] == [Docked(docked)] * 2
 
 
 def test_sensor_on_which_nothing_comes_is_named_with_what_was_found_instead():

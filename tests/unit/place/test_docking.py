@@ -16,16 +16,15 @@ from deploy.view.page_data import columns
 from deploy.view.recorded_drive import read_drive, summarise
 from deploy.view.trace import synapse_currents
 from rover_ncp.core.errors import NoBridge
-from rover_ncp.core.geometry import ORIGIN, Pose, distance
+from rover_ncp.core.geometry import Pose, distance
 from rover_ncp.course.course import Obstacle
 from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.messages import (
     battery_state,
+    boolean,
     bumpers,
-    odometry,
     read_battery,
     read_bumpers,
-    read_odometry,
     read_pose,
 )
 
@@ -112,7 +111,7 @@ def test_report_explains_each_part_of_the_way_by_the_policy_that_drove_it(read):
 
 
 def test_contact_elsewhere_is_a_miss_and_the_rover_backs_out(tmp_path):
-    where = place(retries=1, proof="contact")
+    where = place(retries=1)
     drive = VirtualDocking(where, STAGING, path=tmp_path / "c.mcap", obstacles=[BEFORE])
     result = drive.run()
     assert not result.dock.success
@@ -149,16 +148,9 @@ class Since:
         return (s := self(pose, now)) is not None and s < 0.3
 
 
-def test_rover_that_stands_in_contact_with_its_dock_is_docked():
-    drive = VirtualDocking(place(proof="contact", retries=0), Pose(2.0, 1.0, 0.0))
-    dock = bumped(drive, lambda pose, now: pose.x > 1.995).run().dock
-    assert (dock.success, dock.at, drove_m(drive)) == (True, "place", 0.0)
-
-
-@pytest.mark.parametrize("proof", ["contact", "pose"])
-def test_contact_of_the_other_end_is_no_dock(proof):
+def test_contact_of_the_other_end_is_no_dock():
     since = Since(1.95)
-    drive = VirtualDocking(place(proof=proof, retries=0), STAGING)
+    drive = VirtualDocking(place(retries=0), STAGING)
     drive.link.change["bumpers"] = lambda data: bumpers(*reversed(read_bumpers(data)))
     result = bumped(drive, since.briefly).run()
     assert (result.exit_code, result.stopped_by, result.dock.success) == (4, "bumper", False)
@@ -201,6 +193,36 @@ def test_charge_that_was_reported_before_the_end_of_the_approach_proves_nothing(
     dock = drive.run().dock
     assert (dock.success, dock.error_code) == (False, DockError.FAILED_TO_CHARGE)
     assert len(stamps) > 20
+
+
+def says_docked(drive, docked):
+    """Let a topic of the robot say whether it is docked, with each sample of odometry; None is no message."""
+    drive.link.put_with_odometry(
+        "docked", lambda odom: [] if (found := docked(drive.rover.pose)) is None else [boolean(found)]
+    )
+    return drive
+
+
+def test_topic_of_the_robot_proves_a_docking(tmp_path):
+    drive = VirtualDocking(place(proof="topic", retries=0), STAGING, path=tmp_path / "topic.mcap")
+    result = says_docked(drive, lambda pose: pose.x > 1.97).run()
+    assert (result.exit_code, result.dock.success, result.dock.at) == (0, True, "place")
+    assert replay(drive.path).same
+
+
+@pytest.mark.parametrize(
+    ("docked", "words"),
+    [
+        (lambda pose: None, "no message on 'docked'"),
+        (lambda pose: False, "did not say that it is docked"),
+        (lambda pose: True if pose.x < 1.95 else None, "only before the end of the approach"),
+    ],
+)
+def test_topic_that_does_not_say_docked_after_the_approach_proves_nothing(docked, words):
+    drive = says_docked(VirtualDocking(place(proof="topic", retries=0), Pose(1.9, 1.0, 0.0)), docked)
+    dock = drive.run().dock
+    assert (dock.success, dock.error_code) == (False, DockError.FAILED_TO_CONTROL)
+    assert words in dock.error_msg
 
 
 @pytest.mark.parametrize("bounces", [(), ((0.5, 0.7),), ((0.4, 0.5), (0.8, 1.0))])
@@ -272,31 +294,6 @@ def test_lease_that_is_refused_after_contact_ends_the_drive_with_its_result(monk
     assert "does not answer within 2 s" in result.dock.error_msg
 
 
-def test_contact_whose_place_is_not_sure_is_a_miss():
-    """The poses end far from the dock, and one wheel is larger than the other."""
-    wall = Obstacle(x=2.365, y=1.0, length=0.1, width=2.0)
-
-    def see(pose, now):
-        return pose if now < 2.0 else None
-
-    drive = VirtualDocking(
-        place(proof="contact", retries=0), Pose(-0.2, 1.4, -0.3), obstacles=[wall], see=see
-    )
-
-    def uneven(data):
-        seen = read_odometry(data)
-        way.append(distance(seen.pose, last[-1]))
-        last.append(seen.pose)
-        turned = seen.pose.theta + 0.03 * sum(way)
-        return odometry(seen.pose._replace(theta=turned), seen.velocity, seen.stamp_ns)
-
-    last, way = [ORIGIN], []
-    drive.link.change["odom"] = uneven
-    dock = drive.run().dock
-    assert (dock.success, dock.error_code) == (False, DockError.FAILED_TO_CONTROL)
-    assert dock.probability < 0.95
-
-
 def test_docking_that_the_last_poses_contradict_is_a_miss(monkeypatch):
     monkeypatch.setattr("kit.virtual_docking.COVARIANCE", np.diag(np.square([0.02, 0.02, 0.02])))
     since = Since(1.98)
@@ -345,7 +342,6 @@ BACKWARD = place(direction="backward")
 @pytest.mark.parametrize(
     ("where", "start", "world", "charge"),
     [
-        pytest.param(place(proof="contact"), STAGING, {"obstacles": (DOCK,)}, False, id="contact proves it"),
         pytest.param(place(proof="charging"), STAGING, {}, True, id="charge proves it"),
         pytest.param(
             place(), BEFORE_STAGING, {"see": lost_near}, False, id="odometry replaces poses lost near"

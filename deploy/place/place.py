@@ -112,7 +112,7 @@ class Place(StrictModel):
 def place_path(name: str) -> Path:
     """Return the file of a place: itself, or NAME.yaml in the working folder."""
     path = Path(name)
-    return path if path.suffix in SUFFIXES else path.with_name(f"{path.name}.yaml")
+    return path if path.suffix.lower() in SUFFIXES else path.with_name(f"{path.name}.yaml")
 
 
 def load_place(name: str) -> Place:

@@ -113,7 +113,7 @@ def _new(source: Path, out: Path | None, name: str | None, say: Callable[[str], 
     from rover_ncp.course.builder import course_yaml, make_course, read_poses
     from rover_ncp.course.course import Course
 
-    if out is None or out.suffix not in {".yaml", ".yml"}:
+    if out is None or out.suffix.lower() not in {".yaml", ".yml"}:
         raise UsageError("--out: expected the new course's file, .yaml")
     name = name or re.sub(r"[^a-z0-9_-]+", "-", name_from(out, "course").lower()).strip("-_") or "course"
     if not re.fullmatch(r"[a-z0-9][a-z0-9_-]{0,63}", name):
@@ -130,7 +130,8 @@ def _draw(out: Path, made: Any, found: Any, robot: Any) -> None:
     from deploy.view.shapes import outline_of
     from rover_ncp.core.files import PNG, SVG, begins_with, require_writable, write_atomic
 
-    if out.suffix not in {".png", ".svg"}:
+    form = out.suffix[1:].lower()
+    if form not in {"png", "svg"}:
         raise UsageError(f"--out {out}: expected a picture, .png or .svg")
     require_writable(out, kind=begins_with("a picture", PNG, SVG))
-    write_atomic(out, render(course_picture(made, found, outline_of(robot)), out.suffix[1:]))
+    write_atomic(out, render(course_picture(made, found, outline_of(robot)), form))

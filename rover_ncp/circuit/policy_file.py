@@ -104,7 +104,7 @@ def load_policy(name_or_path: str | Path) -> Policy:
     not clamped, as it was trained. It is named for its file. Raises FileError or ConfigError.
     """
     path = resolve("policies", name_or_path)
-    if path.suffix != ".bnn":
+    if path.suffix.lower() != ".bnn":
         return policy_from_yaml(read_filled(path), str(path))
     circuit = load_circuit(path)
     if "RGT" not in circuit.neurons or "FWD" not in circuit.neurons:
@@ -121,7 +121,7 @@ def load_policy(name_or_path: str | Path) -> Policy:
 def load_circuit(name_or_path: str | Path) -> Circuit:
     """Load a shipped circuit by name, or a circuit file (YAML or ``.bnn``) by path."""
     path = resolve("circuits", name_or_path)
-    if path.suffix == ".bnn":
+    if path.suffix.lower() == ".bnn":
         return circuit_from_bnn(read_filled(path), name_from(path, "circuit"), str(path))
     return _circuit(load_yaml(path, _CircuitFile), str(path), "$")
 
@@ -133,7 +133,7 @@ def load_start(name_or_path: str | Path) -> Circuit | Policy:
     """
     is_policy = str(name_or_path) in {*shipped_names("policies")} - {*shipped_names("circuits")}
     path = resolve("policies" if is_policy else "circuits", name_or_path)
-    if path.suffix == ".bnn":
+    if path.suffix.lower() == ".bnn":
         return load_circuit(path)
     data = read_yaml(read_filled(path), str(path))
     return load_policy(path) if isinstance(data, dict) and "sensing" in data else load_circuit(path)

@@ -31,7 +31,14 @@ from rover_ncp.course.course import (
 from rover_ncp.course.feasibility import Cause, Drivability, check_course
 from rover_ncp.course.reference import planning_notice
 from rover_ncp.recording.recording import Recording, read_recording
-from rover_ncp.wire.messages import OdometrySample, PoseSample, read_odometry, read_pose
+from rover_ncp.wire.messages import (
+    ODOMETRY,
+    POSE_STAMPED,
+    POSE_WITH_COVARIANCE,
+    read_odometry,
+    read_pose,
+    read_pose_stamped,
+)
 
 EASE = 0.6
 """Speed of a drive that meets the deadlines, as a share of the motors' limits."""
@@ -46,10 +53,15 @@ MOVED_M, MOVED_RAD = 0.01, 0.02
 """Smaller motion counts as standing."""
 _DECIMALS = 4
 _NUMBER = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*", re.ASCII)
-_READERS: dict[str, Callable[[bytes], PoseSample | OdometrySample]] = {
-    "rover/estimate": read_pose,
-    "odom": read_odometry,
+_EMPTY = ' \t\r\n,;"'
+_SEPARATOR = re.compile(r'"?sep=([,;|\t])', re.IGNORECASE)
+"""What Excel may write before the header."""
+_READERS: dict[str, Callable[[bytes], Pose]] = {
+    ODOMETRY: lambda data: read_odometry(data).pose,
+    POSE_WITH_COVARIANCE: lambda data: read_pose(data).pose,
+    POSE_STAMPED: read_pose_stamped,
 }
+"""By type; the first one of a recording is used."""
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = 60
 
@@ -73,17 +85,17 @@ class PoseList(StrictModel):
 
 
 def read_poses(path: Path) -> PoseList:
-    """Read YAML, CSV (header x, y, theta; commas or semicolons) or a recording (MCAP).
+    """Read YAML, CSV (header x, y, theta; commas, semicolons or tabs) or a recording (MCAP).
 
     Raises FileError and ConfigError.
     """
-    match existing_file(path).suffix:
+    match existing_file(path).suffix.lower():
         case ".yaml" | ".yml":
             return load_yaml(path, PoseList)
         case ".csv":
             return _from_csv(path)
         case ".mcap":
-            return _listed(path, _thinned(_driven(read_recording(path, topics=_READERS))))
+            return _listed(path, _thinned(_driven(read_recording(path, topics=(), types=_READERS))))
     raise FileError(f"{path}: expected poses as .yaml or .csv, or a recording as .mcap")
 
 
@@ -160,32 +172,46 @@ def _checkpoint(t: float, pose: Pose) -> dict[str, float]:
 
 def _from_csv(path: Path) -> PoseList:
     lines = read_text(path).splitlines(keepends=True)
-    delimiter = ";" if lines and ";" in lines[0] and "," not in lines[0] else ","
-    reader = csv.DictReader(lines, delimiter=delimiter, skipinitialspace=True, restval="")
+    begin = next((number for number, line in enumerate(lines) if line.strip(_EMPTY)), len(lines))
+    delimiter, named = ",", _SEPARATOR.match(lines[begin]) if begin < len(lines) else None
+    if named:
+        delimiter, begin = named[1], begin + 1
+    elif begin < len(lines) and "," not in lines[begin]:
+        delimiter = next((each for each in ";\t" if each in lines[begin]), ",")
+    reader = csv.reader(lines[begin:], delimiter=delimiter, skipinitialspace=True)
     try:
-        reader.fieldnames = header = [name.strip() for name in reader.fieldnames or []]
-        if missing := [name for name in Pose._fields if name not in header]:
+        header = [name.strip() for name in next(reader, [])]
+        names = [name.lower() for name in header]
+        if missing := [name for name in Pose._fields if name not in names]:
             raise FileError(
                 f"{path}: its first line lacks {', '.join(missing)} (expected x, y, theta, "
                 f"got {_SHORT.repr(', '.join(header))})"
             )
-        places = [
-            _numbers([row[name] for name in Pose._fields], f"{path}: line {reader.line_num}")
+        columns = [names.index(name) for name in Pose._fields]
+        rows = [
+            (f"{path}: line {begin + reader.line_num}", [row[n] if n < len(row) else "" for n in columns])
             for row in reader
+            if any(map(str.strip, row))
         ]
     except csv.Error as error:
-        raise FileError(f"{path}: line {reader.reader.line_num}: no CSV: {error}") from error
+        raise FileError(f"{path}: line {begin + reader.line_num}: no CSV: {error}") from error
+    comma = delimiter != "," and not any("." in cell for _, cells in rows for cell in cells)
+    places = [_numbers(cells, where, comma) for where, cells in rows]
     if len(places) < 2:
         raise FileError(f"{path}: a course needs two poses at least, got {len(places)}")
     return _listed(path, places)
 
 
-def _numbers(cells: Sequence[str], where: str) -> tuple[float, float, float]:
-    """Return a pose. Raises FileError for cells that are not three numbers in decimals with a point."""
-    if not all(map(_NUMBER.fullmatch, cells)):
+def _numbers(cells: Sequence[str], where: str, comma: bool) -> tuple[float, float, float]:
+    """Return a pose. Raises FileError for cells that are not three numbers, with a comma if ``comma``."""
+    plain = [cell.replace(",", ".") for cell in cells] if comma else cells
+    if not all(map(_NUMBER.fullmatch, plain)):
         found = _SHORT.repr(", ".join(cells))
-        raise FileError(f"{where}: expected three numbers, with a decimal point and no comma, got {found}")
-    x, y, theta = map(float, cells)
+        raise FileError(
+            f"{where}: expected three numbers, with a decimal point or, in a file whose columns no comma "
+            f"separates, all with a decimal comma; got {found}"
+        )
+    x, y, theta = map(float, plain)
     return x, y, theta
 
 
@@ -196,19 +222,34 @@ def _listed(path: Path, poses: Sequence[tuple[float, float, float]]) -> PoseList
 
 
 def _driven(recording: Recording) -> list[Pose]:
-    """Return the recorded poses: the driver's estimates, or without any those of odometry."""
-    poses = []
-    for topic, read in _READERS.items():
-        for message in recording.topic(topic):
-            try:
-                pose = read(message.data).pose
-            except FormatError:
-                continue
-            if all(map(math.isfinite, pose)):
-                poses.append(pose)
-        if poses:
-            return poses
-    raise FileError(f"{recording.path}: holds neither rover/estimate nor odom")
+    """Return the recorded poses: the driver's estimates, or without any those of odometry or a localiser.
+
+    Topics of other recorders are found by their type. Raises FileError for none, and for several of a type.
+    """
+    found: dict[str, dict[str, list[Pose]]] = {kind: {} for kind in ("rover/estimate", *_READERS)}
+    for message in recording.messages:
+        read = _READERS.get(message.type)
+        if read is None:
+            continue
+        try:
+            pose = read(message.data)
+        except FormatError:
+            continue
+        if all(map(math.isfinite, pose)):
+            kind = message.topic if message.topic in found else message.type
+            found[kind].setdefault(message.topic, []).append(pose)
+    for kind, topics in found.items():
+        own = [name for name in topics if name.rsplit("/", 1)[-1] == "odom"]
+        names = own if len(own) == 1 else sorted(topics)
+        if len(names) > 1:
+            listed = ", ".join(names)
+            raise FileError(
+                f"{recording.path}: holds several topics of {kind} ({listed}); record one of them"
+            )
+        if names:
+            return topics[names[0]]
+    kinds = ", ".join(_READERS)
+    raise FileError(f"{recording.path}: holds no poses: neither rover/estimate nor a topic of {kinds}")
 
 
 def _thinned(poses: Sequence[Pose]) -> list[Pose]:

@@ -221,8 +221,12 @@ def _contents(path: Path) -> Iterator[Content]:
         raise FileError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def read_recording(path: Path, topics: Collection[str] | None = None) -> Recording:
-    """Read a recording, or the messages of some topics; of a cut or damaged one what precedes the damage.
+def read_recording(
+    path: Path, topics: Collection[str] | None = None, *, types: Collection[str] = ()
+) -> Recording:
+    """Read a recording, or the messages of some topics or ROS types.
+
+    Of a cut or damaged one what precedes the damage is read.
 
     The log gets one line about damage. Raises FileError: unreadable, no recording, or larger than
     `MEMORY_LIMIT`.
@@ -235,7 +239,7 @@ def read_recording(path: Path, topics: Collection[str] | None = None) -> Recordi
     try:
         for item in _contents(path):
             if isinstance(item, Recorded):
-                if topics is not None and item.topic not in topics:
+                if topics is not None and item.topic not in topics and item.type not in types:
                     continue
                 messages.append(item)
                 kept += len(item.data) + MESSAGE_BYTES

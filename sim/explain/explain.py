@@ -147,7 +147,7 @@ def explain(source: str, course: str | None = None, *, on_progress: Progress = l
     Raises UsageError for the recording of a docking or a recording with a course, FileError and ConfigError.
     """
     command = command_line(source, course=course)
-    if Path(source).suffix != ".mcap":
+    if Path(source).suffix.lower() != ".mcap":
         policy, known = load_policy(source), load_course(course or "parking")
         return explain_drive(source, command, policy, known, on_progress=on_progress)
     if course is not None:

@@ -1,6 +1,7 @@
 """Courses made from poses and from recorded drives."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from rover_ncp.course.builder import CoursePose, PoseList, course_yaml, make_cou
 from rover_ncp.course.course import Course, Obstacle
 from rover_ncp.course.feasibility import Cause, Drivability, Problem
 from rover_ncp.course.reference import drive_profile
-from rover_ncp.recording.recording import Recorded, RecordingWriter
+from rover_ncp.recording.recording import Recorded, RecordingWriter, read_recording
 from rover_ncp.wire.messages import odometry
 
 START = Pose(2.0, -1.0, 2.5)
@@ -118,12 +119,12 @@ def test_a_drive_to_and_fro_keeps_its_turning_point(tmp_path):
             ConfigError,
             r"a\.yaml: \$\.poses\[1\]\.theta: an angle is in radians, from -2π to 2π, got 90$",
         ),
-        ("a.csv", "X;Y;T\n1;2;3\n", FileError, r"lacks x, y, theta .*got 'X, Y, T'"),
+        ("a.csv", "X;Y;T\n1;2;3\n", FileError, r"lacks theta .*got 'X, Y, T'"),
         (
             "a.csv",
-            "x;y;theta\n1,5;2;0\n2;2;0\n",
+            "x;y;theta\n1,500;2;0.5\n2;2;0\n",  # a comma of thousands?
             FileError,
-            "line 2: .*a decimal point and no comma, got '1,5, 2, 0'",
+            "line 2: .*all with a decimal comma; got '1,500, 2, 0.5'",
         ),
         ("a.csv", "x,y,theta\n1_0,2,0\n", FileError, "line 2: expected three numbers, .*got '1_0, 2, 0'"),
         ("a.csv", "x,y,theta\n١,2,0\n", FileError, "line 2: expected three numbers"),
@@ -171,5 +172,42 @@ def test_a_recording_without_motion_or_poses_makes_no_course(tmp_path):
     with pytest.raises(FileError, match="did not move"):
         read_poses(tmp_path / "run.mcap")
     RecordingWriter(tmp_path / "empty.mcap").close()
-    with pytest.raises(FileError, match="holds neither"):
+    with pytest.raises(FileError, match="holds no poses"):
         read_poses(tmp_path / "empty.mcap")
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.csv", "x,y,theta\n0,0,0\n0.4,0.1,0.3\n,,\n , ,\n\n"),
+        ("a.csv", "\n,,\nx,y,theta,note\n0,0,0,\n,,,\n0.4,0.1,0.3,goal\n"),
+        ("A.CSV", "Theta,X,Y\n0,0,0\n0.3,0.4,0.1\n"),
+        ("a.csv", "sep=;\nx;y;theta\n0;0;0\n0,4;0,1;0,3\n;;\n"),
+        ("a.csv", '"sep=;";;\n"x";"y";"theta"\n"0";"0";"0"\n"0,4";"0,1";"0,3"\n'),
+        ("a.csv", "x\ty\ttheta\n0\t0\t0\n0,4\t0,1\t0,3\n\t\t\n"),
+        ("a.csv", "sep=,\nx,y,theta\n0,0,0\n0.4,0.1,0.3\n"),
+        ("A.YML", "poses: [{x: 0, y: 0, theta: 0}, {x: 0.4, y: 0.1, theta: 0.3}]\n"),
+    ],
+)
+def test_what_spreadsheets_and_people_add_changes_no_pose(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    assert read_poses(tmp_path / name) == places((0.0, 0.0, 0.0), (0.4, 0.1, 0.3))
+
+
+def test_poses_of_a_recording_are_found_by_their_type(tmp_path):
+    recording(tmp_path / "run.mcap", [(5, 0.12, 0.1)])
+    own, messages = read_poses(tmp_path / "run.mcap"), read_recording(tmp_path / "run.mcap").messages
+    bags = (["/odom"], ["/r/odom"], ["/odometry/filtered"], ["/odom", "/odometry/wheels"])
+    for number, topics in enumerate(bags):
+        assert read_poses(bag(tmp_path / f"{number}.MCAP", messages, topics)) == own
+    with pytest.raises(FileError, match=r"several topics of nav_msgs/msg/Odometry \(/a, /b\)"):
+        read_poses(bag(tmp_path / "two.mcap", messages, ["/a", "/b"]))
+
+
+def bag(path, messages, topics):
+    """Write messages once for each topic, and return the path."""
+    with RecordingWriter(path) as writer:
+        for message in messages:
+            for topic in topics:
+                writer.write(replace(message, topic=topic))
+    return path

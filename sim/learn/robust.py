@@ -177,21 +177,22 @@ def training_courses(
 ) -> tuple[list[Course], list[Reference]]:
     """Return ``count`` random courses of a seed, their references, and among them those of the given one.
 
-    The given one also comes mirrored: a circuit, unlike a law, has to learn left and right apart. Alone it
-    is when ``count`` is 0.
+    All have the rule of the given one, which also comes mirrored: a circuit, unlike a law, has to learn left
+    and right apart. If ``count`` is 0, the given one comes alone.
     """
     turns = ((given, planned), (mirrored(given), mirrored_reference(planned)))
     apart, pairs = _training_seed(seed), []
     for number in range(count):
         if number % _RANDOM_BETWEEN == 0:
             pairs.append(turns[number // _RANDOM_BETWEEN % 2])
-        pairs.append(random_course(apart, number))
+        drawn, reference = random_course(apart, number)
+        pairs.append((drawn.model_copy(update={"parked": given.parked}), reference))
     pairs = pairs or [turns[0]]
     return [course for course, _ in pairs], [reference for _, reference in pairs]
 
 
 def drive_trials(engine: Evaluator, ranges: Randomization, model: RoverModel, seed: int) -> Drive:
-    """Return what drives the trials of a search on an engine; the rule of its first course judges all."""
+    """Return what drives the trials of a search on an engine, whose courses have one rule."""
     ticks = max(course.ticks for course in engine.courses)
     apart, rule = _training_seed(seed), engine.courses[0].parked
     unrounded = ranges.model_copy(update={"speed_step_m_s": 0.0, "turn_step_rad_s": 0.0})

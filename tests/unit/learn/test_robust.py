@@ -144,6 +144,12 @@ def test_training_and_evaluation_share_no_course():
     assert training_courses(COURSE, given, 0, 0) == ([COURSE], [given])
 
 
+def test_all_courses_of_a_training_have_the_rule_of_the_given_one():
+    strict = COURSE.model_copy(update={"parked": ParkedRule(position_m=0.02)})
+    courses, _ = training_courses(strict, plan_reference(strict), 0, 4)
+    assert {course.parked.position_m for course in courses} == {0.02}
+
+
 def test_the_search_improves_and_repeats_itself(searched):
     first, _ = searched
     assert [last.iterations for last in first] == list(range(1, 9))

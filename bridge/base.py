@@ -116,9 +116,10 @@ BaseEvent: TypeAlias = Ready | BaseReport | TurnRate | Docked | Lost | Recovered
 
 
 class BaseTimeout(NamedTuple):
-    """Time in s after which the base halts without commands, as far as it is known.
+    """Time in s after which the base halts without commands; None = not known.
 
-    ``refusal`` is why the robot is not driven unless the request says ``unchecked``; "" = it is.
+    With the state ``UNKNOWN`` it is the factory setting, which the base does not confirm. ``refusal`` is why
+    the gate grants no lease; "" = it does.
     """
 
     state: TimeoutState
@@ -160,12 +161,6 @@ class Base(Protocol):
     @property
     def base_timeout(self) -> BaseTimeout:
         """Time after which the base halts when this process dies."""
-
-    def measure_base_timeout(self, now: float) -> str:
-        """Send nothing until the base halts, for a few seconds at most; return why not, "" if it begins.
-
-        The end of the lease, motors off and an emergency end it: the base then gets zeros.
-        """
 
     def close(self, now: float) -> None:
         """Stop the base, switch its motors off and end the connection."""

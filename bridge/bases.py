@@ -138,8 +138,14 @@ def open_base(
         session = Session(chosen.description, MotionLimits(v=limits.v_max, omega=limits.omega_max))
         connection = first_connection(chosen.address, inbox, interrupted, say)
         return ArcosBase(connection, session), ""
-    assert chosen.description is not None and chosen.description.topics is not None  # choose_base checks it
-    line = RosConnection(chosen.ros2, chosen.description.topics, inbox)
+    ros2, line = open_ros2_base(chosen, inbox, unsafe=no_base_watchdog)
     link.watch_robot_side(f"{LOOP_KEY}/{line.nonce}", lambda there: inbox.put(LoopSeen(there)))
-    ros2 = Ros2Base(line, chosen.description, unsafe=no_base_watchdog)
     return ros2, ros2.note
+
+
+def open_ros2_base(chosen: ChosenBase, inbox: Inbox, *, unsafe: bool) -> tuple[Ros2Base, RosConnection]:
+    """Open the session with a ROS 2 robot. Raises FileError, ConfigError, UsageError or NoRobot."""
+    assert chosen.ros2 is not None  # choose_base checks both
+    assert chosen.description is not None and chosen.description.topics is not None
+    line = RosConnection(chosen.ros2, chosen.description.topics, inbox)
+    return Ros2Base(line, chosen.description, unsafe=unsafe), line

@@ -2,8 +2,9 @@
 
 import signal
 import socket
+import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,6 +13,11 @@ from rover_ncp.core.console import Json, Output, reject
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.interruption import INTERRUPTED
+
+if TYPE_CHECKING:
+    from bridge.bases import ChosenBase
+    from bridge.gate.limits import Limits
+    from bridge.inbox import Inbox
 
 OPEN_FILES = 100
 """Zenoh and the line to the base use about 20, and each driver one: without any left, no driver connects."""
@@ -78,13 +84,22 @@ def bridge(
             "this bridge dies, it may drive on.",
         ),
     ] = False,
+    measure_timeout: Annotated[
+        bool,
+        typer.Option(
+            "--measure-timeout",
+            help="Serve nobody: measure when a ROS 2 robot halts after its last command, and print the line "
+            "for its description. It drives forward at 0.1 m/s for up to 7 s: put it on blocks, or on the "
+            "floor with 1 m free ahead if sensors under it forbid blocks.",
+        ),
+    ] = False,
     json: Json = False,
 ) -> int:
     """Connect a Pioneer or a ROS 2 robot to Zenoh: one driver at a time drives it, within limits.
 
     Without certificates it listens on this machine only, unless --insecure is given. A Pioneer that refuses
     connections is tried for 5 s. A ROS 2 robot is driven only if its description has the
-    measured_base_timeout_s that 'rover-ncp check' prints, or with --no-base-watchdog.
+    measured_base_timeout_s that --measure-timeout prints, or with --no-base-watchdog.
 
     Publishes odometry, transforms, battery, sonar, bumpers and diagnostics as ROS 2 messages, and passes
     commands on through a gate. Only the holder of the lease drives; the rover stops when no valid command
@@ -92,7 +107,8 @@ def bridge(
     ready when it prints "ready zenoh=... base=..."; Ctrl-C or SIGTERM stops the rover and ends it.
 
         rover-ncp bridge --base serial//dev/ttyUSB0 --limits limits.yaml
-        rover-ncp bridge --base ros2/tcp/ROBOT --model turtlebot4 --listen tcp/127.0.0.1:7449
+        rover-ncp bridge --base ros2/tcp/ROBOT --model robot.yaml --measure-timeout
+        rover-ncp bridge --base ros2/tcp/ROBOT --model robot.yaml --listen tcp/127.0.0.1:7449
     """
     from bridge.bases import choose_base, gate_limits, open_base
     from bridge.inbox import Inbox
@@ -102,12 +118,17 @@ def bridge(
     from rover_ncp.core.process import Interrupts, require_open_files
 
     if not base.startswith("ros2/"):
-        reject("is for a ROS 2 robot (ros2/tcp/HOST)", no_base_watchdog=no_base_watchdog)
+        ros2_options = {"no_base_watchdog": no_base_watchdog, "measure_timeout": measure_timeout}
+        reject("is for a ROS 2 robot (ros2/tcp/HOST)", **ros2_options)
+    if measure_timeout:
+        reject("does not go with --measure-timeout", listen=listen, no_base_watchdog=no_base_watchdog)
     require_open_files(OPEN_FILES)
     output = Output(json, controls=True)
     chosen = choose_base(base, model, base_zenoh_config)
     allowed = gate_limits(limits, chosen.description)
     inbox = Inbox()
+    if measure_timeout:
+        return _measure_timeout(chosen, inbox, allowed, output)
     with (
         Interrupts() as interrupts,
         ZenohLink(
@@ -149,6 +170,21 @@ def bridge(
         f"{sum(status.stops.values())} stops",
     )
     return INTERRUPTED if signal.SIGINT in interrupts.received else 0
+
+
+def _measure_timeout(chosen: "ChosenBase", inbox: "Inbox", limits: "Limits", output: Output) -> int:
+    from bridge.bases import open_ros2_base
+    from bridge.measure_timeout import measure, words_for
+    from rover_ncp.core.process import Interrupts, suspended_s
+
+    with Interrupts() as interrupts:
+        base, _ = open_ros2_base(chosen, inbox, unsafe=True)
+        output.say("the robot drives forward at 0.1 m/s for 1.5 s, then gets nothing until it halts")
+        found = measure(
+            *(base, inbox, limits, lambda: interrupts.raised), clock=time, total_suspended_s=suspended_s
+        )
+    output.result(found, words_for(found))
+    return 0 if found.line else 1
 
 
 def urdf(

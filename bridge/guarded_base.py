@@ -45,9 +45,6 @@ class GuardedBase:
         except Exception as error:
             return BaseTimeout(TimeoutState.UNKNOWN, None, _words(error))
 
-    def measure_base_timeout(self, now: float) -> str:
-        return self._text(lambda: self._base.measure_base_timeout(now))
-
     def shut_down(self, now: float) -> list[str]:
         """Stop the base, switch its motors off, then close it; return what failed."""
         stop = Setpoint(STANDSTILL, motors=False, emergency=False)

@@ -104,7 +104,7 @@ class Node:
         self._total_suspended_s, self._suspended_s = suspended_s, suspended_s()
         self._limits, self._accept_ros = limits, accept_ros
         self._ready = ready
-        self._answers = Answers(limits, link.key, self._judge, self._base, self._wall_ns)
+        self._answers = Answers(limits, link.key, self.judge, self._base, self._wall_ns)
         self.gate = GateState()
         self.reconnects = -1
         """Number of reconnections of the base; −1 until the first connection."""
@@ -127,6 +127,11 @@ class Node:
         finally:
             self._log += self._base.shut_down(self._clock.monotonic())
             self._flush_log()
+
+    @property
+    def report(self) -> BaseReport | None:
+        """The newest report of the base; None while it is lost."""
+        return self._report
 
     @property
     def due_s(self) -> float:
@@ -157,7 +162,7 @@ class Node:
     def _take(self, arrival: object, arrived_s: float) -> None:
         match arrival:
             case CommandMessage():
-                self._judge(self._command(arrival), arrived_s)
+                self.judge(self._command(arrival), arrived_s)
             case Query():
                 self._answers.give(arrival, arrived_s, self.gate)
             case ThreadError(error):
@@ -198,7 +203,7 @@ class Node:
                     self._answers.model, self._answers.problem = robot.name, ""
                     self.reconnects += 1
                     if self.reconnects > 0:
-                        self._judge(BaseLost("its odometry restarted", restarted=True), arrived_s)
+                        self.judge(BaseLost("its odometry restarted", restarted=True), arrived_s)
                     _LOGGER.info(f"the base is connected: {hardware}")
                     if self.reconnects == 0:
                         self._ready()
@@ -209,7 +214,7 @@ class Node:
                     _LOGGER.info(words)
                 case Lost(reason):
                     self._report, self._answers.problem = None, reason
-                    self._judge(BaseLost(reason), arrived_s)
+                    self.judge(BaseLost(reason), arrived_s)
                     _LOGGER.info(f"the base is lost: {reason}")
                 case Failed(reason):
                     if self.reconnects < 0:
@@ -219,7 +224,7 @@ class Node:
                         "check its power, its cable or its network"
                     )
 
-    def _judge(self, event: GateEvent, now: float) -> Verdict:
+    def judge(self, event: GateEvent, now: float) -> Verdict:
         """Pass an event through the gate."""
         before = self.gate
         self.gate, self._verdict = step(before, event, now, self._limits, self._accepts_ros)
@@ -245,7 +250,7 @@ class Node:
     def _act(self, now: float) -> None:
         """Pass the gate's verdict to the base, which also sends its keep-alives then."""
         self._end_lease_after_suspend(now)
-        verdict = self._judge(Tick(), now)
+        verdict = self.judge(Tick(), now)
         last, self._sent = self._sent, verdict
         self._act_now = self._commanded = False
         self._acted_s = now
@@ -260,7 +265,7 @@ class Node:
         slept_s = self._total_suspended_s() - self._suspended_s
         if slept_s > SUSPENDED_S:
             words = f"this computer was suspended for {slept_s:.1f} s"
-            self._judge(BaseLost(words), now)
+            self.judge(BaseLost(words), now)
             self._log.append(words)
         self._suspended_s += max(slept_s, 0.0)
 
@@ -272,7 +277,7 @@ class Node:
             self._early = True
             return
         self._report = report
-        self._judge(report, arrived_s)
+        self.judge(report, arrived_s)
         stamp_ns = self._wall_ns(arrived_s - report.age_s)
         variances = self._errors.after(report)
         for name, data in ros.each_report(report, self._robot, stamp_ns, variances).items():

@@ -101,7 +101,7 @@ class Answers:
             return MotorsRefusal(reason=VERSION_REASON, detail=other_version(PROTOCOL, version))
         request = parse_json(MotorsRequest, query.payload)
         sequence = tag.sequence if tag is not None and signed else None
-        if request.enable and not request.unchecked and (detail := self._base.base_timeout.refusal):
+        if request.enable and (detail := self._base.base_timeout.refusal):
             return MotorsRefusal(reason=UNCHECKED, detail=detail)
         if not request.enable:
             if sequence is not None:
@@ -138,8 +138,7 @@ class Answers:
         return StopReply(stopped=not request.release, reason="" if request.release else request.reason)
 
     def _about_base(self, query: Query, now: float, gate: GateState) -> BaseReply:
-        request = parse_json(BaseRequest, query.payload)
-        reason = self._measure(query, request, now, gate) if request.measure else ""
+        parse_json(BaseRequest, query.payload)
         known, health, (own, zenoh) = self._base.base_timeout, self._base.health(), self._versions
         nan, report = math.nan, gate.base
         ahead, behind = (nan, nan) if report is None else (report.clear_ahead_m, report.clear_behind_m)
@@ -148,7 +147,6 @@ class Answers:
             battery_min_v=self._limits.battery_min_v,
             state=known.state,
             timeout_s=known.timeout_s,
-            reason=reason,
             silent=health.silent,
             unheard=health.unheard,
             problem=self.problem,
@@ -157,21 +155,6 @@ class Answers:
             wall_ns=self._wall_ns(now),
             room_m=(_finite(ahead), _finite(behind)),
         )
-
-    def _measure(self, query: Query, request: BaseRequest, now: float, gate: GateState) -> str:
-        """Begin the measurement of the base's timeout; return the reason if not.
-
-        It counts as a renewal of the lease, so that the same request never counts twice.
-        """
-        tag, lease = read_tag(query.attachment), gate.lease
-        if tag is None or lease is None:
-            return "only the holder of the lease may measure"
-        if not lease.signed(tag, Signed.MOTORS, self._key(query.name), query.payload):
-            return "the request is not signed with the lease's key"
-        verdict = self._judge(Enable(lease.name, request.sent_ns, lease.secret, tag.sequence), now)
-        if verdict.refusal is not None:
-            return _refusal(verdict.refusal, gate).detail or str(verdict.refusal)
-        return self._base.measure_base_timeout(now)
 
     def _reset(self, gate: GateState) -> ResetReply:
         if gate.base is None:

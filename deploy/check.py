@@ -4,10 +4,8 @@ Each step returns whether it passed, and its finding: what was measured, and wha
 that fails ends the list: later ones would fail for the same cause. `deploy.comparisons` judges the sensors.
 """
 
-import math
 import time
 from collections.abc import Callable
-from datetime import date
 
 from pydantic import BaseModel, Field
 
@@ -34,10 +32,6 @@ V_M_S, OMEGA_RAD_S = 0.1, 0.2
 STOP_S = 0.5
 """The first safety requirement; braking and the time to the next report come on top."""
 BRAKING_S, REPORT_S = 0.15 + V_M_S / 0.3, 0.1
-MEASURE_TRIES = 3
-"""The gate may have stopped the wheels before a delayed request arrives."""
-MEASURING_S, POLL_S = 8.0, 0.2
-"""The bridge sends the base nothing for 5 s at most."""
 SCALE = 0.15
 """How far the distance by the pose and the distance by the speed may differ, as a share."""
 STANDING = 0.01
@@ -125,6 +119,7 @@ class Preflight:
             "pose": self._inputs.poses,
             "battery": self._inputs.battery,
             "stop": self._inputs.holds,
+            "watchdog": self._check_watchdog,
             "motors": self._check_motors,
             "forward": self._check_forward,
             "room": self._check_room,
@@ -134,7 +129,6 @@ class Preflight:
             "gyro-turn": self._check_gyro_in_turn,
             "pose-turn": self._check_poses_in_turn,
             "silence": self._check_silence,
-            "bridge": self._check_base_timeout,
         }
         try:
             for name, check in checks.items():
@@ -189,7 +183,7 @@ class Preflight:
     def _check_motors(self) -> Answer:
         try:
             began = self._clock.monotonic()
-            self._link.request_motors("check", unchecked=True)
+            self._link.request_motors("check")
         except RoverNcpError as error:
             return False, str(error)
         return True, f"granted within {self._clock.monotonic() - began:.3f} s"
@@ -261,33 +255,24 @@ class Preflight:
         words = f"stands {took:.2f} s after the last command" if stands else "does not stop"
         return stands and took <= allowed, f"{words} (at most {allowed:.2f} s)"
 
-    def _check_base_timeout(self) -> tuple[bool, str]:
-        """Test the base's own stop: the bridge sends it nothing, as if the bridge had died."""
+    def _check_watchdog(self) -> Answer:
+        """Report when the base halts if the bridge dies, and how that is known."""
         base = self._link.about_base()
         if base is None:
             return False, NO_REPLY
-        if base.state is TimeoutState.PUBLISHED:
-            return True, f"if the bridge dies, the base halts after {base.timeout_s:g} s, as it says itself"
-        for _ in range(MEASURE_TRIES):
-            self._link.request_motors("check", unchecked=True)
-            self._moves.move(Velocity(V_M_S, 0.0))
-            base = self._link.about_base(measure=True)
-            if base is not None and base.state is TimeoutState.RUNNING:
-                break
-        if base is None or base.state is not TimeoutState.RUNNING:
-            return False, f"the timeout was not measured: {base.reason if base else 'no answer'}"
-        ended_s = self._clock.monotonic() + MEASURING_S
-        while base is not None and base.state is TimeoutState.RUNNING and self._clock.monotonic() < ended_s:
-            self._moves.until(lambda: False, POLL_S)
-            self._link.request_motors("check", unchecked=True)  # without the lease, the bridge sends zeros
-            base = self._link.about_base()
-        if base is not None and base.state is TimeoutState.MEASURED:
-            measured_s = math.ceil(100.0 * (base.timeout_s or 0.0)) / 100.0
-            line = f"measured_base_timeout_s: {measured_s:g} # {date.today()}"
-            return True, f"if the bridge dies, the base halts; the line for the robot's description: {line}"
-        if base is not None and base.state is TimeoutState.UNKNOWN:
-            return False, "the timeout was not measured: a stop or a loss of the base ended the measurement"
-        return False, "if the bridge dies, the base does not halt: the bridge needs --no-base-watchdog"
+        after = "if the bridge dies, the base halts {} s after its last command"
+        match base.state, base.timeout_s:
+            case TimeoutState.PUBLISHED, float(seconds):
+                return True, f"{after.format(f'{seconds:g}')}, as it reports itself"
+            case TimeoutState.MEASURED, float(seconds):
+                return True, f"{after.format(f'{seconds:g}')}, as it was measured"
+            case _, float(seconds):
+                factory = f"the factory setting is {seconds:g} s"
+                return True, f"not known: the base does not report its watchdog; {factory}"
+        return True, (
+            "not known whether the base halts if the bridge dies; measure it with "
+            "'rover-ncp bridge --measure-timeout'"
+        )
 
     def _gate_since(self, before: GateStatus) -> str:
         """Return a text on what the gate did to commands since ``before``, with its reasons."""

@@ -72,7 +72,7 @@ class Moves:
             if stop.rule != NOT_ACCEPTED:
                 raise
             # A second attempt: a stall of this computer is no fault of the robot.
-            self._link.request_motors(self._name, unchecked=True)
+            self._link.request_motors(self._name)
             self.until(lambda: False, ACCEPTED_S)
             return self.command(velocity)
 

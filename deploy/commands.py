@@ -237,10 +237,9 @@ def check(
     the link, odometry, sensors, battery, stop button and bumpers, and requests the motors. Turns the wheels
     forward, slowly, and then left, and compares the reported motion with the commands, and that of gyro,
     laser and external poses with odometry. On blocks these show no motion, and are not known; on the floor
-    that is a fault. Then it sends no more commands and measures when the wheels stop. For a ROS 2 robot the
-    bridge then sends nothing either, for 5 s at most, and measures when the robot halts by itself. With
-    --model, the bridge must drive that model, and odometry must come at its rate. Ends with 0 for yes, 1 for
-    no, with the reason.
+    that is a fault. Then it sends no more commands and measures when the wheels stop. It reports when the
+    base halts by itself if the bridge dies, and how that is known. With --model, the bridge must drive
+    that model, and odometry must come at its rate. Ends with 0 for yes, 1 for no, with the reason.
 
         rover-ncp check --robot tcp/192.168.1.20 --on-blocks
     """

@@ -82,13 +82,12 @@ class ArcosBase:
     @property
     def base_timeout(self) -> BaseTimeout:
         watchdog_s = self._session.watchdog_s
-        if watchdog_s is None or 0.0 < watchdog_s <= WATCHDOG_S:
-            return BaseTimeout(TimeoutState.PUBLISHED, watchdog_s or WATCHDOG_S)
+        if watchdog_s is None:  # old controllers send no configuration
+            return BaseTimeout(TimeoutState.UNKNOWN, WATCHDOG_S)
+        if 0.0 < watchdog_s <= WATCHDOG_S:
+            return BaseTimeout(TimeoutState.PUBLISHED, watchdog_s)
         words = f"the base's watchdog is {watchdog_s:g} s; set WatchDog in its FLASH to 1 to 2000 ms"
         return BaseTimeout(TimeoutState.UNKNOWN, None, words)
-
-    def measure_base_timeout(self, now: float) -> str:
-        return self.base_timeout.refusal or "the base reports its timeout"
 
     def close(self, now: float) -> None:
         self._session.close(now)

@@ -12,7 +12,7 @@ Rules of this file:
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 from bridge.base import (
@@ -30,7 +30,7 @@ from bridge.base import (
 )
 from bridge.inbox import RobotMessage
 from bridge.ros2.announced import AnnouncedTopics
-from bridge.ros2.base_timeout import HALTED, TimeoutMeasurement, TimeoutRecord
+from bridge.ros2.base_timeout import TimeoutRecord
 from bridge.ros2.discovery import Announced
 from bridge.ros2.gyro import GyroTurns
 from bridge.ros2.hazards import Hazards
@@ -55,7 +55,6 @@ from rover_ncp.wire.messages import (
     read_battery,
     read_docked,
 )
-from rover_ncp.wire.protocol import TimeoutState
 
 REFRESH_S = 0.05
 """Bases stop without commands after 0.25 s at the earliest (Husky under ROS 1)."""
@@ -80,7 +79,6 @@ _LOOP = (
     "the robot's Zenoh network is connected to the drivers': commands could reach the robot past the bridge; "
     "connect the ROS bridge or rmw_zenohd to one of the two"
 )
-_MEASURING = "rover-ncp check measures when the robot halts without commands; ask again in 7 s"
 _DRIVEN = "the robot drives although the bridge sends zeros: another node or a person drives it"
 
 
@@ -155,8 +153,8 @@ class Ros2Base:
         self._turns = GyroTurns()
         self._room = ScanRoom(description) if self._topics.scan is not None else None
         self._timeout = TimeoutRecord(description.measured_base_timeout_s, unsafe)
-        self._speed = 0.0
-        self._measurement: TimeoutMeasurement | None = None
+        self.silent = False
+        """Whether the robot gets nothing while its timeout is measured; the end of the lease ends it."""
 
     def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:
         events, changes = list[BaseEvent](), list[BaseEvent]()
@@ -189,22 +187,20 @@ class Ros2Base:
         velocity = setpoint.velocity if setpoint.motors and self._ready else STANDSTILL
         same_lease, self._lease = setpoint.lease == self._lease, setpoint.lease
         ends = setpoint.emergency or not (setpoint.motors and setpoint.lease and same_lease and self._ready)
-        if ends and self._measurement is not None:  # zeros halt the robot, not its own timeout
-            self._measurement, self._timeout = None, replace(self._timeout, interrupted=True)
-        measurement = self._measurement
-        if measurement is not None:
-            measurement.update(self._speed, now)
-            if measurement.silent:
-                self._driven_s = now
-                return events
+        self.silent &= not ends
+        if self.silent:
+            self._driven_s = now
+            return events
         if velocity != self._out or not self._sent or now - self._sent[-1][0] >= REFRESH_S:
             self._send(velocity, now)
         if velocity != STANDSTILL:
             self._driven_s = now
-        if measurement is not None and now >= measurement.counts_s:
-            self._measurement = None
-            self._timeout = self._timeout.after(measurement.timeout_s)
         return events
+
+    @property
+    def last_sent_s(self) -> float:
+        """When the robot was sent its last command."""
+        return self._sent[-1][0] if self._sent else -math.inf
 
     def reset_odometry(self) -> None:
         self._odometer.reset()
@@ -225,18 +221,7 @@ class Ros2Base:
     @property
     def base_timeout(self) -> BaseTimeout:
         known = self._timeout
-        if self._measurement is not None:
-            return BaseTimeout(TimeoutState.RUNNING, None, known.refusal or _MEASURING)
-        return BaseTimeout(known.state, known.timeout_s, known.refusal)
-
-    def measure_base_timeout(self, now: float) -> str:
-        # With a zero already sent, it would measure how the robot obeys and not how it halts by itself.
-        if not self._ready or abs(self._speed) < MOVING_M_S or self._out == STANDSTILL:
-            return "the wheels do not turn by a command"
-        # A mean falls to this share so much later than the speed.
-        late_s = HALTED * self._description.odometry.speed_mean_s
-        self._measurement = TimeoutMeasurement(self._sent[-1][0] + late_s, self._speed)
-        return ""
+        return BaseTimeout(known.state, known.described_s, known.refusal)
 
     def close(self, now: float) -> None:
         try:
@@ -275,7 +260,6 @@ class Ros2Base:
 
     def _report(self, moved: Moved, now: float) -> list[BaseEvent]:
         v, omega = moved.velocity
-        self._speed = v
         drives = abs(v) > MOVING_M_S or abs(omega) > MOVING_RAD_S
         if not drives or now - self._driven_s < COAST_S or not self._was_ready:
             self._alone_since_s = None

@@ -1,104 +1,125 @@
-"""The base timeout of a ROS 2 robot: what is known of it, and its measurement. Pure."""
+"""The base timeout of a ROS 2 robot: what its description says of it, and its measurement. Pure."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from enum import Enum, auto
 
-from rover_ncp.robot.description import MAX_BASE_TIMEOUT_S
+from bridge.base import BaseReport
+from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.wire.protocol import TimeoutState
 
+SPEED_M_S, DRIVE_S = 0.1, 1.5
+"""How fast and how long the robot drives before the silence."""
 MAX_SILENT_S = 5.0
-"""A base that has not halted after this time without commands has no timeout."""
-HALTED = 0.5
-"""A base has halted when its speed is below this share of what it was."""
-STOP_DELAY_S = 1.5
-"""A halt counts after this time: the stop that caused it may be reported late, as by a Husky A200 (1 Hz)."""
-_UNSAFE = "give the bridge --no-base-watchdog"
+"""Longest silence: a base that has not halted by then has no timeout."""
+STILL_S = 1.5
+"""A base that has moved less than `STILL_M` and `STILL_RAD` for so long has halted.
+
+It is also the time in which the stop button that halted it is reported, as by a Husky A200 (1 Hz).
+"""
+STILL_M, STILL_RAD = 0.01, 0.02
+STILL_SHARE = 0.2
+"""Largest reported speed of a base that has halted, as a share of the command: its pose may be frozen."""
+MIN_REPORTS = 5
+"""Fewest reports from which a halt is concluded."""
 
 
 @dataclass(frozen=True)
 class TimeoutRecord:
-    """The time after which a robot halts without commands, by its description or a measurement.
+    """Time in s after which a robot halts without commands, by its description; None = not measured.
 
-    Only the description's ``described_s`` shows that every driver may drive. ``unsafe`` is whether every
-    driver may all the same (--no-base-watchdog).
+    ``unsafe`` is whether every driver may drive all the same (--no-base-watchdog).
     """
 
     described_s: float | None = None
     unsafe: bool = False
-    measured: bool = False
-    measured_s: float | None = None
-    """Measured since the bridge's start, in s; None = the robot did not halt."""
-    interrupted: bool = False
-    """Whether the last measurement was ended before its result."""
-
-    def after(self, measured_s: float | None) -> "TimeoutRecord":
-        """Return what is known after a measurement; None = it did not halt."""
-        return replace(self, measured=True, measured_s=measured_s, interrupted=False)
-
-    @property
-    def timeout_s(self) -> float | None:
-        """The newest value in s; None = not known, or it does not halt."""
-        return self.measured_s if self.measured else self.described_s
 
     @property
     def state(self) -> TimeoutState:
-        """The result of the last measurement, or the description's."""
-        return TimeoutState.UNKNOWN if self.interrupted else self._newest
+        """How the time is known."""
+        return TimeoutState.UNKNOWN if self.described_s is None else TimeoutState.MEASURED
 
     @property
     def refusal(self) -> str:
-        """Why no driver but the check may drive; "" if every driver may."""
-        if self.unsafe or (self.described_s is not None and self._newest is TimeoutState.MEASURED):
+        """Why no driver may drive; "" if every driver may."""
+        if self.unsafe or self.described_s is not None:
             return ""
-        return "the robot {}; {}".format(*self._words)
+        return (
+            "it is not known whether the robot halts by itself when its commands stop; measure it with "
+            "'rover-ncp bridge --measure-timeout', or give the bridge --no-base-watchdog"
+        )
 
     @property
     def note(self) -> str:
         """Text for the log at each start."""
-        return f"if this bridge dies: {self.refusal or f'the robot {self._words[0]}'}"
+        if self.described_s is not None:
+            words = f"the robot halts {self.described_s:g} s after its last command (measured)"
+        else:
+            words = self.refusal or "it is not known whether the robot halts by itself"
+        return f"if this bridge dies: {words}"
 
-    @property
-    def _newest(self) -> TimeoutState:
-        if self.timeout_s is not None and self.timeout_s <= MAX_BASE_TIMEOUT_S:
-            return TimeoutState.MEASURED
-        return TimeoutState.NONE if self.measured else TimeoutState.UNKNOWN
 
-    @property
-    def _words(self) -> tuple[str, str]:
-        """What is known, and what to do before every driver may drive."""
-        match self._newest:
-            case TimeoutState.NONE:
-                return "does not halt by itself when its commands stop", f"to drive it, {_UNSAFE}"
-            case TimeoutState.UNKNOWN:
-                return (
-                    "is not known to halt by itself when its commands stop",
-                    f"put it on blocks and run 'rover-ncp check', or {_UNSAFE}",
-                )
-            case _:
-                known = f"halts {self.timeout_s:.1f} s after its last command (measured)"
-                line = "the line that 'rover-ncp check' printed"
-                return known, f"add {line} to its description and start the bridge anew"
+class Phase(Enum):
+    """Where a measurement is."""
+
+    DRIVE = auto()
+    """The robot gets commands to drive forward."""
+    SILENT = auto()
+    """The robot gets nothing."""
+    HALTED = auto()
+    """The robot halted ``timeout_s`` after its last command."""
+    DRIVES_ON = auto()
+    """The robot did not halt within `MAX_SILENT_S`."""
+    NO_MOTION = auto()
+    """The robot did not follow its commands, so nothing was measured."""
 
 
 class TimeoutMeasurement:
-    """The time from a robot's last command to its halt, while it gets none.
+    """Drives a robot forward, sends nothing, and measures when it is still, by its odometry.
 
-    The result counts from ``counts_s`` on. A stop or a loss of the base until then may have halted the robot;
-    the caller then discards the measurement.
+    The caller ends the measurement if the gate ends the lease: then zeros or a hazard halted the robot.
     """
 
-    def __init__(self, began_s: float, speed: float) -> None:
-        self._began_s, self._speed = began_s, abs(speed)
-        self.silent = True
-        """Whether the robot must get no command."""
-        self.timeout_s: float | None = None
-        """None = it did not halt."""
-        self.counts_s = math.inf
+    def __init__(self, began_s: float, speed_m_s: float = SPEED_M_S, speed_mean_s: float = 0.0) -> None:
+        """``speed_mean_s`` is the time over which the robot averages the speeds that it reports."""
+        self.phase = Phase.DRIVE
+        self.timeout_s = math.nan
+        """At most the time to drive `STILL_M` too long, never too short."""
+        self._speed = speed_m_s
+        self._began_s, self._mean_s = began_s, speed_mean_s
+        self._anchor: BaseReport | None = None
+        self._still_since_s, self._reports = began_s, 0
 
-    def update(self, speed: float, now: float) -> None:
-        """Take the robot's speed in m/s."""
-        silent_s = now - self._began_s
-        if self.silent and abs(speed) < HALTED * self._speed:
-            self.silent, self.timeout_s, self.counts_s = False, silent_s, now + STOP_DELAY_S
-        elif self.silent and silent_s >= MAX_SILENT_S:
-            self.silent, self.counts_s = False, now
+    @property
+    def command(self) -> Velocity:
+        """What the robot is commanded; in a silence nothing is sent."""
+        return Velocity(self._speed, 0.0) if self.phase in {Phase.DRIVE, Phase.SILENT} else STANDSTILL
+
+    def tick(self, now: float, last_sent_s: float) -> None:
+        """Let time pass. ``last_sent_s`` is when the robot was sent its last command."""
+        if self.phase is Phase.DRIVE and now - self._began_s >= DRIVE_S:
+            moves = self._anchor is not None and now - self._still_since_s < DRIVE_S / 2
+            self.phase = Phase.SILENT if moves else Phase.NO_MOTION
+            self._began_s = last_sent_s
+        elif self.phase is Phase.SILENT and now - self._began_s >= MAX_SILENT_S + self._mean_s:
+            self.phase = Phase.DRIVES_ON
+
+    def take(self, report: BaseReport, now: float) -> None:
+        """Take a report that arrived ``now``."""
+        anchor = self._anchor
+        still = anchor is not None and (
+            math.hypot(report.x - anchor.x, report.y - anchor.y) < STILL_M
+            and abs(report.theta - anchor.theta) < STILL_RAD
+        )
+        if not still:
+            self._anchor, self._still_since_s, self._reports = report, now - report.age_s, 0
+        self._reports += 1
+        halted = (
+            abs(report.v) < STILL_SHARE * self._speed
+            and now - self._still_since_s >= STILL_S
+            and self._reports >= MIN_REPORTS
+        )
+        if self.phase is Phase.SILENT and halted:
+            self.phase = Phase.HALTED
+            moved_s = STILL_M / self._speed
+            self.timeout_s = max(self._still_since_s - self._began_s, 0.0) + moved_s

@@ -142,11 +142,8 @@ class Link(ABC):
         """Return whether the bridge takes commands from this driver."""
 
     @abstractmethod
-    def request_motors(self, name: str, unchecked: bool = False) -> MotorsReply:
-        """Request the motors and with them the lease. Raises UnreachableError or SafetyStop.
-
-        ``unchecked`` also requests a robot that is not known to halt when the bridge dies.
-        """
+    def request_motors(self, name: str) -> MotorsReply:
+        """Request the motors and with them the lease. Raises UnreachableError or SafetyStop."""
 
     def bridges(self) -> list[str]:
         """Return the namespaces in which a bridge is announced."""

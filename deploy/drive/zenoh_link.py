@@ -76,7 +76,7 @@ class ZenohLink(Link, ZenohClient):
         """Whether a subscriber takes our commands: a bridge without permission for us has none."""
         return matches(self._publishers["cmd_vel"])
 
-    def request_motors(self, name: str, unchecked: bool = False) -> MotorsReply:
+    def request_motors(self, name: str) -> MotorsReply:
         """Request the motors and with them the lease, or renew the current lease.
 
         After a slow answer it sends a signed renewal. If the answer was lost, the gate refuses every driver
@@ -89,7 +89,7 @@ class ZenohLink(Link, ZenohClient):
             self._token = self._session.liveliness().declare_token(self.key("rover/alive/driver"))
         for _ in range(REQUEST_TRIES):
             sent_s = time.monotonic()
-            request = MotorsRequest(enable=True, unchecked=unchecked, name=name)
+            request = MotorsRequest(enable=True, name=name)
             reply = self._motors(request, QUERY_TIMEOUT_S)
             round_trip_s = time.monotonic() - sent_s
             if reply is not None and reply.granted:
@@ -146,10 +146,12 @@ class ZenohLink(Link, ZenohClient):
         timeout_s: float,
         target: zenoh.QueryTarget = zenoh.QueryTarget.BEST_MATCHING,
     ) -> Iterable[zenoh.Reply]:
-        """Send a query, signed if there is a lease."""
+        """Send a query; a request for the motors is signed if there is a lease."""
         where, now_ns, tag = self.key(name), time.monotonic_ns(), None
-        payload = dump_json(request.model_copy(update={"sent_ns": now_ns}))
-        if self.lease.number:
+        if isinstance(request, MotorsRequest):
+            request = request.model_copy(update={"sent_ns": now_ns})
+        payload = dump_json(request)
+        if self.lease.number and isinstance(request, MotorsRequest):
             tag = self.lease.sign(Signed.MOTORS, where, payload, now_ns).pack()
         return self._session.get(
             where,
@@ -167,12 +169,9 @@ class ZenohLink(Link, ZenohClient):
         found = {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
         return sorted(name.removesuffix(token).strip("/") for name in found)
 
-    def about_base(self, measure: bool = False) -> BaseReply | None:
-        """Return what the bridge knows of its base; ``measure`` begins the measurement of its own timeout.
-
-        None if the bridge does not answer.
-        """
-        replies = self._query("rover/base", BaseRequest(measure=measure), QUERY_TIMEOUT_S)
+    def about_base(self) -> BaseReply | None:
+        """Return what the bridge knows of its base; None if the bridge does not answer."""
+        replies = self._query("rover/base", BaseRequest(), QUERY_TIMEOUT_S)
         with contextlib.suppress(FormatError, NoBridge):
             answer = self.bridge_answer(replies)
             if answer is not None:

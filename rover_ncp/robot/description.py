@@ -286,7 +286,7 @@ class RobotDescription(StrictModel):
     topics: Topics | None = None
     """None for a robot without ROS 2."""
     measured_base_timeout_s: float | None = Field(default=None, gt=0, le=MAX_BASE_TIMEOUT_S)
-    """Base timeout of this very robot: `rover-ncp check` measures and prints it."""
+    """Base timeout of this very robot: `rover-ncp bridge --measure-timeout` prints it."""
     sonars: Sonars | None = None
     """None for a robot without them."""
     scan: Scan | None = None

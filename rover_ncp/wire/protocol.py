@@ -135,13 +135,11 @@ class _Version(BaseModel):
 class MotorsRequest(StrictModel):
     """Request or renewal of the lease, or its release; ``sent_ns`` is the driver's monotonic clock.
 
-    A renewal and a release carry a `CommandTag`; a first request does not. ``unchecked`` also accepts a robot
-    that is not known to halt when the bridge dies, as `check` does to measure it.
+    A renewal and a release carry a `CommandTag`; a first request does not.
     """
 
     version: int = PROTOCOL
     enable: bool
-    unchecked: bool = False
     name: ShortText = ""
     sent_ns: Nanoseconds = 0
 
@@ -214,31 +212,24 @@ class ResetReply(StrictModel):
 
 
 class BaseRequest(StrictModel):
-    """Query for the base's model and timeout. ``measure`` begins the measurement of its timeout.
-
-    The measurement needs the lease, a signature as that of a renewal, and wheels that turn.
-    """
-
-    measure: bool = False
-    sent_ns: Nanoseconds = 0
+    """Query for the base's model, its timeout and what it reports."""
 
 
 class TimeoutState(StrEnum):
-    """Knowledge of the base's timeout, after which it halts without commands."""
+    """How the base's timeout is known, after which it halts without commands."""
 
     PUBLISHED = "published"
-    """The base's configuration or manual gives it, and nothing has to be measured."""
-    UNKNOWN = "unknown"
-    RUNNING = "running"
+    """The base's configuration gives it."""
     MEASURED = "measured"
-    NONE = "none"
-    """It was measured, and the base did not halt."""
+    """It was measured on this very robot, and its description has it."""
+    UNKNOWN = "unknown"
+    """Nothing confirms it."""
 
 
 class BaseReply(StrictModel):
     """The base's model, the lowest voltage of its battery, and its timeout in s; None = not known.
 
-    ``reason`` is why a measurement was refused, "" if it was not. ``silent`` names what should report hazards
+    A timeout of the state ``unknown`` is the factory setting. ``silent`` names what should report hazards
     and has not reported anything. ``unheard`` are other inputs of the description that have sent nothing,
     each with what was found instead. ``problem`` is why the base is lost, "" if it is not. ``version`` and
     ``zenoh`` are those of the bridge, ``wall_ns`` is its wall clock when the query arrived. ``room_m`` is the
@@ -249,7 +240,6 @@ class BaseReply(StrictModel):
     battery_min_v: float | None = None
     state: TimeoutState
     timeout_s: float | None = None
-    reason: str = ""
     silent: tuple[str, ...] = ()
     unheard: tuple[str, ...] = ()
     problem: str = ""

@@ -189,13 +189,10 @@ class VirtualLink(Link):
         """Return True: the simulation authorises every driver."""
         return True
 
-    def request_motors(self, name: str, unchecked: bool = False) -> MotorsReply:
-        """Request the lease. Raises SafetyStop if it is refused.
-
-        ``unchecked`` also requests a robot that is not known to halt when the bridge dies.
-        """
+    def request_motors(self, name: str) -> MotorsReply:
+        """Request the lease. Raises SafetyStop if it is refused."""
         self._requested = True
-        reply = self._motors(MotorsRequest(enable=True, unchecked=unchecked, name=name))
+        reply = self._motors(MotorsRequest(enable=True, name=name))
         if not reply.granted:
             raise SafetyStop(reply.reason or "gate", reply.detail)
         self.lease.grant(reply)

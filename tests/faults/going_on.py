@@ -124,9 +124,5 @@ CLOCK_ROWS = (
     ),
     *_clock_rows("localiser", "a localiser's", "deploy ends"),
 )
-ROS2_ROWS = (
-    *map(_robot_clock, CLOCK_STEPS_S.values()),
-    Row("check-interrupted", "check", "Ctrl-C while the robot's own timeout is measured"),
-    Row("check-killed", "check", "killed (SIGKILL) while the robot's own timeout is measured"),
-)
+ROS2_ROWS = tuple(map(_robot_clock, CLOCK_STEPS_S.values()))
 """Rows that only a ROS 2 robot has."""

@@ -63,7 +63,7 @@ class Row(NamedTuple):
         if self.key == "low-battery":
             # The bridge gets a ROS 2 robot's voltage with the next report of its battery.
             return STOP_S + LOW_BATTERY_S + (BATTERY_S if robot.topics else 0.0)
-        return LEASE_S if self.key == "check-killed" else STOP_S
+        return STOP_S
 
 
 def braking_s(robot: RobotDescription, v: float, omega: float = 0.0) -> float:

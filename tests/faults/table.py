@@ -10,7 +10,7 @@ under test. After the measurement the fault is removed, and the rover must not m
 import math
 import time
 from collections.abc import Callable
-from signal import SIGCONT, SIGINT, SIGKILL, SIGSTOP, SIGUSR1
+from signal import SIGCONT, SIGKILL, SIGSTOP, SIGUSR1
 from typing import Any
 
 from faults.going_on import CLOCK_ROWS, OWN_ROWS, ROS2_ROWS, SILENT_CLOSE_ROW, silence, start_bridge
@@ -333,7 +333,6 @@ _ROWS_OF_A_PIONEER_ALONE = {
         for step_s in CLOCK_STEPS_S.values()
     },
 }
-CHECKS = {"check-interrupted": SIGINT, "check-killed": SIGKILL}
 # Rows without an act have tests of their own.
 ROS2_KEYS = [
     row.key

@@ -45,11 +45,9 @@ class DriverClient:
         stamp_ns = self.bridge.now_ns - round(age_s * 1e9)
         return self.lease.sign(kind, self.prefix + name, payload, stamp_ns).pack()
 
-    def motors(self, enable=True, unchecked=False):
+    def motors(self, enable=True):
         """Request, renew or release the lease."""
-        request = MotorsRequest(
-            enable=enable, name=self.name, unchecked=unchecked, sent_ns=self.bridge.now_ns
-        )
+        request = MotorsRequest(enable=enable, name=self.name, sent_ns=self.bridge.now_ns)
         payload = dump_json(request)
         tag = self.tag(Signed.MOTORS, "rover/motors", payload) if self.lease.number else None
         reply = parse_json(MotorsReply, self.bridge.query("rover/motors", payload, tag))

@@ -148,14 +148,12 @@ class ChangedLink(VirtualLink):
             self.harm()
         return tag.sequence
 
-    def request_motors(self, name, unchecked=False):
+    def request_motors(self, name):
         self.requests += 1
-        return super().request_motors(name, unchecked)
+        return super().request_motors(name)
 
-    def about_base(self, measure=False):
-        payload = dump_json(BaseRequest(measure=measure, sent_ns=self.bridge.now_ns))
-        tag = self.lease.sign(Signed.MOTORS, "rover/base", payload, self.bridge.now_ns)
-        return parse_json(BaseReply, self.bridge.query("rover/base", payload, tag.pack()))
+    def about_base(self):
+        return parse_json(BaseReply, self.bridge.query("rover/base", dump_json(BaseRequest())))
 
     def release(self):
         self.released_ns = self.bridge.now_ns

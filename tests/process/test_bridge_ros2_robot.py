@@ -4,7 +4,6 @@ The robot is the mock, or a network of plain Zenoh.
 """
 
 import os
-import re
 import struct
 import threading
 import time
@@ -189,26 +188,22 @@ def test_nothing_at_the_robots_address_is_one_line_for_a_user_without_a_home_too
 
 
 @pytest.mark.long
-def test_an_unchecked_robot_is_driven_by_the_check_alone_until_its_description_has_the_timeout(tmp_path):
+def test_nobody_drives_a_robot_until_its_description_has_the_measured_timeout(tmp_path):
     bridge = ["--model", "husky-a200"]
     mock = ["--ros2", "--model", "husky-a200"]
     with LiveRun(tmp_path / "run", mock=mock, bridge=bridge, base_form=ROS2DDS) as rig:
         with Driver(rig.robot) as driver:
             reply = driver.motors()
             assert (reply.granted, reply.reason) == (False, "unchecked")
-            assert "rover-ncp check" in reply.detail
-        about = ["--robot", rig.robot, "--on-blocks", "--model", "husky-a200"]
-        with Process("check", about, tmp_path) as check:
-            done = check.wait(60.0)
-        findings = {finding["name"]: finding for finding in done.result["findings"]}
-        assert done.code == 0, findings
+            assert "--measure-timeout" in reply.detail
+        rig.end_process(rig.bridge)
+        with Process("bridge", ["--base", rig.base, *bridge, "--measure-timeout"], tmp_path) as measuring:
+            done = measuring.wait(60.0)
+        assert done.code == 0, done
         # The mock halts 0.5 s after its last command, as its description has it.
-        line = re.search(r"measured_base_timeout_s: 0\.[4-9]\d* # .*$", findings["bridge"]["detail"])
-        assert line
-        with Driver(rig.robot) as driver:
-            assert "add the line" in driver.motors().detail
+        assert 0.45 <= done.result["timeout_s"] <= 0.9
     mine = tmp_path / "mine.yaml"
-    mine.write_text(f"name: mine\nbased_on: husky-a200\n{line[0]}\n")
+    mine.write_text(f"name: mine\nbased_on: husky-a200\n{done.result['line']}\n")
     with (
         LiveRun(tmp_path / "mine", mock=mock, bridge=["--model", str(mine)], base_form=ROS2DDS) as rig,
         Driver(rig.robot) as driver,

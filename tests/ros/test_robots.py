@@ -124,13 +124,11 @@ def test_two_robots_that_publish_one_odometry_stop_the_rover(tmp_path):
 @pytest.mark.parametrize(
     ("hazards", "code", "name", "words"),
     [
-        ("null", 0, "bridge", "measured_base_timeout_s: 0."),
+        ("null", 0, "watchdog", "not known whether the base halts"),
         ("hazard_detection", 1, "stop", "no message has come on hazard_detection"),  # it does not send them
     ],
 )
-def test_check_measures_the_timeout_of_a_robot_whose_hazards_are_not_silent(
-    hazards, code, name, words, tmp_path
-):
+def test_check_of_a_robot_fails_if_its_hazards_are_silent(hazards, code, name, words, tmp_path):
     model = tmp_path / "mine.yaml"
     model.write_text(f"name: mine\nbased_on: turtlebot4\ntopics: {{hazards: {hazards}}}\n")
     with RosRun(tmp_path, model=str(model), robot=["--rate", "40"]) as run:

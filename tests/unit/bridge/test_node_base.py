@@ -9,18 +9,11 @@ from bridge.base import BaseReport, BaseTimeout, Failed, LinkHealth, Lost, Ready
 from bridge.gate.limits import Fence, Limits
 from bridge.inbox import CommandMessage, Query
 from bridge.node import Node
-from deploy.drive.signed_lease import DriverLease
 from rover_ncp.core.errors import NoRobot
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.protocol import (
-    BaseReply,
-    BaseRequest,
-    MotorsReply,
-    Signed,
     TimeoutState,
-    dump_json,
-    parse_json,
 )
 
 STOP = Setpoint(Velocity(0.0, 0.0), motors=False, emergency=False)
@@ -58,9 +51,6 @@ class FailingBase:
     @property
     def base_timeout(self):
         return self._call("base_timeout", self.timeout)
-
-    def measure_base_timeout(self, now):
-        return self._call("measure_base_timeout", "it is published")
 
     def close(self, now):
         self._call("close")
@@ -222,7 +212,7 @@ def test_base_that_cannot_be_reached_later_does_not_end_the_bridge(driving):
     assert driving.node.gate.held is None
 
 
-@pytest.mark.parametrize("fails", ["health", "base_timeout", "reset_odometry", "measure_base_timeout"])
+@pytest.mark.parametrize("fails", ["health", "base_timeout", "reset_odometry"])
 def test_exception_of_another_call_of_the_base_ends_nothing(fails):
     loop = Loop(accept_ros=True, turns=3)
     loop.base.fails[fails] = OSError("gone")
@@ -255,24 +245,14 @@ def test_end_of_a_lease_by_a_base_that_is_ready_again_has_its_own_reason(driving
     assert driving.node.gate.lease_over_detail == "the base is not connected: its odometry restarted"
 
 
-@pytest.mark.parametrize("name", ["x", "check", "unchecked", ""])
-def test_unchecked_robot_is_granted_to_a_request_that_says_so_whatever_its_name(name):
+@pytest.mark.parametrize("name", ["x", "check", "bridge --measure-timeout"])
+def test_nobody_gets_the_motors_of_a_robot_that_is_not_known_to_halt(name):
     loop = Loop()
     loop.base.timeout = BaseTimeout(TimeoutState.UNKNOWN, None, "it is not known to halt")
     loop.driver.name = name
     loop.turn(3)
     reply = loop.driver.motors()
     assert (reply.granted, reply.reason, reply.detail) == (False, "unchecked", "it is not known to halt")
-    assert loop.driver.motors(unchecked=True).granted
-
-
-def test_holder_of_the_lease_alone_may_measure_the_timeout(driving):
-    request = dump_json(BaseRequest(measure=True, sent_ns=driving.now_ns))
-    other = DriverLease()
-    other.grant(MotorsReply(granted=True, lease=1, key="00" * 32))
-    for tag in (None, other.sign(Signed.MOTORS, "rover/base", request, driving.now_ns).pack()):
-        reply = parse_json(BaseReply, driving.query("rover/base", request, tag))
-        assert "lease" in reply.reason
-        assert "measure_base_timeout" not in driving.base.calls
-    tag = driving.driver.tag(Signed.MOTORS, "rover/base", request)
-    assert parse_json(BaseReply, driving.query("rover/base", request, tag)).reason == "it is published"
+    request = b'{"version": 2, "enable": true, "unchecked": true, "name": "x"}'
+    assert '"granted":true' not in loop.query("rover/motors", request)
+    assert loop.node.gate.lease is None

@@ -1,134 +1,160 @@
 """What a ROS 2 robot does without commands: the measurement, and what lifts the refusal to serve it."""
 
+from dataclasses import replace
+
 import pytest
-from kit.driver_client import DriverClient
-from kit.ros2_world import BURGER, World, twist
-from kit.virtual_bench import VirtualRig
+from kit.ros2_world import BURGER
 
-from bridge.base import Lost
-from bridge.ros2.base_timeout import TimeoutRecord
-from rover_ncp.core.errors import ConfigError
+from bridge.base import BaseReport
+from bridge.measure_timeout import measure, words_for
+from bridge.ros2.base_timeout import Phase, TimeoutMeasurement, TimeoutRecord
+from rover_ncp.core.errors import ConfigError, SafetyStop
 from rover_ncp.core.files import shipped_names
-from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import load_description
-from rover_ncp.wire.protocol import BaseReply, BaseRequest, Signed, dump_json, parse_json
-
-CHECKED = BURGER.model_copy(update={"measured_base_timeout_s": 0.6})
-
-
-def begin(world, seconds=0.0):
-    """Begin the measurement of a robot that drives 0.1 m/s, and let it turn its wheels for so long."""
-    world.setpoint_v = 0.1
-    world.run(0.5)
-    assert world.base.measure_base_timeout(world.now) == ""
-    world.setpoint_v = 0.0
-    world.run(seconds, rate_hz=100.0, v=0.1)
+from sim.base.ros2_robot import Ros2Robot
+from sim.stack.lines import WALL_NS, Ros2Connection
+from sim.world.described import described_rover
+from sim.world.pymunk_rover import Ground, PymunkRover
 
 
-def halts(world, after_s):
-    """Let a robot that drives 0.1 m/s halt so long after its last command."""
-    begin(world)
-    sent, began_s = len(world.line.sent), world.now
-    while world.base.base_timeout.state == "running":
-        turns = world.now - began_s < after_s
-        world.run(0.01, rate_hz=100.0, v=0.1 if turns else 0.0)
-        if turns and world.base.base_timeout.state == "running":
-            assert len(world.line.sent) == sent
-        assert world.now - began_s < 8.0
-    return world.base.base_timeout
+def measured(speed_after, *, rate_hz=20.0, moves=None):
+    """Measure a robot that drives 0.1 m/s, then ``speed_after(seconds of silence)``, by perfect odometry.
+
+    ``moves`` is the true speed where odometry reports another one.
+    """
+    found, now, sent_s, x = TimeoutMeasurement(0.0), 0.0, 0.0, 0.0
+    while found.phase in {Phase.DRIVE, Phase.SILENT}:
+        now += 1.0 / rate_hz
+        silent = found.phase is Phase.SILENT
+        v = speed_after(now - sent_s) if silent else 0.1
+        x += (v if moves is None or not silent else moves(now - sent_s)) / rate_hz
+        sent_s = sent_s if silent else now
+        found.take(BaseReport(x=x, v=v), now)
+        found.tick(now, sent_s)
+        assert now < 10.0
+    return found
 
 
-@pytest.fixture
-def checked():
-    world = World(CHECKED)
-    world.run(2.0)
-    return world
+@pytest.mark.parametrize("timeout_s", [0.25, 0.6, 2.0])
+@pytest.mark.parametrize("rate_hz", [10.0, 62.0])
+def test_a_measured_timeout_is_never_too_short(timeout_s, rate_hz):
+    found = measured(lambda silent_s: 0.1 if silent_s < timeout_s else 0.0, rate_hz=rate_hz)
+    assert found.phase is Phase.HALTED
+    assert timeout_s <= found.timeout_s + 1.0 / rate_hz
+    assert found.timeout_s <= timeout_s + 0.25
 
 
-def test_base_timeout_is_measured_while_nothing_is_sent_and_only_the_description_lifts_the_refusal(ready):
-    assert ready.base.base_timeout.state == "unknown"
-    assert "rover-ncp check" in ready.base.base_timeout.refusal
-    known = halts(ready, 0.6)
-    assert known.state == "measured"
-    assert known.timeout_s == pytest.approx(0.65, abs=0.08)  # counted from the last command before
-    ready.run(0.2)
-    assert ready.sent_v()[-1] == 0.0
-    assert "add the line that 'rover-ncp check' printed" in known.refusal
-    assert World(CHECKED).base.base_timeout == ("measured", 0.6, "")
+@pytest.mark.parametrize(
+    ("reported", "moves"),
+    [
+        (lambda s: 0.045, None),
+        (lambda s: 0.0 if 0.5 < s < 0.56 else 0.1, None),
+        (lambda s: 0.0, lambda s: 0.1),
+        (lambda s: 0.1, lambda s: 0.0),
+        (lambda s: 0.1 if s % 1.2 < 0.6 else 0.0, None),
+    ],
+    ids=["slows to 45 %", "one low report", "moves while it reports 0", "frozen pose", "stops and starts"],
+)
+def test_a_robot_that_is_not_still_has_no_timeout(reported, moves):
+    assert measured(reported, moves=moves).phase is Phase.DRIVES_ON
 
 
-def test_no_driver_drives_a_checked_robot_while_it_is_measured_again(checked):
-    begin(checked)
-    assert checked.base.base_timeout.refusal != ""  # the base would send it neither commands nor zeros
-    assert halts(checked, 0.6).refusal == ""
+def test_wheels_that_do_not_turn_measure_nothing():
+    found = TimeoutMeasurement(0.0)
+    for k in range(200):
+        found.take(BaseReport(), 0.02 * k)
+        found.tick(0.02 * k, 0.02 * k)
+    assert found.phase is Phase.NO_MOTION
 
 
-def interrupt(world):
-    begin(world)
-    world.lease = 0
-    world.run(0.1)
-    world.lease = 1
+class Robot:
+    """A simulated robot behind a base on a virtual clock, which nothing but the measurement drives."""
+
+    def __init__(self, timeout_s, speed_mean_s=0.0):
+        topics = BURGER.topics.model_copy(update={"cmd_vel_timeout_s": timeout_s})
+        robot = BURGER.model_copy(update={"topics": topics})
+        self.robot = Ros2Robot(robot, PymunkRover(described_rover(robot), Ground(())))
+        self.line = Ros2Connection(self.robot, None)
+        self.now_s, self.act = 0.0, lambda: None
+
+    def monotonic(self):
+        return self.now_s
+
+    def monotonic_ns(self):
+        return round(self.now_s * 1e9)
+
+    def time_ns(self):
+        return WALL_NS + self.monotonic_ns()
+
+    def take(self, timeout_s):
+        self.now_s += max(min(timeout_s, self.line.due_s - self.now_s), 1e-6)
+        self.line.advance(self.now_s)
+        self.act()
+        arrived = [(self.now_s, arrival) for arrival in self.line.arrivals]
+        self.line.arrivals.clear()
+        return arrived
+
+    @property
+    def speed(self):
+        return self.robot.drive.measured.v
+
+    def measure(self, stopping=lambda: False):
+        base, limits = self.line.base, self.line.limits
+        return measure(base, self, limits, stopping, clock=self, total_suspended_s=lambda: 0.0)
+
+    def stands_soon(self):
+        """Let the line time pass without the bridge; return whether the robot stands then."""
+        for _ in range(100):
+            self.take(0.01)
+        return abs(self.speed) < 0.01
 
 
-def test_an_interrupted_measurement_of_a_checked_robot_has_no_result_and_it_may_drive_on(checked):
-    interrupt(checked)
-    assert checked.base.base_timeout[::2] == ("unknown", "")
-    assert halts(checked, 0.4).state == "measured"
+@pytest.mark.parametrize("timeout_s", [0.5, 1.5])
+def test_a_robot_is_measured_through_the_gate_and_gets_the_line(timeout_s):
+    robot = Robot(timeout_s)
+    found = robot.measure()
+    assert timeout_s <= found.timeout_s <= timeout_s + 0.4  # braking, and what cannot be resolved
+    assert found.line.startswith(f"measured_base_timeout_s: {found.timeout_s:g} # ")
+    assert found.line in words_for(found)
 
 
-def test_a_described_robot_that_does_not_halt_any_more_has_a_refusal(checked):
-    assert "--no-base-watchdog" in halts(checked, 100.0).refusal
-    interrupt(checked)
-    assert "--no-base-watchdog" in checked.base.base_timeout.refusal
+def test_a_robot_without_a_timeout_gets_no_line_and_stands_afterwards():
+    robot = Robot(None)
+    found = robot.measure()
+    assert (found.timeout_s, found.line) == (None, "")
+    assert "--no-base-watchdog" in words_for(found)
+    assert robot.stands_soon()
 
 
-def test_a_robot_that_does_not_halt_gets_zeros_after_5_s_and_a_refusal(ready):
-    known = halts(ready, 100.0)
-    assert (known.state, known.timeout_s) == ("none", None)
-    assert "--no-base-watchdog" in known.refusal
-    ready.run(0.1)
-    assert ready.sent_v()[-1] == 0.0
+@pytest.mark.parametrize("at_s", [1.0, 2.5])
+def test_an_interrupted_measurement_stops_the_robot(at_s):
+    robot, moving_s = Robot(None), []
+
+    def stopping():
+        moving_s.extend([robot.now_s] if robot.speed > 0.09 else [])
+        return bool(moving_s) and robot.now_s > moving_s[0] + at_s
+
+    with pytest.raises(KeyboardInterrupt):
+        robot.measure(stopping)
+    assert moving_s[-1] == robot.now_s
+    assert robot.stands_soon()
 
 
-@pytest.mark.parametrize("end", [{"emergency": True}, {"motors": False}, {"lease": 0}, {"lease": 2}], ids=str)
-def test_what_ends_a_drive_ends_the_measurement_with_zeros(ready, end):
-    begin(ready, 0.3)
-    silent = len(ready.line.sent)
-    vars(ready).update(end)
-    ready.run(0.2, rate_hz=100.0, v=0.1)
-    assert ready.base.base_timeout.state == "unknown"
-    assert ready.sent_v(silent) == [0.0] * 4
+@pytest.mark.parametrize("silent", [False, True])
+def test_odometry_that_stops_ends_the_measurement_and_the_robot_stands(silent):
+    robot = Robot(None)
+    robot.act = lambda: robot.line.arrivals.clear() if robot.lost else None
+    before = robot.take
 
+    def take(timeout_s):
+        robot.lost |= robot.line.base.silent is silent and robot.speed > 0.09
+        return before(timeout_s)
 
-@pytest.mark.parametrize("late_s", [0.0, 0.05, 1.2])
-def test_a_robot_that_a_stop_halts_is_not_measured(ready, late_s):
-    """The wheels stand when the stop is pressed; the flag comes with that, or later."""
-    begin(ready, 1.2)
-    if late_s:
-        ready.run(late_s, rate_hz=100.0, v=0.0)
-        assert ready.sent_v()[-1] == 0.0  # the silence has ended all the same
-    ready.emergency = True
-    ready.run(0.1, rate_hz=100.0, v=0.0)
-    ready.emergency = False
-    ready.run(3.0)
-    assert ready.base.base_timeout.state == "unknown"
-
-
-def test_a_robot_that_another_publishers_zero_halts_is_not_measured(ready):
-    begin(ready, 0.5)
-    ready.hear("cmd_vel", twist(Velocity(0.0, 0.0)))
-    assert isinstance(ready.last, Lost)
-    ready.run(5.0, v=0.0)
-    assert ready.base.base_timeout.state == "unknown"
-
-
-def test_wheels_that_stand_or_roll_out_after_a_zero_measure_nothing(ready):
-    assert ready.base.measure_base_timeout(ready.now) == "the wheels do not turn by a command"
-    ready.setpoint_v = 0.1
-    ready.run(0.5)
-    ready.setpoint_v = 0.0
-    ready.run(0.02, v=0.1, rate_hz=100.0)
-    assert ready.base.measure_base_timeout(ready.now) == "the wheels do not turn by a command"
+    robot.lost, robot.take = False, take
+    with pytest.raises(SafetyStop, match="not measured: the base is not connected"):
+        robot.measure()
+    robot.take = before
+    assert robot.stands_soon()
 
 
 def test_a_measurement_counts_for_its_own_robot_and_not_when_it_halts_too_late(tmp_path):
@@ -144,55 +170,9 @@ def test_a_measurement_counts_for_its_own_robot_and_not_when_it_halts_too_late(t
     assert {load_description(name).measured_base_timeout_s for name in shipped_names("robots")} == {None}
 
 
-@pytest.mark.parametrize(
-    ("known", "words"),
-    [
-        (TimeoutRecord(), "is not known to halt by itself"),
-        (TimeoutRecord(0.5), "halts 0.5 s after its last command"),
-        (TimeoutRecord().after(None), "does not halt by itself"),
-    ],
-)
-def test_each_start_says_what_is_known(known, words):
-    assert words in known.note
-    assert words in TimeoutRecord(known.described_s, True, known.measured, known.measured_s).note
-
-
-@pytest.fixture
-def driver():
-    """The check at a robot without a timeout behind a bridge on a virtual clock; it has begun to measure."""
-    driver = DriverClient(bridge := VirtualRig(BURGER))
-    bridge.sleep(3.0)
-    assert driver.motors(unchecked=True).granted
-    driver.drive(1.0, 0.1)
-    request = dump_json(BaseRequest(measure=True, sent_ns=bridge.now_ns))
-    reply = bridge.query("rover/base", request, driver.tag(Signed.MOTORS, "rover/base", request))
-    assert parse_json(BaseReply, reply).state == "running"
-    assert speed_after(driver, 0.7) == pytest.approx(0.1, abs=0.01)
-    return driver
-
-
-def speed_after(driver, seconds):
-    driver.bridge.sleep(seconds)
-    return driver.bridge.base.drive.measured.v
-
-
-@pytest.mark.parametrize(
-    ("end", "wait_s"),
-    [
-        (lambda driver: driver.motors(enable=False), 0.3),
-        (lambda driver: driver.stop(), 0.3),
-        (lambda driver: None, 0.3 + 0.3),  # the lease lasts 1 s; braking
-    ],
-    ids=["release", "stop", "the check died"],
-)
-def test_end_of_a_check_halts_a_robot_that_is_measured(driver, end, wait_s):
-    end(driver)
-    assert speed_after(driver, wait_s) == pytest.approx(0.0, abs=0.01)
-
-
-def test_a_check_that_renews_its_lease_measures_to_the_end(driver):
-    for _ in range(20):
-        driver.motors(unchecked=True)
-        assert speed_after(driver, 0.2) == pytest.approx(0.1, abs=0.01)
-    assert speed_after(driver, 0.7) == pytest.approx(0.0, abs=0.01)
-    assert driver.bridge.connection.base.base_timeout.state == "none"
+def test_only_a_measurement_in_the_description_or_the_option_lifts_the_refusal():
+    unknown = TimeoutRecord()
+    assert "--measure-timeout" in unknown.refusal
+    assert (TimeoutRecord(0.5).refusal, TimeoutRecord(None, True).refusal) == ("", "")
+    assert "0.5 s" in TimeoutRecord(0.5).note
+    assert "not known" in replace(unknown, unsafe=True).note

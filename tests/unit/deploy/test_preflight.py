@@ -4,7 +4,6 @@ import math
 import time
 from collections import deque
 from dataclasses import replace
-from datetime import date
 from types import SimpleNamespace
 
 import numpy as np
@@ -68,7 +67,7 @@ def test_a_move_is_tried_once_more_when_the_gate_seemed_to_accept_nothing(monkey
 
     monkeypatch.setattr(Moves, "command", command)
     monkeypatch.setattr(Moves, "until", lambda self, condition, timeout_s: False)
-    link = SimpleNamespace(request_motors=lambda name, unchecked: requested.append(unchecked))
+    link = SimpleNamespace(request_motors=requested.append)
     newest = SimpleNamespace(ref=SimpleNamespace(measured_ns=0), sample=SimpleNamespace(pose=ORIGIN))
     moves = Moves(link, SimpleNamespace(newest=newest), None, time, name="check")
     if len(stops) == tries or stops == ["bumper"]:
@@ -101,27 +100,18 @@ def test_voltage_of_zero_is_not_known_as_to_the_gate(volts, ok, words):
 
 
 @pytest.mark.parametrize(
-    ("states", "ok", "words"),
+    ("state", "timeout_s", "words"),
     [
-        (["running"] * 8 + ["measured"], True, f": measured_base_timeout_s: 0.52 # {date.today()}"),
-        (["running", "unknown"], False, "the timeout was not measured: a stop"),
-        (["running", "none"], False, "if the bridge dies, the base does not"),
+        ("published", 2.0, "halts 2 s after its last command, as it reports itself"),
+        ("measured", 0.52, "halts 0.52 s after its last command, as it was measured"),
+        ("unknown", 2.0, "not known: the base does not report its watchdog; the factory setting is 2 s"),
+        ("unknown", None, "not known whether the base halts if the bridge dies"),
     ],
 )
-def test_the_check_keeps_its_lease_while_it_measures_and_says_what_it_found(monkeypatch, states, ok, words):
-    replies = (BaseReply(model="mine", state=state, timeout_s=0.514) for state in ("unknown", *states))
-    requested = []
-    link = SimpleNamespace(
-        about_base=lambda measure=False: next(replies),
-        request_motors=lambda name, unchecked: requested.append((name, unchecked)),
-    )
-    monkeypatch.setattr(Moves, "move", lambda self, velocity: None)
-    monkeypatch.setattr(Moves, "until", lambda self, condition, timeout_s: False)
-    monitor, measurements = SimpleNamespace(), SimpleNamespace()
-    found, detail = Preflight(link, measurements, monitor, Battery())._check_base_timeout()
-    assert found is ok
+def test_the_check_says_how_the_watchdog_is_known(state, timeout_s, words):
+    link = SimpleNamespace(about_base=lambda: BaseReply(model="x", state=state, timeout_s=timeout_s))
+    _, detail = Preflight(link, SimpleNamespace(), SimpleNamespace(), Battery())._check_watchdog()
     assert words in detail
-    assert requested == [("check", True)] * len(states)  # one for the move, and one at each look
 
 
 @pytest.mark.parametrize(("decel", "ok"), [(1.0, False), (0.1, True)])
@@ -185,7 +175,8 @@ def with_watchdog(ms):
     return replace(config_of(load_description("p3at-sh")), watchdog=ms)
 
 
-NAMES = ["link", "odometry", "battery", "stop", "motors", "forward", "slow", "left", "silence", "bridge"]
+NAMES = ["link", "odometry", "battery", "stop", "watchdog", "motors", "forward"]
+NAMES += ["slow", "left", "silence"]
 
 
 @pytest.mark.parametrize("robot", ["p3at-sh", "turtlebot4", "husky-a200"])
@@ -196,7 +187,7 @@ def test_robot_that_is_well_passes_all_checks_and_stands(robot):
     assert [name for name in names if name in NAMES] == NAMES
     assert {"gyro", "gyro-turn"} & set(names) == (set() if robot == "p3at-sh" else {"gyro", "gyro-turn"})
     if robot == "p3at-sh":
-        assert findings[-4].detail == "follows commands from 0.005 m/s and 0.02 rad/s on"
+        assert findings[-3].detail == "follows commands from 0.005 m/s and 0.02 rad/s on"
     assert_stopped(link, rover)
     assert {"silence"} <= link.gate.stops.keys() <= {"silence", "odometry"}
 
@@ -214,7 +205,7 @@ def test_robot_that_is_well_passes_all_checks_and_stands(robot):
         ({"faults": ["bumper@0.5"]}, "forward", "the gate stopped the robot: bumper"),
         ({"while_turning": "bumper@0-5"}, "left", "the gate stopped the robot: bumper"),
         ({"limits": Limits(v_max=0.03)}, "forward", "the gate limited commands: speed"),
-        ({"config": with_watchdog(5000)}, "bridge", "the base's watchdog is 5 s; set WatchDog in its FLASH"),
+        ({"config": with_watchdog(5000)}, "motors", "the base's watchdog is 5 s; set WatchDog in its FLASH"),
     ],
 )
 def test_robot_that_is_not_well_fails_the_check_that_finds_it(options, name, words):
@@ -236,13 +227,13 @@ WITH_GYRO = replace(config_of(load_description("p3at-sh")), has_gyro=1)
 @pytest.mark.parametrize(
     ("robot", "factor", "name", "words"),
     [
-        ("turtlebot4", 1.0, "bridge", ""),
+        ("turtlebot4", 1.0, "silence", ""),
         ("turtlebot4", -1.0, "gyro-turn", "its sign is wrong"),
         ("turtlebot4", math.degrees(1.0), "gyro-turn", "in degrees per second"),
         ("turtlebot4", 0.0, "gyro-turn", "not on the robot"),
         ("turtlebot4", math.nan, "gyro", "not finite"),
         ("husky-a200", -1.0, "gyro-turn", "its sign is wrong"),
-        ("p3at-sh", 1.0, "bridge", ""),
+        ("p3at-sh", 1.0, "silence", ""),
         ("p3at-sh", 0.4, "gyro-turn", "its scale or its axis is wrong"),
     ],
 )
@@ -274,7 +265,7 @@ def localiser(frame, of=lambda pose: pose, late_s=0.0):
 @pytest.mark.parametrize(
     ("localise", "name", "words"),
     [
-        (localiser("map"), "bridge", ""),
+        (localiser("map"), "silence", ""),
         (localiser("map", late_s=0.6), "pose-way", "stamp a pose with the time of its picture"),
         (localiser("map", lambda p: Pose(0.5 * p.x, 0.5 * p.y, p.theta)), "pose-way", "size of tags or map"),
         (localiser("map", lambda p: Pose(p.x, p.y, p.theta + 1.5)), "pose-way", "camera's mount"),

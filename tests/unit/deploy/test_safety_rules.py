@@ -32,11 +32,15 @@ class Drive:
             bridge_alive=True,
             authorised=lambda: True,
             bumpers=Bumpers(),
+            bridges=list,
+            about_base=lambda: None,
         )
         self.link.gate, self.link.lease = GateStatus(), DriverLease()
         self.newest = SimpleNamespace(ref=SimpleNamespace(measured_ns=BEGIN_NS))
         self.measurements = SimpleNamespace(
-            newest=self.newest, odometry=lambda wait_s: None if wait_s else self.newest
+            newest=self.newest,
+            odometry=lambda wait_s: None if wait_s else self.newest,
+            complaints={},
         )
         self.monitor = SafetyMonitor(self.link, self.measurements, lambda: self.signal, clock=self)
 

@@ -283,10 +283,10 @@ def test_lease_that_is_refused_after_contact_ends_the_drive_with_its_result(monk
     bumped(drive, since.briefly)
     request = drive.link.request_motors
 
-    def once(name, unchecked=False):
+    def once(name):
         if drive.link.requests:
             raise NoBridge("the bridge does not answer within 2 s")
-        return request(name, unchecked)
+        return request(name)
 
     monkeypatch.setattr(drive.link, "request_motors", once)
     result = drive.run()

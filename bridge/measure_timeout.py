@@ -1,0 +1,138 @@
+"""Measurement of a ROS 2 robot's own command timeout, before the bridge serves anybody.
+
+The robot is driven through the gate under a lease that no driver outside this process can get. Every end
+sends zeros.
+"""
+
+import math
+import secrets
+from collections.abc import Callable
+from datetime import date
+
+from pydantic import BaseModel, Field
+
+from bridge.gate.limits import Limits
+from bridge.gate.state import Enable, VelocityCommand, describe
+from bridge.inbox import Inbox
+from bridge.node import Node
+from bridge.ros2.base import Ros2Base
+from bridge.ros2.base_timeout import MAX_SILENT_S, SPEED_M_S, Phase, TimeoutMeasurement
+from rover_ncp.core.errors import SafetyStop
+from rover_ncp.core.process import Clock
+from rover_ncp.robot.description import MAX_BASE_TIMEOUT_S
+from rover_ncp.wire.protocol import KEY_BYTES, CommandTag
+
+NAME = "bridge --measure-timeout"
+COMMAND_S = 0.05
+
+
+class TimeoutResult(BaseModel):
+    """Result of ``bridge --measure-timeout``."""
+
+    timeout_s: float | None = Field(description="from the last command to the halt; null: it did not halt")
+    line: str = Field(description="for the robot's description; empty if the robot must not be driven by it")
+
+
+class Unserved:
+    """Stands for the Zenoh session of drivers: there are none, and nothing is published."""
+
+    def key(self, name: str) -> str:
+        """Return the key expression of a row of the key table."""
+        return name
+
+    def publish(self, name: str, data: bytes) -> None:
+        """Drop a message."""
+
+
+def measure(
+    base: Ros2Base,
+    inbox: Inbox,
+    limits: Limits,
+    stopping: Callable[[], bool],
+    *,
+    clock: Clock,
+    total_suspended_s: Callable[[], float],
+) -> TimeoutResult:
+    """Drive a robot forward for 1.5 s, send it nothing, and measure when it halts.
+
+    Raises NoRobot, SafetyStop if the gate ends the lease or the robot does not move, and KeyboardInterrupt
+    when ``stopping`` becomes true. The robot gets zeros at each end.
+    """
+    node = Node(
+        base,
+        Unserved(),
+        inbox,
+        limits=limits,
+        accept_ros=False,
+        ready=lambda: None,
+        clock=clock,
+        suspended_s=total_suspended_s,
+    )
+    run = _Run(node, base, limits, clock)
+    node.run(lambda: stopping() or run.step())
+    if run.measurement.phase is Phase.DRIVES_ON:
+        return TimeoutResult(timeout_s=None, line="")
+    if run.measurement.phase is not Phase.HALTED:
+        raise KeyboardInterrupt
+    timeout_s = math.ceil(100.0 * run.measurement.timeout_s) / 100.0
+    line = f"measured_base_timeout_s: {timeout_s:g} # {date.today()}"
+    return TimeoutResult(timeout_s=timeout_s, line=line if timeout_s <= MAX_BASE_TIMEOUT_S else "")
+
+
+def words_for(result: TimeoutResult) -> str:
+    """Return a result in words."""
+    unsafe = "if the bridge dies, it drives on: only 'bridge --no-base-watchdog' serves it"
+    if result.timeout_s is None:
+        return f"the robot did not halt within {MAX_SILENT_S:g} s without commands; {unsafe}"
+    if not result.line:
+        after = f"the robot halts {result.timeout_s:g} s after its last command"
+        return f"{after}, expected at most {MAX_BASE_TIMEOUT_S:g} s; {unsafe}"
+    return f"add this line to the robot's description, then start the bridge:\n{result.line}"
+
+
+class _Run:
+    """The driver of one measurement; a turn of the node's loop calls `step` once."""
+
+    def __init__(self, node: Node, base: Ros2Base, limits: Limits, clock: Clock) -> None:
+        self._node, self._base, self._clock = node, base, clock
+        self._speed, self._mean_s = min(SPEED_M_S, limits.v_max), limits.speed_mean_s
+        self.measurement = TimeoutMeasurement(clock.monotonic(), self._speed, self._mean_s)
+        self._lease, self._sequence, self._sent_s = 0, 0, -math.inf
+        self._seen = node.report
+
+    def step(self) -> bool:
+        """Send what is due, and return whether the measurement is over. Raises SafetyStop."""
+        now, gate, measurement = self._clock.monotonic(), self._node.gate, self.measurement
+        if self._node.reconnects < 0 or (self._node.report is None and not self._lease):
+            return False
+        if not self._lease:
+            self._begin(now)
+            return False
+        if gate.lease is None or gate.lease.number != self._lease:
+            reason = str(gate.lease_over or "lease")
+            raise SafetyStop(reason, f"the timeout was not measured: {gate.lease_over_detail or reason}")
+        if self._node.report is not self._seen and self._node.report is not None:
+            self._seen = self._node.report
+            measurement.take(self._seen, now)
+        measurement.tick(now, self._base.last_sent_s)
+        if measurement.phase is Phase.NO_MOTION:
+            raise SafetyStop("no-response", f"the robot does not follow {self._speed:g} m/s by its odometry")
+        self._base.silent = measurement.phase is Phase.SILENT
+        if measurement.phase not in {Phase.DRIVE, Phase.SILENT}:
+            return True
+        if now - self._sent_s >= COMMAND_S:
+            self._sequence, self._sent_s = self._sequence + 1, now
+            tag = CommandTag(self._lease, self._sequence, round(now * 1e9))
+            self._node.judge(VelocityCommand(measurement.command, tag, signed=True), now)
+        return False
+
+    def _begin(self, now: float) -> None:
+        secret = secrets.token_bytes(KEY_BYTES)
+        verdict = self._node.judge(Enable(NAME, round(now * 1e9), secret), now)
+        if verdict.refusal is not None or verdict.lease is None:
+            reason = verdict.refusal or "lease"
+            raise SafetyStop(
+                str(reason), describe(verdict.refusal, self._node.gate) if verdict.refusal else ""
+            )
+        self._lease = verdict.lease.number
+        self.measurement = TimeoutMeasurement(now, self._speed, self._mean_s)

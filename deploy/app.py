@@ -3,6 +3,7 @@
 import gc
 import sys
 import zlib
+from uuid import uuid4
 
 import numpy as np
 
@@ -71,7 +72,9 @@ def run(
     prepare_for_real_time()
     with Interrupts() as interrupts, recorder, ZenohLink(address, recorder.put) as link:
         publisher = Publisher(link, record, policy.circuit.neurons, frame=config.pose_frame)
-        drive = Drive(link, controller, publisher, config, lambda: interrupts.raised, period_s=period_s)
+        drive = Drive(
+            link, controller, publisher, config, lambda: interrupts.raised, period_s=period_s, id=uuid4().hex
+        )
         drive.wait()
         output.say(link.other_model(config.described))
         recorder.open(files)

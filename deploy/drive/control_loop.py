@@ -69,7 +69,8 @@ class Phase(Enum):
 class Drive:
     """One drive over an open link. ``run`` returns when it is over; the attributes hold the result.
 
-    ``period_s`` is how long a tick lasts by the clock; a benchmark lets the course's time run faster.
+    ``period_s`` is how long a tick lasts by the clock; a benchmark lets the course's time run faster. ``id``
+    tells this drive from others in its status.
     """
 
     def __init__(
@@ -82,7 +83,9 @@ class Drive:
         *,
         clock: Clock = time,
         period_s: float = TICK_S,
+        id: str = "",
     ) -> None:
+        self._id = id
         self._period_ns = round(period_s * NS_PER_S)
         self._link, self.controller, self._publisher = link, controller, publisher
         self.config, self._clock = config, clock
@@ -343,6 +346,7 @@ class Drive:
         self._publisher.status(
             DriverStatus(
                 state=self.phase.value if stage is None else stage,
+                drive=self._id,
                 reason=self.reason,
                 policy=self.config.policy,
                 course=self.config.course,

@@ -20,17 +20,19 @@ from deploy.view.page_data import columns, event_rows
 from deploy.view.recorded_drive import KINDS, facts
 from deploy.view.timeline import STAGES, Timeline
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.errors import FormatError
 from rover_ncp.course.course import Course
 from rover_ncp.course.scoring import Parked, Verdict
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.key_table import TAG_VIEW
-from rover_ncp.wire.protocol import DriverStatus, in_words
+from rover_ncp.wire.messages import read_text
+from rover_ncp.wire.protocol import DriverStatus, in_words, parse_json
 
 FINAL = frozenset({*map(str, Parked), "ended", "fault"})
 """States of a driver whose drive has ended."""
 FIRST = frozenset({"waiting", "armed"})
-"""States of a driver before its drive."""
+"""States of a driver before its drive; it may be refused the motors, and then ends without another status."""
 BEFORE = 50
 """Odometry, commands and voltages kept before a drive begins."""
 SILENT_NS = 5_000_000_000
@@ -41,7 +43,8 @@ SILENT_NS = 5_000_000_000
 class Cursor:
     """What a viewer has received: rows of each stream, and the text of each part of the page."""
 
-    generation: int = -1
+    drive: str | None = None
+    """The id of the drive; None before the first updates."""
     rows: Counter[str] = field(default_factory=Counter)
     html: dict[str, Markup] = field(default_factory=dict)
     findings: dict[str, Any] | None = None
@@ -55,20 +58,16 @@ class Feed:
     def __init__(self, policy: Policy, course: Course) -> None:
         self._policy, self._course = policy, course
         self._lock = threading.Lock()
-        self._generation = 0
+        self._drive = ""
+        """The id of the drive."""
         self._view = ""
         """The newest picture of tags, a JPEG as base64; it belongs to no drive."""
         self._timeline: Timeline
-        self._ended = False
-        self._tick: int
-        """The newest tick of the driver's status."""
-        self._lease: int
-        """The lease that the gate reported then; 0 for none."""
         self._verdicts: dict[str, Verdict] | None
         """Those of the ended drive, judged once, and again if the gate reports a contact then."""
         self._judged: bool | None
         """Whether the verdicts count a contact; None before there are any."""
-        self._begin()
+        self._begin("")
 
     def take(self, message: Recorded) -> None:
         """Process a message of the robot, of its driver or of a localiser."""
@@ -76,21 +75,11 @@ class Feed:
             self._view = b64encode(bytes(decode(message.type, message.data).data)).decode()
             return
         with self._lock:
+            if message.topic == "rover/status" and not self._is_of_the_drive(message):
+                return
             if self._belongs_to_no_drive(message):
                 return
             self._timeline.take(message)
-            status, gate = self._timeline.status, self._timeline.gate
-            if message.topic == "rover/status" and status is not None:
-                if self._is_of_a_new_drive(status):
-                    self._begin()
-                    self._timeline.take(message)
-                # A driver that is refused after its first status sends no last one.
-                undecided = not (self._timeline.other and self._timeline.ticks)
-                if undecided or status.state.startswith(STAGES):
-                    self._timeline.other = self._other_than(status)
-                self._ended = status.state in FINAL
-                if status.tick >= self._tick:
-                    self._tick, self._lease = status.tick, gate.lease if gate else 0
             gate = self._timeline.gate
             touched = gate is not None and "bumper" in gate.stops
             if self._ended and self._judged != touched:
@@ -107,9 +96,9 @@ class Feed:
         self._explain()
         with self._lock:
             timeline = self._timeline
-            reset = cursor.generation != self._generation
+            reset = cursor.drive != self._drive
             if reset:
-                cursor.__dict__.update(vars(Cursor(self._generation)))
+                cursor.__dict__.update(vars(Cursor(self._drive)))
             updates: dict[str, Any] = {
                 "reset": reset,
                 "status": timeline.status and timeline.status.model_dump(),
@@ -153,21 +142,34 @@ class Feed:
         ticks = self._timeline.ticks
         return bool(ticks) and message.log_ns - ticks[-1].wall_ns > SILENT_NS
 
-    def _is_of_a_new_drive(self, status: DriverStatus) -> bool:
-        """Whether the status begins another drive. A killed driver sends no final one."""
+    def _is_of_the_drive(self, message: Recorded) -> bool:
+        """Return whether a status is of the drive, which begins here if another one follows it."""
+        try:
+            status = parse_json(DriverStatus, read_text(message.data))
+        except FormatError:
+            return True  # the timeline counts it
+        if status.drive != self._drive and self._follows(status):
+            self._begin(status.drive)
+        if status.drive != self._drive:
+            return False
+        if status.state.startswith(STAGES) or not self._timeline.other:
+            self._timeline.other = self._other_than(status)
+        return True
+
+    def _follows(self, status: DriverStatus) -> bool:
+        """Return whether the drive of a status follows this one. A driver that waits may be refused."""
         if self._ended:
             return status.state not in FINAL
-        gate = self._timeline.gate
-        # While the drive has the lease, another driver waits or is refused.
-        driven = gate is not None and gate.lease != 0 and gate.lease == self._lease
-        earlier = status.state in FIRST or status.tick < self._tick
-        return earlier and bool(self._timeline.ticks) and not driven
+        return not self._timeline.ticks or status.state not in FIRST | FINAL
 
-    def _begin(self) -> None:
-        self._generation += 1
-        self._tick, self._lease = 0, 0
+    @property
+    def _ended(self) -> bool:
+        status = self._timeline.status
+        return status is not None and status.state in FINAL
+
+    def _begin(self, drive: str) -> None:
+        self._drive = drive
         self._timeline = Timeline(self._policy, self._course)
-        self._ended = False
         self._findings: dict[str, Any] | None = None
         self._findings_html: dict[str, Markup] = {}
         self._explained = False
@@ -202,12 +204,12 @@ class Feed:
     def _explain(self) -> None:
         """Explain an ended drive, once."""
         with self._lock:
-            generation, timeline = self._generation, self._timeline
+            timeline = self._timeline
             if not self._ended or self._explained or timeline.other or len(timeline.ticks) < 2:
                 return
             self._explained = True
         findings = analyse(*timeline.traces())
         data, html = findings_data(findings), findings_html(findings)
         with self._lock:
-            if generation == self._generation:
+            if timeline is self._timeline:
                 self._findings, self._findings_html = data, html

@@ -322,6 +322,7 @@ class GateStatus(StrictModel):
 class DriverStatus(StrictModel):
     """Status of the driving process on ``rover/status``.
 
+    ``drive`` is the id of the drive: statuses of another drive have another one.
     ``error_95_m`` is the position error that 95 % of estimates like the present one do not exceed.
     ``probability``, at the end, is that of the rover being within the tolerances, by the estimate.
     """
@@ -329,6 +330,7 @@ class DriverStatus(StrictModel):
     model_config = ConfigDict(extra="ignore")  # recordings of earlier versions have more fields
 
     state: str
+    drive: str = ""
     reason: str = ""
     policy: str = ""
     course: str = ""

@@ -161,7 +161,7 @@ def test_a_request_reads_as_documented():
         ),
         (
             DriverStatus(state="x"),
-            {"state": "x", "reason": "", "policy": "", "course": "", "tick": 0, "t_s": 0.0}
+            {"state": "x", "drive": "", "reason": "", "policy": "", "course": "", "tick": 0, "t_s": 0.0}
             | {"overruns": 0, "error_95_m": None, "probability": None},
         ),
     ],

@@ -89,12 +89,12 @@ def test_a_new_drive_begins_anew(short, feed):
         feed.take(message)
     assert feed.updates(cursor)["ticks"]["t"]
     after = received[-1].log_ns + 10**9
-    feed.take(state(DriverStatus(state="armed"), after))
+    feed.take(state(DriverStatus(state="armed", drive="second"), after))
     fresh = feed.updates(cursor)
     assert fresh["reset"] is True
     assert "ticks" not in fresh
     assert [event["text"] for event in fresh["events"]] == []
-    for message in received:
+    for message in named(received, drive="second"):
         feed.take(message)
     assert len(feed.updates(cursor)["ticks"]["t"]) == short.course.ticks
 
@@ -126,12 +126,12 @@ def test_drive_after_a_killed_driver_begins_anew(short, feed, joined_at):
     assert len(feed.updates(cursor)["ticks"]["t"]) == 21
     missed = BEGAN_NS + joined_at * TICK_NS if joined_at else 0
     second = [message for message in short.messages if message.log_ns > missed]
-    for message in later(second, 600 * TICK_NS, lease=2):
+    for message in named(later(second, 600 * TICK_NS, lease=2), drive="second"):
         feed.take(message)
     found = feed.updates(cursor)
     assert found["reset"] is True
-    # A status that arrives before the gate's new lease may be that of a driver which is refused.
-    count = short.course.ticks - (joined_at + 2 if joined_at else 0)
+    # The first tick that arrives precedes the status that names its drive.
+    count = short.course.ticks - (joined_at + 1 if joined_at else 0)
     assert found["ticks"]["t"] == pytest.approx([0.1 * tick for tick in range(count)])
     assert not feed._timeline.touched
     if not joined_at:
@@ -144,7 +144,9 @@ def test_drive_after_a_killed_driver_begins_anew(short, feed, joined_at):
 def test_another_driver_that_is_refused_does_not_end_the_drive(short, feed):
     until, cursor = killed(short, feed), Cursor()
     feed.updates(cursor)
-    feed.take(state(DriverStatus(state="armed"), until))
+    feed.take(state(DriverStatus(state="armed", drive="another"), until))
+    assert feed.updates(cursor)["status"]["state"] == "driving"
+    feed.take(state(DriverStatus(state="fault", drive="another"), until))
     for message in short.messages:
         if message.log_ns > until:
             feed.take(message)
@@ -245,7 +247,7 @@ def test_drive_of_another_policy_or_course_is_neither_judged_nor_explained(short
 def test_drive_of_the_pages_own_policy_and_course_is_judged_and_explained(short, feed, refused_before):
     own = {"policy": short.policy.circuit.name, "course": short.course.name}
     if refused_before:  # a driver of another policy, which sends no last status
-        feed.take(state(DriverStatus(state="armed", policy="another", course="bay"), 1))
+        feed.take(state(DriverStatus(state="armed", drive="0", policy="another", course="bay"), 1))
     for message in named(short.messages, **own):
         feed.take(message)
     found = feed.updates(Cursor())

@@ -136,13 +136,14 @@ lock: ## Write requirements/: the versions of constraints.txt with hashes, for e
 	done
 
 .PHONY: files
-files: $(FILES_STAMP) ## Workflows, compose file, Dockerfile and CITATION.cff by their schemas and linters.
+files: $(FILES_STAMP) ## Workflows, compose file, Dockerfile, CITATION.cff and declared dependencies by their linters.
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-issue-forms .github/ISSUE_TEMPLATE/[!c]*.yml
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-issue-config .github/ISSUE_TEMPLATE/config.yml
 	$(BIN)/check-jsonschema --builtin-schema vendor.dependabot .github/dependabot.yml
 	$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec packaging/compose.yaml
 	$(BIN)/check-jsonschema --builtin-schema vendor.citation-file-format CITATION.cff
+	$(BIN)/deptry .
 	$(BIN)/zizmor --offline --quiet .github
 	$(BIN)/hadolint packaging/Dockerfile
 

@@ -2,7 +2,6 @@
 
 import logging
 import queue
-import socket
 import threading
 from collections.abc import Callable, Collection, Iterable
 from contextlib import suppress
@@ -15,13 +14,12 @@ import zenoh
 
 from rover_ncp.core.errors import NoBridge, NotAuthorised, UnreachableError
 from rover_ncp.core.process import ClosedAtExit
-from rover_ncp.wire.address import parse_address
 from rover_ncp.wire.key_table import BRIDGE, KEYS, KeySpec, Kind, key, spec
 from rover_ncp.wire.messages import with_covariance
-from rover_ncp.wire.zenoh import PORT, client_config
+from rover_ncp.wire.probe import Listener, listener_at
+from rover_ncp.wire.zenoh import client_config
 
 _LOGGER = logging.getLogger("rover_ncp")
-PROBE_S = 1.0
 CALLBACK_S = 1.0
 """Longest wait for the end of a callback."""
 
@@ -193,14 +191,13 @@ def matches(declared: Any) -> bool:
 
 def _refused(endpoint: str) -> UnreachableError:
     """Return the error for a failed session. Zenoh reports an unused port and a rejection alike."""
-    address = parse_address(endpoint, PORT)
-    assert address is not None  # or there would have been no session to open
-    try:
-        socket.create_connection((address.host, address.port), PROBE_S).close()
-    except OSError:
+    found = listener_at(endpoint)
+    if found is Listener.NOTHING:
         return NoBridge(
             f"nothing answers at {endpoint}: is 'rover-ncp bridge' running there, listening on that address?"
         )
+    if found is Listener.OLD_ZENOH:
+        return NoBridge(f"{endpoint}: {found}; a bridge of rover-ncp has Zenoh 1")
     return NotAuthorised(
         f"not authorised: the process at {endpoint} accepts no session from us; it may want a certificate "
         "(--zenoh-config, see 'rover-ncp keys'), or its clock is wrong and our certificate invalid by it, or "

@@ -21,6 +21,7 @@ from bridge.ros2.ros_node import RosNode
 from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.robot.description import Topics
 from rover_ncp.wire.messages import TWIST, TWIST_STAMPED
+from rover_ncp.wire.probe import Listener, listener_at
 from rover_ncp.wire.zenoh import client_config, reason
 
 LOOP_KEY = "rover/robot_side"
@@ -109,7 +110,9 @@ def _open(endpoint: str, file: Path | None) -> zenoh.Session:
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        raise NoRobot(
-            f"{endpoint}: no Zenoh router answers there: {reason(error)}; start zenoh-bridge-ros2dds or "
-            "rmw_zenohd on the robot"
-        ) from error
+        found = listener_at(endpoint)
+        what_to_do = {
+            Listener.NOTHING: "; start zenoh-bridge-ros2dds or rmw_zenohd on the robot",
+            Listener.ZENOH: " (--base-zenoh-config)",
+        }.get(found, f" ({reason(error)})" if found is Listener.OTHER else "")
+        raise NoRobot(f"{endpoint}: no Zenoh router answers there: {found}{what_to_do}") from error

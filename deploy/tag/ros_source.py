@@ -15,7 +15,8 @@ from rover_ncp.core.geometry import same_frame
 from rover_ncp.wire.address import parse_ros_endpoint
 from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.messages import TF, read_yaw
-from rover_ncp.wire.zenoh import PORT, client_config, reason
+from rover_ncp.wire.probe import listener_at
+from rover_ncp.wire.zenoh import PORT, client_config
 
 
 class RosSource(NamedTuple):
@@ -51,7 +52,9 @@ class RosSource(NamedTuple):
         try:
             return zenoh.open(config)
         except zenoh.ZError as error:
-            raise NoRobot(f"{self.endpoint}: no Zenoh router answers there: {reason(error)}") from error
+            raise NoRobot(
+                f"{self.endpoint}: no Zenoh router answers there: {listener_at(self.endpoint)}"
+            ) from error
 
 
 class Frames:

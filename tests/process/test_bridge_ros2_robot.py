@@ -4,10 +4,11 @@ The robot is the mock, or a network of plain Zenoh.
 """
 
 import os
+import socket
 import struct
 import threading
 import time
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 
 import pytest
 from kit.bridge_bench import Driver, wait_for
@@ -22,6 +23,7 @@ from bridge.ros2.connection import RosConnection
 from bridge.ros2.discovery import Announced, Convention
 from bridge.ros2.ros_node import RosNode
 from rover_ncp import cli
+from rover_ncp.core.errors import NoRobot
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.cdr import decode, encode
@@ -175,6 +177,38 @@ def test_a_bridge_whose_two_networks_are_connected_does_not_start(tmp_path):
     assert ended.code == 3
     # Not the last line: Zenoh may write of its own when two connected sessions close.
     assert "the robot's Zenoh network is connected to the drivers'" in ended.result["error"]
+
+
+# What a router of Zenoh 0.11 answered to the first message of a session, of its own version and of another.
+OLD_ACK = bytes.fromhex("450021 08f0ffa64d3520 2680ca5124ccdfc2688b")
+CLOSED = bytes.fromhex("02000302")
+
+
+@pytest.mark.parametrize(
+    ("answers", "words"),
+    [
+        (lambda version: OLD_ACK if version == 8 else CLOSED, "a Zenoh before version 1 listens there"),
+        (lambda version: CLOSED, "did not answer as a Zenoh router"),
+    ],
+)
+def test_a_router_of_another_version_is_named(answers, words, monkeypatch):
+    monkeypatch.setitem(CLIENT, "connect/timeout_ms", 100)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve():
+            with suppress(OSError):
+                while True:
+                    line, _ = server.accept()
+                    with line:
+                        data = line.recv(64)
+                        if len(data) > 3:
+                            line.sendall(answers(data[3]))
+
+        threading.Thread(target=serve, daemon=True).start()
+        base = f"ros2/tcp/127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(NoRobot, match=words):
+            RosConnection(parse_ros_address(base), BURGER.topics, Inbox())
+        server.shutdown(socket.SHUT_RDWR)
 
 
 def test_nothing_at_the_robots_address_is_one_line_for_a_user_without_a_home_too(monkeypatch, capsys):

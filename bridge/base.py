@@ -133,10 +133,8 @@ class LinkHealth(NamedTuple):
     damaged: bool
     """Whether messages were damaged or could not be read lately."""
     counters: Mapping[str, int]
-    silent: tuple[str, ...] = ()
-    """What should report hazards and has not reported anything."""
     unheard: tuple[str, ...] = ()
-    """Other inputs of the description that have sent nothing, each with what was found instead."""
+    """Inputs of the description that have sent nothing, each with what was found instead."""
 
 
 class Base(Protocol):

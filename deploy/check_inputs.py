@@ -16,6 +16,7 @@ from rover_ncp.core.process import Clock
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.cdr import decode
+from rover_ncp.wire.protocol import in_words
 
 RATE_HZ, LISTEN_S = 8.0, 2.0
 """A base reports ten times a second; with fewer than eight, packets are lost."""
@@ -156,12 +157,11 @@ class InputSteps:
     def holds(self) -> Answer:
         """Check that hazards are reported, and that none holds the robot."""
         base, gate = self._link.about_base(), self._link.gate
-        if base is not None and base.silent:
-            words = f"no message has come on {' and '.join(base.silent)}: what it reports would stop nothing"
-            return False, words
+        if base is not None and base.problem:
+            return False, f"the bridge reports that {base.problem}"
         holder = gate.driver_name or ("a driver without a name" if gate.lease else gate.held)
         if holder:
-            return False, f"held by {holder}"
+            return False, f"held by {in_words(holder)}"
         topics = self._robot.topics if self._robot is not None else None
         absent = [] if topics is None else [name for name in ("stop", "hazards") if not getattr(topics, name)]
         named = ", ".join(f"topics.{name}" for name in absent)

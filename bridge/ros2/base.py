@@ -43,8 +43,10 @@ from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.header import header_of
 from rover_ncp.wire.messages import (
     BATTERY_STATE,
+    BOOL,
     BUMP,
     CLIFF,
+    HAZARDS,
     IMU,
     LASER_SCAN,
     STALL,
@@ -148,8 +150,10 @@ class Ros2Base:
         self._hazards = Hazards(self._topics)
         topics = self._topics
         inputs = {topics.imu: IMU, topics.battery_state: BATTERY_STATE, topics.scan: LASER_SCAN}
+        for hazard, ros_type in ((topics.stop, BOOL), (topics.hazards, HAZARDS)):
+            inputs[hazard.topic if hazard is not None else None] = ros_type
         self._unheard = {topic: ros_type for topic, ros_type in inputs.items() if topic is not None}
-        """Sensor topics on which no message came, and their types."""
+        """Topics besides odometry on which no message came, and their types."""
         self._turns = GyroTurns()
         self._room = ScanRoom(description) if self._topics.scan is not None else None
         self._timeout = TimeoutRecord(description.measured_base_timeout_s, unsafe)
@@ -207,11 +211,10 @@ class Ros2Base:
 
     def health(self) -> LinkHealth:
         counters = self._odometer.counters | {"imu left out": self._turns.left_out}
-        silent = tuple(self._line.topic(topic) for topic in sorted(self._hazards.silent))
         unheard = tuple(
             self._announced.found_instead(topic, wanted) for topic, wanted in self._unheard.items()
         )
-        return LinkHealth(counters["unreadable"] > 0, counters, silent, unheard)
+        return LinkHealth(counters["unreadable"] > 0, counters, unheard)
 
     @property
     def note(self) -> str:

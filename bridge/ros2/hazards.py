@@ -19,8 +19,6 @@ class Hazards:
     def __init__(self, topics: Topics) -> None:
         self._stop = topics.stop.topic if topics.stop else None
         self.topics = {found.topic: found for found in (topics.stop, topics.hazards) if found is not None}
-        self.silent = set(self.topics)
-        """Topics on which no message came."""
         self._heard_s = dict.fromkeys(self.topics, -math.inf)
         """When the newest message came; −∞ = none that still counts."""
         self._unreadable: dict[str, str] = {}
@@ -30,7 +28,6 @@ class Hazards:
 
     def take(self, topic: str, payload: bytes, now: float) -> None:
         """Take a stop or hazards. Raises FormatError."""
-        self.silent.discard(topic)
         try:
             if topic == self._stop:
                 self._pressed = bool(decode(BOOL, payload).data)

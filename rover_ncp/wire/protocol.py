@@ -229,18 +229,17 @@ class TimeoutState(StrEnum):
 class BaseReply(StrictModel):
     """The base's model, the lowest voltage of its battery, and its timeout in s; None = not known.
 
-    A timeout of the state ``unknown`` is the factory setting. ``silent`` names what should report hazards
-    and has not reported anything. ``unheard`` are other inputs of the description that have sent nothing,
-    each with what was found instead. ``problem`` is why the base is lost, "" if it is not. ``version`` and
-    ``zenoh`` are those of the bridge, ``wall_ns`` is its wall clock when the query arrived. ``room_m`` is the
-    free way ahead and behind by sonar or laser; None = not known or nothing there.
+    A timeout of the state ``unknown`` is the factory setting. ``unheard`` are inputs of the description that
+    have sent nothing, each with what was found instead. ``problem`` is why the base is lost, or why it is not
+    known whether there is a hazard; "" if neither. ``version`` and ``zenoh`` are the bridge's, ``wall_ns`` is
+    its wall clock when the query arrived. ``room_m`` is the free way ahead and behind by sonar or laser;
+    None = not known or nothing there.
     """
 
     model: str
     battery_min_v: float | None = None
     state: TimeoutState
     timeout_s: float | None = None
-    silent: tuple[str, ...] = ()
     unheard: tuple[str, ...] = ()
     problem: str = ""
     version: str = ""

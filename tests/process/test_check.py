@@ -42,7 +42,7 @@ class Localiser(Peer):
 @pytest.mark.parametrize(
     ("localiser", "name", "words"),
     [
-        ({}, "bridge", "the base halts"),
+        ({}, "silence", "after the last command"),
         ({"scale": 0.5}, "pose-way", "is the size of tags or map wrong?"),
         ({"late_s": 0.7}, "pose-way", "stamp a pose with the time of its picture"),
     ],

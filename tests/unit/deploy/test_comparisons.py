@@ -14,6 +14,7 @@ from deploy.comparisons import (
     poses_at_rest,
     poses_in_turn,
     poses_on_way,
+    room_on_way,
 )
 from rover_ncp.core.geometry import ORIGIN, Pose, compose
 
@@ -176,3 +177,18 @@ def test_standing_odometry_gives_no_fit_and_no_error():
     assert poses_on_way(samples(), on_floor=False)[0]
     assert gyro_in_turn(REST, samples(gyro=1.0), TURN_SHARES, on_floor=False)[1]
     assert compose(ORIGIN, MAP) == MAP
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "on_floor", "ok"),
+    [
+        ((2.0, 1.0), (1.85, 1.15), True, True),
+        ((2.0, None), (1.84, 1.0), True, True),
+        ((None, 1.0), (3.0, None), True, True),  # nothing to compare
+        ((2.0, 1.0), (2.15, 0.85), False, False),  # turned by half a turn
+        ((2.0, 1.0), (2.0, 1.0), True, False),
+        ((2.0, 1.0), (2.0, 1.0), False, True),
+    ],
+)
+def test_room_of_a_laser_shrinks_ahead_and_grows_behind(before, after, on_floor, ok):
+    assert room_on_way(before, after, 0.15, on_floor=on_floor)[0] is ok

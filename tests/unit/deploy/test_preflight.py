@@ -319,8 +319,8 @@ def test_a_robot_whose_hazards_are_silent_fails_the_check(monkeypatch):
         Ros2Robot, "_emit", lambda self, topic, *a: topic == "stop_button" or emit(self, topic, *a)
     )
     findings, _, _ = check(robot=robot)
-    assert (findings[-1].name, findings[-1].ok) == ("stop", False)
-    assert "no message has come on stop_button" in findings[-1].detail
+    assert (findings[-1].name, findings[-1].ok) == ("inputs", False)
+    assert "no message on stop_button" in findings[-1].detail
 
 
 @pytest.mark.parametrize(("watchdog_ms", "refused"), [(200, False), (2000, False), (2500, True), (0, True)])

@@ -1,4 +1,7 @@
 # `make` prints this list. Every target sets itself up: an environment in .venv with the versions of constraints.txt.
+# A pipe ends with the exit code of its tests.
+SHELL := bash
+.SHELLFLAGS := -o pipefail -c
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -34,14 +37,16 @@ dock: $(STAMP) ## Dock a simulated robot at a place, by a camera and tags.
 .PHONY: test
 test: $(STAMP) ## The quick tests, which plain pytest runs too.
 # The others compute and process tests wait: they run beside each other, those that wait with precedence.
-	$(MAKE) --jobs 2 --output-sync=line test-unit test-process
+	$(MAKE) --jobs 2 test-unit test-process
 
 .PHONY: test-unit test-process
+# By lines, with the name of the run: the progress of two runs in one terminal.
 test-unit: $(STAMP)
-	nice -n 10 $(BIN)/pytest tests/unit tests/computing --durations=25 --numprocesses 2 --dist worksteal
+	nice -n 10 $(BIN)/pytest tests/unit tests/computing --durations=25 --numprocesses 2 --dist worksteal \
+		| sed --unbuffered 's/^/unit     /'
 
 test-process: $(STAMP)
-	$(BIN)/pytest tests/process --durations=25 --numprocesses 3 --dist worksteal
+	$(BIN)/pytest tests/process --durations=25 --numprocesses 3 --dist worksteal | sed --unbuffered 's/^/process  /'
 
 .PHONY: check lint types contracts
 check: lint types contracts ## Lint, types and import contracts.

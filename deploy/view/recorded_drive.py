@@ -27,6 +27,8 @@ Rows = tuple[tuple[str, str], ...]
 
 KINDS: dict[str, str] = {Parked.YES: "good", Parked.UNCERTAIN: "doubt", Parked.NO: "bad"}
 """The colour of a verdict on a page."""
+OTHER_VERDICTS = {Parked.UNCERTAIN.value: Parked.UNCERTAIN, "fault": Parked.NO, "ended": Parked.NO}
+"""The verdict of a driver that did not end as parked, by its last state."""
 
 
 @dataclass(frozen=True)
@@ -132,8 +134,9 @@ def _headline(verdicts: Mapping[str, Verdict], status: DriverStatus | None) -> t
     """Return the verdict and its words, which say if the true pose was judged and not the driver's."""
     by, verdict = next(iter(verdicts.items()))
     parked, reason = verdict.words, verdict.reason
-    if by == "estimated" and parked is Parked.YES and status is not None and status.state == Parked.UNCERTAIN:
-        parked = Parked.UNCERTAIN
+    if by == "estimated" and parked is Parked.YES and status is not None:
+        parked = OTHER_VERDICTS.get(status.state, parked)
+        reason = status.reason
     if parked is Parked.UNCERTAIN and status is not None:
         reason = status.reason
     if by == "true" and parked is Parked.YES and status is not None and status.state == Parked.UNCERTAIN:

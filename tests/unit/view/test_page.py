@@ -185,3 +185,6 @@ def test_the_drivers_uncertain_verdict_is_never_shown_as_parked(tmp_path):
     assert (summary.parked, summary.headline) == (Parked.UNCERTAIN, "Parked, uncertain: 33 %")
     summary = summarise(recorded(tmp_path / "truth.mcap", "parking", more=[uncertain]))
     assert summary.headline == "Parked (true pose): the driver's own verdict is uncertain"
+    stopped = state(DriverStatus(state="fault", reason="stopped by stall"), uncertain.log_ns)
+    summary = summarise(recorded(tmp_path / "fault.mcap", "parking", truth=False, more=[stopped]))
+    assert (summary.parked, summary.headline) == (Parked.NO, "Not parked: stopped by stall")

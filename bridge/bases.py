@@ -80,30 +80,26 @@ def choose_base(address: str, model: str, zenoh_config: Path | None = None) -> C
 def gate_limits(file: Path | None, description: RobotDescription | None) -> Limits:
     """Return the gate's limits, from a file or the defaults; a robot bounds them by its own.
 
-    A Pioneer has the deceleration that the bridge sets in it, and takes the speeds as they are given.
+    The bridge sets a Pioneer's deceleration, so `brake` is at most that. Without a description the limits are
+    bounded when the Pioneer says what it is.
 
     Raises FileError or ConfigError, and UsageError for a limit in the file that the robot does not reach.
     """
     given = Limits() if file is None else load_yaml(file, Limits)
-    if description is None or description.arcos is not None:
-        if given.brake > MotionLimits.decel:
-            raise UsageError(
-                f"{file}: brake is {given.brake:g}; "
-                f"expected at most {MotionLimits.decel:g}, the deceleration that the bridge sets in a Pioneer"
-            )
+    if (description is None or description.arcos is not None) and given.brake > MotionLimits.decel:
+        raise UsageError(
+            f"{file}: brake is {given.brake:g}; "
+            f"expected at most {MotionLimits.decel:g}, the deceleration that the bridge sets in a Pioneer"
+        )
+    if description is None:
         return given
-    motion, chosen = description.motion, dict[str, float]()
+    motion = description.motion
     own = {"v_max": motion.v_max, "omega_max": motion.omega_max, "brake": motion.decel}
     for name, most in own.items():
         value = getattr(given, name)
         if name in given.model_fields_set and value > most:
             raise UsageError(f"{file}: {name} is {value:g}, but {description.name} has {most:g} at most")
-        chosen[name] = min(value, most)
-    if "battery_min_v" not in given.model_fields_set:
-        chosen["battery_min_v"] = description.battery.min_v
-    if "speed_mean_s" not in given.model_fields_set:
-        chosen["speed_mean_s"] = description.odometry.speed_mean_s
-    return given.model_copy(update=chosen)
+    return given.within(description)
 
 
 def open_base(

@@ -200,6 +200,7 @@ class Node:
                     self._link.publish("docked", boolean(docked))
                 case Ready(hardware, robot):
                     self._hardware, self._robot, self._errors = hardware, robot, OdometryErrors(robot)
+                    self._limits = self._answers.limits = self._limits.within(robot)
                     self._answers.model, self._answers.problem = robot.name, ""
                     self.reconnects += 1
                     if self.reconnects > 0:

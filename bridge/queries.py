@@ -64,7 +64,9 @@ class Answers:
         base: GuardedBase,
         wall_ns: Callable[[float], int],
     ) -> None:
-        self._limits, self._key, self._judge, self._base = limits, key, judge, base
+        self._key, self._judge, self._base = key, judge, base
+        self.limits = limits
+        """Those of the gate, which the base may tighten once it is known."""
         self._wall_ns = wall_ns
         self._versions = version("rover-ncp"), version("eclipse-zenoh")
         self.model = ""
@@ -112,7 +114,7 @@ class Answers:
         if verdict.refusal is not None:
             return _refusal(verdict.refusal, gate)
         assert verdict.lease is not None  # it was granted
-        limits = self._limits
+        limits = self.limits
         return MotorsReply(
             granted=True,
             lease=verdict.lease.number,
@@ -144,7 +146,7 @@ class Answers:
         ahead, behind = (nan, nan) if report is None else (report.clear_ahead_m, report.clear_behind_m)
         return BaseReply(
             model=self.model,
-            battery_min_v=self._limits.battery_min_v,
+            battery_min_v=self.limits.battery_min_v,
             state=known.state,
             timeout_s=known.timeout_s,
             unheard=health.unheard,
@@ -160,7 +162,7 @@ class Answers:
             problem = describe(Reason.NO_BASE, gate)
         elif gate.lease is not None:
             problem = "a driver holds the lease: its pose would jump; reset odometry after the drive"
-        elif self._limits.fence is not None:
+        elif self.limits.fence is not None:
             start = "put the rover where both are to begin, and restart the bridge"
             problem = f"the fence would move with odom: {start}"
         else:

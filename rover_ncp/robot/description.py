@@ -23,7 +23,7 @@ _DEPTH = 4
 MAX_BASE_TIMEOUT_S = 2.5
 """Longest base timeout that counts: a Pioneer has 2 s."""
 
-Metres = Annotated[float, Field(gt=0, le=5)]
+Metres = Annotated[float, Field(ge=0.001, le=5)]
 TopicName = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*(/[A-Za-z_]\w*)*$")]
 
 
@@ -87,17 +87,17 @@ class DeadBand(StrictModel):
 class Motion(StrictModel):
     """Limits in m/s, rad/s, m/s² and rad/s² that the base keeps by itself."""
 
-    v_max: float = Field(gt=0, le=5)
+    v_max: float = Field(ge=0.01, le=5)
     """Largest speed, in both directions."""
-    omega_max: float = Field(gt=0, le=10)
+    omega_max: float = Field(ge=0.01, le=10)
     """Largest turn rate, to both sides."""
-    accel: float = Field(gt=0, le=50)
+    accel: float = Field(ge=0.01, le=50)
     """Largest acceleration away from zero speed."""
-    decel: float = Field(gt=0, le=50)
+    decel: float = Field(ge=0.01, le=50)
     """Largest deceleration towards zero speed."""
-    alpha: float = Field(gt=0, le=100)
+    alpha: float = Field(ge=0.01, le=100)
     """Largest turn acceleration away from zero."""
-    alpha_decel: float = Field(gt=0, le=100)
+    alpha_decel: float = Field(ge=0.01, le=100)
     """Largest turn deceleration towards zero."""
     dead_band: DeadBand = DeadBand()
     """Commands that do not move the robot; a driver sends pulses in their place."""
@@ -119,7 +119,7 @@ class Delays(StrictModel):
 class Odometry(StrictModel):
     """Rate of the base's reports, and default errors for a robot that is not measured."""
 
-    rate_hz: float = Field(gt=0, le=1000)
+    rate_hz: float = Field(ge=0.1, le=1000)
     """Reports per second."""
     noise_m: float = Field(default=0.0, ge=0, le=1)
     """Standard deviation of a reported x and y."""
@@ -133,16 +133,16 @@ class Odometry(StrictModel):
     """Standard deviation of a reported turn rate."""
     speed_mean_s: float = Field(default=0.0, ge=0, le=10)
     """Reported speeds are means over so many seconds, which a driver does not use; 0: of the moment."""
-    distance_error: float = Field(gt=0, lt=0.5)
+    distance_error: float = Field(ge=1e-6, lt=0.5)
     """Distances are right within ± this share; a driver without a profile expects ±4 % at least."""
-    turn_error: float = Field(gt=0, lt=0.5)
+    turn_error: float = Field(ge=1e-6, lt=0.5)
     """Turns are right within ± this share."""
 
 
 class Gyro(StrictModel):
     """A gyro that the base publishes."""
 
-    rate_hz: float = Field(gt=0, le=1000)
+    rate_hz: float = Field(ge=0.1, le=1000)
     """Readings per second."""
     noise_rad_s: float = Field(default=0.0, ge=0, le=1)
     """Standard deviation of a reading."""
@@ -157,7 +157,7 @@ class Scan(StrictModel):
     """Distance to the left of the centre of rotation."""
     yaw_deg: float = Field(default=0.0, ge=-180, le=180)
     """Direction of its zero angle, to the left of straight ahead."""
-    rate_hz: float = Field(default=5.0, gt=0, le=100)
+    rate_hz: float = Field(default=5.0, ge=0.1, le=100)
     """Scans per second."""
     range_m: tuple[float, float] = (0.12, 3.5)
     """Smallest and largest range."""
@@ -226,7 +226,7 @@ class Topics(StrictModel):
     """frame_id of the odometry, of which the part behind the last slash counts; an empty one fits always."""
     base_frame: str = "base_link"
     """child_frame_id of the odometry, by the same rule, and frame_id of the commands."""
-    cmd_vel_timeout_s: float | None = Field(default=None, gt=0, le=10)
+    cmd_vel_timeout_s: float | None = Field(default=None, ge=0.01, le=10)
     """Vendor's figure for the base timeout: the mock halts after it. The bridge does not rely on it."""
 
 
@@ -242,13 +242,13 @@ class Sonars(StrictModel):
 class Arcos(StrictModel):
     """Parameters of a Pioneer, in the units of its maker's parameter files."""
 
-    distance_mm: float = Field(gt=0)
+    distance_mm: float = Field(ge=0.001, le=1000)
     """Per unit of XPOS and YPOS (DistConvFactor)."""
-    diff_conv_factor: float = Field(gt=0)
+    diff_conv_factor: float = Field(ge=1e-5, le=10)
     """One over half the effective track in mm (DiffConvFactor)."""
-    v_top_mm_s: int = Field(gt=0)
+    v_top_mm_s: int = Field(gt=0, le=10_000)
     """The firmware's highest limit of the speed."""
-    omega_top_deg_s: int = Field(gt=0)
+    omega_top_deg_s: int = Field(gt=0, le=1000)
     """The firmware's highest limit of the turn rate."""
 
 
@@ -273,7 +273,7 @@ class RobotDescription(StrictModel):
     footprint: Rectangle | Circle
     height_m: Metres
     """Height of the robot's top above the ground."""
-    mass_kg: float = Field(gt=0, le=2000)
+    mass_kg: float = Field(ge=0.01, le=2000)
     """Mass with batteries, without load."""
     wheels: Wheels
     """The driven wheels."""
@@ -285,7 +285,7 @@ class RobotDescription(StrictModel):
     battery: Battery
     topics: Topics | None = None
     """None for a robot without ROS 2."""
-    measured_base_timeout_s: float | None = Field(default=None, gt=0, le=MAX_BASE_TIMEOUT_S)
+    measured_base_timeout_s: float | None = Field(default=None, ge=0.01, le=MAX_BASE_TIMEOUT_S)
     """Base timeout of this very robot: `rover-ncp bridge --measure-timeout` prints it."""
     sonars: Sonars | None = None
     """None for a robot without them."""

@@ -27,12 +27,17 @@ class RoverProfile(StrictModel):
     """Delay from a command's arrival at the base until the speed begins to change."""
     delay_omega_s: float | None = _Delay
     """Delay from a command's arrival at the base until the turn rate begins to change."""
-    accel: float | None = Field(default=None, gt=0, description="m/s², true")
+    accel: float | None = Field(default=None, ge=0.001, le=1000, description="m/s², true")
     decel: float | None = Field(
-        default=None, gt=0, description="m/s², true, while braking; None: in the description's ratio to accel"
+        default=None,
+        ge=0.001,
+        le=1000,
+        description="m/s², true, while braking; None: in the description's ratio to accel",
     )
-    alpha: float | None = Field(default=None, gt=0, description="rad/s², true")
-    alpha_decel: float | None = Field(default=None, gt=0, description="rad/s², true, while braking")
+    alpha: float | None = Field(default=None, ge=0.001, le=1000, description="rad/s², true")
+    alpha_decel: float | None = Field(
+        default=None, ge=0.001, le=1000, description="rad/s², true, while braking"
+    )
     gain_v: float | None = _Factor
     """Speed over commanded speed, as odometry reports it."""
     gain_omega: float | None = _Factor
@@ -49,7 +54,7 @@ class RoverProfile(StrictModel):
     """Lateral velocity over turn rate: the rover turns about a point so far behind its middle."""
     rotation_center_left_m: float | None = Field(default=None, ge=-0.5, le=0.5)
     """Speed that no encoder measures over turn rate: the rover turns about a point so far to the left."""
-    wheel_mismatch_rad_m: float | None = None
+    wheel_mismatch_rad_m: float | None = Field(default=None, ge=-10, le=10)
     """Wheel mismatch: turn per distance that no encoder measures, rad/m."""
     turn_asymmetry: float | None = Field(default=None, ge=-0.5, le=0.5)
     """On a slope: turn to the left that no encoder measures, per turned angle."""
@@ -57,13 +62,13 @@ class RoverProfile(StrictModel):
     """On a slope: slide per turned angle (m/rad), along the heading at the start."""
     downhill_y_m: float | None = Field(default=None, ge=-0.5, le=0.5)
     """On a slope: slide per turned angle (m/rad), to the left of the heading at the start."""
-    slip_s: float | None = Field(default=None, ge=0)
+    slip_s: float | None = Field(default=None, ge=0, le=10)
     """Share of a turn lost to slip, which no encoder measures, per rad/s."""
-    drift_rad_s: float | None = None
+    drift_rad_s: float | None = Field(default=None, ge=-10, le=10)
     """Drift of odometry's heading."""
-    noise_m: float | None = Field(default=None, ge=0)
+    noise_m: float | None = Field(default=None, ge=0, le=10)
     """Standard deviation of reported positions, beyond their rounding."""
-    noise_rad: float | None = Field(default=None, ge=0)
+    noise_rad: float | None = Field(default=None, ge=0, le=10)
     """Standard deviation of reported headings, beyond their rounding."""
     std: dict[str, Annotated[float, Field(ge=0)]] = Field(default_factory=dict)
     """Standard deviation of each value above that was fitted, by its name and in its unit."""

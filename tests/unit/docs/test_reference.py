@@ -76,7 +76,7 @@ def test_pages_have_the_options_bounds_and_notes_of_the_code():
         assert f"\n| `{option}" in page
     page = pages["files.md"]
     assert re.search(
-        r"\| `command_timeout_s` \| number, > 0, ≤ 0\.4 \| `0\.3` \| A command is in force", page
+        r"\| `command_timeout_s` \| number, ≥ 0\.05, ≤ 0\.4 \| `0\.3` \| A command is in force", page
     )
     assert re.search(r"\| `kind` \| `excitatory`, `inhibitory`, `gap` \| required", page)
 

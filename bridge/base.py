@@ -80,10 +80,11 @@ class TurnRate:
 
 
 @dataclass(frozen=True)
-class Docked:
-    """The robot says whether it is docked."""
+class PassedOn:
+    """A message of the robot that the bridge publishes as it is, on a key of the table."""
 
-    docked: bool
+    key: str
+    data: bytes
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ class Notice:
     text: str
 
 
-BaseEvent: TypeAlias = Ready | BaseReport | TurnRate | Docked | Lost | Recovered | Failed | Notice
+BaseEvent: TypeAlias = Ready | BaseReport | TurnRate | PassedOn | Lost | Recovered | Failed | Notice
 
 
 class BaseTimeout(NamedTuple):

@@ -21,10 +21,10 @@ from bridge.base import (
     Base,
     BaseEvent,
     BaseReport,
-    Docked,
     Failed,
     Lost,
     Notice,
+    PassedOn,
     Ready,
     Recovered,
     Setpoint,
@@ -41,7 +41,7 @@ from bridge.ros2.covariance import OdometryErrors
 from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.core.process import Clock, suspended_s
 from rover_ncp.robot.description import RobotDescription
-from rover_ncp.wire.messages import boolean, read_twist, text, twist_stamped
+from rover_ncp.wire.messages import read_twist, text, twist_stamped
 from rover_ncp.wire.protocol import Signed, dump_json
 
 _LOGGER = logging.getLogger("rover_ncp")
@@ -196,8 +196,8 @@ class Node:
                 case TurnRate(rate, age_s) if self._robot is not None:
                     stamp_ns = self._wall_ns(arrived_s - age_s)
                     self._link.publish("imu", ros.turn_rate(rate, self._robot, stamp_ns))
-                case Docked(docked):
-                    self._link.publish("docked", boolean(docked))
+                case PassedOn(key, data):
+                    self._link.publish(key, data)
                 case Ready(hardware, robot):
                     self._hardware, self._robot, self._errors = hardware, robot, OdometryErrors(robot)
                     self._limits = self._answers.limits = self._limits.within(robot)

@@ -16,6 +16,8 @@ from rover_ncp.wire.messages import (
     IMU,
     LASER_SCAN,
     ODOMETRY,
+    POSE_STAMPED,
+    POSE_WITH_COVARIANCE,
     TWIST,
     TWIST_STAMPED,
 )
@@ -66,7 +68,7 @@ def parse_ros_address(text: str, zenoh_config: Path | None = None) -> RosAddress
 def sensor_topics(topics: Topics) -> list[tuple[str, str]]:
     """Return name and type of each topic that a robot publishes for its base."""
     found = [(topics.odom, ODOMETRY), (topics.imu, IMU), (topics.battery_state, BATTERY_STATE)]
-    found.append((topics.scan, LASER_SCAN))
+    found += [(topics.scan, LASER_SCAN), (topics.pose, pose_type(topics))]
     found.append((topics.docked, DOCKED_TYPES[topics.docked_field]))
     return [(name, ros_type) for name, ros_type in found if name is not None]
 
@@ -80,3 +82,8 @@ def hazard_topics(topics: Topics) -> list[tuple[HazardTopic, str]]:
 def command_type(topics: Topics) -> str:
     """Return the type of a robot's commands."""
     return TWIST_STAMPED if topics.cmd_vel_type == "TwistStamped" else TWIST
+
+
+def pose_type(topics: Topics) -> str:
+    """Return the type of the poses of a robot's own localiser."""
+    return POSE_STAMPED if topics.pose_type == "PoseStamped" else POSE_WITH_COVARIANCE

@@ -19,16 +19,17 @@ from bridge.base import (
     BaseEvent,
     BaseReport,
     BaseTimeout,
-    Docked,
     Failed,
     LinkHealth,
     Lost,
     Notice,
+    PassedOn,
     Ready,
     Recovered,
     Setpoint,
 )
 from bridge.inbox import RobotMessage
+from bridge.ros2.address import pose_type
 from bridge.ros2.announced import AnnouncedTopics
 from bridge.ros2.base_timeout import TimeoutRecord
 from bridge.ros2.discovery import Announced
@@ -41,6 +42,7 @@ from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.robot.description import RobotDescription, Topics
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.header import header_of
+from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import (
     BATTERY_STATE,
     BOOL,
@@ -54,8 +56,11 @@ from rover_ncp.wire.messages import (
     TWIST_STAMPED,
     WHEEL_DROP,
     BatterySample,
+    boolean,
     read_battery,
     read_docked,
+    read_pose,
+    with_covariance,
 )
 
 REFRESH_S = 0.05
@@ -137,7 +142,7 @@ class Ros2Base:
         self._announced = AnnouncedTopics(line.topic, line.zid)
         self._contradictions: dict[str, float] = {}
         """Reasons against being ready, and when each was last seen."""
-        self._loop = self._ready = self._was_ready = self._named = False
+        self._loop = self._ready = self._was_ready = self._named = self._pose_refused = False
         self._known_restarts = self._known_jumps = 0
         self._began_s: float | None = None
         self._sent: deque[tuple[float, bytes]] = deque(maxlen=256)
@@ -152,6 +157,7 @@ class Ros2Base:
         inputs = {topics.imu: IMU, topics.battery_state: BATTERY_STATE, topics.scan: LASER_SCAN}
         for hazard, ros_type in ((topics.stop, BOOL), (topics.hazards, HAZARDS)):
             inputs[hazard.topic if hazard is not None else None] = ros_type
+        inputs[topics.pose] = pose_type(topics)
         self._unheard = {topic: ros_type for topic, ros_type in inputs.items() if topic is not None}
         """Topics besides odometry on which no message came, and their types."""
         self._turns = GyroTurns()
@@ -242,6 +248,8 @@ class Ros2Base:
         if topic == self._topics.odom:
             moved = self._odometer.take(message.payload, now, message.source)
             return self._report(moved, now) if moved is not None else []
+        if topic == self._topics.pose:
+            return self._pose(message.payload)
         try:
             if topic == self._topics.cmd_vel:
                 self._other_command(message)
@@ -252,7 +260,8 @@ class Ros2Base:
             elif topic in self._hazards.topics:
                 self._hazards.take(topic, message.payload, now)
             elif topic == self._topics.docked:
-                return [Docked(read_docked(message.payload, self._topics.docked_field))]
+                docked = read_docked(message.payload, self._topics.docked_field)
+                return [PassedOn("docked", boolean(docked))]
             elif topic == self._topics.battery_state:
                 battery = read_battery(message.payload)
                 if math.isfinite(battery.voltage):
@@ -260,6 +269,22 @@ class Ros2Base:
         except FormatError:
             self._odometer.counters["unreadable"] += 1
         return []
+
+    def _pose(self, payload: bytes) -> list[BaseEvent]:
+        """Pass on a pose that can be read; the driver decides on its frame and its use."""
+        try:
+            data, limit = with_covariance(payload), spec("pose").max_bytes
+            read_pose(data)
+            if len(data) > limit:
+                raise FormatError(f"it has {len(data)} bytes, expected {limit} at most")
+        except FormatError as error:
+            self._odometer.counters["unreadable"] += 1
+            if self._pose_refused or not self._ready:
+                return []
+            self._pose_refused = True
+            assert self._topics.pose is not None
+            return [Notice(f"a pose on {self._line.topic(self._topics.pose)} is not passed on: {error}")]
+        return [PassedOn("pose", data)]
 
     def _report(self, moved: Moved, now: float) -> list[BaseEvent]:
         v, omega = moved.velocity

@@ -87,13 +87,16 @@ class ZenohLink(ClosedAtExit):
 
     def publish(self, name: str, data: bytes) -> None:
         """Send a message on a key of the table."""
+        if name not in self._publishers:  # poses, of which only some robots have any
+            self._publishers[name] = declare_publisher(self._session, self.key(name))
+            self._marked.add(name)
         publisher = self._publishers[name]
         if name in self._marked:
             self._sequence = (self._sequence + 1) % 2**32
             publisher.put(data, source_info=zenoh.SourceInfo(publisher.id, self._sequence))
         else:
             publisher.put(data)
-        if self._rmw is not None:
+        if self._rmw is not None and name in self._rmw_publishers:
             self._rmw_publishers[name].put(data)
 
     def close(self) -> None:

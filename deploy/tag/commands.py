@@ -164,6 +164,8 @@ def cameras(*, json: Json = False) -> int:
 
     Each with its path, its name, and a path that it keeps when other cameras are plugged in. Ends with 1 if
     there is none.
+
+        rover-ncp tag cameras
     """
     from deploy.tag.run import list_cameras
 

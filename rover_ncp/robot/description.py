@@ -222,6 +222,10 @@ class Topics(StrictModel):
     """Says whether the robot is docked, again and again; for the proof `topic` of a place."""
     docked_field: Literal["data", "is_docked"] = "data"
     """Its field: `data` of std_msgs/Bool, or `is_docked` of irobot_create_msgs/DockStatus."""
+    pose: TopicName | None = None
+    """Pose by the robot's own localiser, passed on to drivers as `pose`; the frame must be the place's."""
+    pose_type: Literal["PoseWithCovarianceStamped", "PoseStamped"] = "PoseWithCovarianceStamped"
+    """Type of that topic, of geometry_msgs."""
     odom_frame: str = "odom"
     """frame_id of the odometry, of which the part behind the last slash counts; an empty one fits always."""
     base_frame: str = "base_link"

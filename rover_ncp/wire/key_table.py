@@ -82,7 +82,7 @@ KEYS: tuple[KeySpec, ...] = (
         _POSE,
         4096,
         "optional external localisation, in the frame of the course or of the place; also a PoseStamped",
-        frozenset({Role.DRIVER, Role.LOCALISER}),
+        frozenset({Role.BRIDGE, Role.DRIVER, Role.LOCALISER}),
     ),
     KeySpec(
         TAG_VIEW,

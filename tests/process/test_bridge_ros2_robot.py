@@ -10,6 +10,7 @@ import threading
 import time
 from contextlib import closing, contextmanager, suppress
 
+import numpy as np
 import pytest
 from kit.bridge_bench import Driver, wait_for
 from kit.described import described
@@ -24,10 +25,10 @@ from bridge.ros2.discovery import Announced, Convention
 from bridge.ros2.ros_node import RosNode
 from rover_ncp import cli
 from rover_ncp.core.errors import NoRobot
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.cdr import decode, encode
-from rover_ncp.wire.messages import BOOL, TWIST_STAMPED, read_twist
+from rover_ncp.wire.messages import BOOL, TWIST_STAMPED, pose_with_covariance, read_twist
 from rover_ncp.wire.zenoh import CLIENT
 from sim.live.live_run import RMW_ZENOH, ROS2DDS, LiveRun
 from sim.live.processes import Process
@@ -35,6 +36,7 @@ from sim.mock.ros2_server import free_port
 
 # Published in each message package of ROS 2 Jazzy (REP-2011).
 ODOMETRY_HASH = "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"
+POSE_HASH = "RIHS01_26432f9803e43727d3c8f668d1fdb3c630f548af631e2f4e31382371bfea3b6e"
 STAMPED_HASH = "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64"
 
 
@@ -165,6 +167,28 @@ def test_a_latched_stop_that_was_pressed_before_the_bridge_came_arrives(form):
             wait_for(lambda: "stop" in look()[0])
             assert decode(BOOL, look()[0]["stop"].payload).data
             wait_for(lambda: any(token.topic == "stop" and token.published for token in look()[1]))
+
+
+@FORMS
+def test_a_pose_of_the_robots_own_localiser_reaches_the_drivers(tmp_path, form):
+    given = pose_with_covariance(Pose(1.0, 2.0, 0.5), np.eye(3), 5, "map")
+    with RobotNetwork(form) as network:
+        base = f"{network.base}{'&' if '#' in network.base else '#'}pose=amcl_pose"
+        where = f"tcp/127.0.0.1:{free_port('127.0.0.1')}"
+        arguments = ["--base", base, *MODEL, "--no-base-watchdog", "--listen", where]
+        with Process("bridge", arguments, tmp_path) as process:
+            process.wait_for_line("ready ")
+            key = "amcl_pose"
+            if form == RMW_ZENOH:
+                key = f"0/amcl_pose/geometry_msgs::msg::dds_::PoseWithCovarianceStamped_/{POSE_HASH}"
+            with Driver(where) as driver:
+
+                def arrives():
+                    network.session.put(key, given)
+                    return "pose" in driver.seen
+
+                wait_for(arrives)
+                assert driver.seen["pose"] == given
 
 
 @pytest.mark.long

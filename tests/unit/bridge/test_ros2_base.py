@@ -8,7 +8,7 @@ import pytest
 from kit.described import described
 from kit.ros2_world import BURGER, EPOCH_S, OURS, World, announced, beyond_its_second, header, odometry, twist
 
-from bridge.base import Docked, Failed, Lost, Notice, Ready, Recovered
+from bridge.base import Failed, Lost, Notice, PassedOn, Ready, Recovered
 from bridge.ros2.base import LoopSeen, TokenSeen
 from bridge.ros2.discovery import Announced
 from rover_ncp.core.config import validated
@@ -23,6 +23,7 @@ from rover_ncp.wire.messages import (
     POSE_STAMPED,
     TWIST,
     TWIST_STAMPED,
+    boolean,
     read_twist,
     text,
 )
@@ -144,7 +145,9 @@ def test_each_word_of_the_robot_that_it_is_docked_is_passed_on(field, docked):
     for _ in range(2):
         world.hear("dock", encode(DOCKED_TYPES[field], **{field: docked}))
     world.run(0.2)
-    assert [event for event in world.events if isinstance(event, Docked)] == [Docked(docked)] * 2
+    assert [event for event in world.events if isinstance(event, PassedOn)] == [
+        PassedOn("docked", boolean(docked))
+    ] * 2
 
 
 def test_sensor_on_which_nothing_comes_is_named_with_what_was_found_instead():

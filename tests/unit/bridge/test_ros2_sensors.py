@@ -2,15 +2,18 @@
 
 import math
 import random
+import re
 import struct
 
 import numpy as np
 import pytest
-from kit.ros2_world import EPOCH_S, World, beyond_its_second, header
+from kit.ros2_world import BURGER, EPOCH_S, World, beyond_its_second, header
 
+from bridge.base import Notice, PassedOn
+from rover_ncp.core.geometry import ORIGIN
 from rover_ncp.robot.description import Circle, load_description
 from rover_ncp.wire.cdr import encode
-from rover_ncp.wire.messages import IMU, LASER_SCAN
+from rover_ncp.wire.messages import IMU, LASER_SCAN, POSE_STAMPED, pose_with_covariance, read_pose
 
 SIGNALLING_NAN = bytes.fromhex("0100807f")
 """As a float32. numpy warns when it casts one."""
@@ -192,3 +195,46 @@ def test_a_message_that_comes_twice_counts_once(turning):
     turning.run(0.06)
     assert [turn.rate for turn in turning.turns] == [pytest.approx(0.2)]
     assert turning.base.health().counters["imu left out"] == 1
+
+
+def pose_of(degrees=0.0, axis="z", frame="map"):
+    """Return a PoseStamped at x = 1, turned about an axis."""
+    half = math.radians(degrees) / 2
+    place = {"position": {"x": 1.0}, "orientation": {axis: math.sin(half), "w": math.cos(half)}}
+    return encode(POSE_STAMPED, header=header(EPOCH_S, frame), pose=place)
+
+
+@pytest.fixture
+def localising():
+    """A robot with a localiser of its own, whose base is ready."""
+    topics = BURGER.topics.model_copy(update={"pose": "amcl_pose"})
+    return World(BURGER.model_copy(update={"topics": topics})).run(1.0)
+
+
+def test_poses_of_the_robots_own_localiser_are_passed_on(localising):
+    localising.hear("amcl_pose", pose_of(90.0, frame="bot1/map"))
+    found = read_pose(localising.last.data)
+    assert found.pose == pytest.approx((1.0, 0.0, math.pi / 2))
+    assert (found.frame, found.stamp_ns, found.covariance.any()) == ("bot1/map", EPOCH_S * 1e9, False)
+    given = pose_with_covariance(ORIGIN, np.eye(3), 5, "map")
+    localising.hear("amcl_pose", given)
+    assert localising.last == PassedOn("pose", given)
+
+
+@pytest.mark.parametrize(
+    ("payload", "words"),
+    [
+        (pose_of(90.0, axis="x"), "lies on its side: its z axis is 90° from vertical, expected z up"),
+        (pose_of(50.0, axis="y"), "lies on its side"),
+        (pose_of(frame="m" * 100_000), "not geometry_msgs|bytes, expected 4096"),
+        (encode(POSE_STAMPED), "is not a rotation"),
+        (b"short", "not geometry_msgs"),
+    ],
+    ids=["y up", "pitched", "long frame", "no rotation", "short"],
+)
+def test_pose_that_is_none_is_not_passed_on_and_is_named_once(localising, payload, words):
+    for _ in range(3):
+        localising.hear("amcl_pose", payload)
+    assert not any(isinstance(event, PassedOn) for event in localising.events)
+    notices = [event.text for event in localising.events if isinstance(event, Notice)]
+    assert [bool(re.search(words, each)) for each in notices] == [True]

@@ -1,14 +1,17 @@
 """Configuration of every Zenoh client in this project; the values are measured."""
 
 import json
+import re
 from datetime import UTC, datetime
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
 import zenoh
 
+from rover_ncp.core.config import MAX_DEPTH
 from rover_ncp.core.errors import FileError, UsageError
-from rover_ncp.core.files import existing_file
+from rover_ncp.core.files import existing_file, read_text
 from rover_ncp.wire.address import MAX_PORT, parse_address
 from rover_ncp.wire.certificate_dates import require_valid
 
@@ -55,11 +58,20 @@ def read_config(file: Path | None) -> zenoh.Config:
     """Return the settings in a file, or Zenoh's own. Raises FileError."""
     if file is None:
         return zenoh.Config()
-    existing_file(file)
+    if _nesting(read_text(existing_file(file))) > MAX_DEPTH:
+        raise FileError(
+            f"{file}: not a Zenoh configuration: more than {MAX_DEPTH} lists or objects in each other"
+        )
     try:
         return zenoh.Config.from_file(str(file))
     except zenoh.ZError as error:
         raise FileError(f"{file}: not a Zenoh configuration: {reason(error)}") from error
+
+
+def _nesting(text: str) -> int:
+    """Return the deepest nesting of brackets; Zenoh's reader ends the process on one of 100,000."""
+    steps = (1 if mark in "[{" else -1 for mark in re.findall(r"[][{}]", text))
+    return max(accumulate(steps), default=0)
 
 
 def reason(error: zenoh.ZError) -> str:

@@ -27,7 +27,8 @@ class CommandMessage:
 class Query:
     """A query on one of the bridge's keys, with its attachment, if any.
 
-    ``reply`` answers with JSON, ``refuse`` with the reason why the query cannot be read.
+    ``reply`` answers with JSON, ``refuse`` with the reason why the query cannot be read. ``source`` is the
+    Zenoh id that the peer states, "" if it states none; nothing proves it.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Query:
     attachment: bytes | None
     reply: Callable[[bytes], None]
     refuse: Callable[[str], None]
+    source: str = ""
 
 
 @dataclass(frozen=True)

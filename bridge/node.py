@@ -49,6 +49,8 @@ TICK_S = 0.02
 """How often the loop turns when nothing arrives."""
 APART_S = 0.01
 """Commands at a higher rate than this are not passed on one by one: a serial line could not carry them."""
+MAX_LOG_LINES = 20
+"""Lines of requests that one turn of the loop logs: a flood of them must not fill the log."""
 SUSPENDED_S = 0.1
 """A suspend of the computer for longer than this ends the lease."""
 STATUS_S = 0.1
@@ -104,7 +106,11 @@ class Node:
         self._total_suspended_s, self._suspended_s = suspended_s, suspended_s()
         self._limits, self._accept_ros = limits, accept_ros
         self._ready = ready
-        self._answers = Answers(limits, link.key, self.judge, self._base, self._wall_ns)
+        self._log: list[str] = []
+        """Events to log after the base has got its setpoint."""
+        self._answers = Answers(
+            *(limits, link.key, self.judge, self._base), wall_ns=self._wall_ns, log=self._log_line
+        )
         self.gate = GateState()
         self.reconnects = -1
         """Number of reconnections of the base; −1 until the first connection."""
@@ -114,8 +120,6 @@ class Node:
         self._errors: OdometryErrors | None = None
         self._hardware, self._early = "", False
         self._act_now = self._commanded = False
-        self._log: list[str] = []
-        """Events of the gate to log after the base has got its setpoint."""
         self._set_wall_clock()
         self._acted_s = self._status_due_s = self._slow_due_s = -math.inf
 
@@ -240,6 +244,10 @@ class Node:
     @property
     def _accepts_ros(self) -> bool:
         return self._accept_ros and not self._base.base_timeout.refusal
+
+    def _log_line(self, line: str) -> None:
+        if len(self._log) < MAX_LOG_LINES:
+            self._log.append(line)
 
     def _flush_log(self) -> None:
         for line in self._log:

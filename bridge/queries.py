@@ -53,7 +53,8 @@ UNCHECKED = "unchecked"
 class Answers:
     """Answers for the loop, which passes requests on to the gate by ``judge(event, now)``.
 
-    ``key`` is the key expression of a name, ``wall_ns`` the wall clock at a moment of the monotonic one.
+    ``key`` is the key expression of a name, ``wall_ns`` the wall clock at a moment of the monotonic one, and
+    ``log`` notes a line for people.
     """
 
     def __init__(
@@ -62,12 +63,14 @@ class Answers:
         key: Callable[[str], str],
         judge: Callable[[GateEvent, float], Verdict],
         base: GuardedBase,
+        *,
         wall_ns: Callable[[float], int],
+        log: Callable[[str], None],
     ) -> None:
         self._key, self._judge, self._base = key, judge, base
         self.limits = limits
         """Those of the gate, which the base may tighten once it is known."""
-        self._wall_ns = wall_ns
+        self._wall_ns, self._log = wall_ns, log
         self._versions = version("rover-ncp"), version("eclipse-zenoh")
         self.model = ""
         """Model of the base, once it is ready."""
@@ -135,7 +138,10 @@ class Answers:
         except FormatError:
             # Only a request that can be read may release. This one most likely was to stop the rover.
             self._judge(Stop("a request that cannot be read"), now)
+            self._log(f"{_who(query)} requests a stop by a request that cannot be read")
             raise
+        what = "the release of the stop" if request.release else f"a stop: {request.reason or 'no reason'}"
+        self._log(f"{_who(query)} requests {what}")
         self._judge(ReleaseStop() if request.release else Stop(request.reason), now)
         return StopReply(stopped=not request.release, reason="" if request.release else request.reason)
 
@@ -168,6 +174,11 @@ class Answers:
         else:
             problem = self._base.reset_odometry()
         return ResetReply(ok=not problem, reason=problem)
+
+
+def _who(query: Query) -> str:
+    """Return the sender of a request in words. Only certificates prove who it is."""
+    return f"the peer with the Zenoh id {query.source}" if query.source else "a peer without a Zenoh id"
 
 
 def _finite(value: float) -> float | None:

@@ -159,7 +159,9 @@ class ZenohLink(ClosedAtExit):
         payload = query.payload
         # One byte too many is enough for the reader to refuse it.
         data = b"{}" if payload is None else payload.to_bytes()[: row.max_bytes + 1]
-        self._inbox.put(Query(row.name, data, _bytes(query.attachment), reply, refuse))
+        info = query.source_info
+        source = "" if info is None else str(info.source_id.zid)
+        self._inbox.put(Query(row.name, data, _bytes(query.attachment), reply, refuse, source))
 
     def _locator(self, endpoints: list[str]) -> str:
         """Return the first endpoint; for port 0, ask the session which one it got."""

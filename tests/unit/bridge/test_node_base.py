@@ -256,3 +256,16 @@ def test_nobody_gets_the_motors_of_a_robot_that_is_not_known_to_halt(name):
     request = b'{"version": 2, "enable": true, "unchecked": true, "name": "x"}'
     assert '"granted":true' not in loop.query("rover/motors", request)
     assert loop.node.gate.lease is None
+
+
+def test_every_request_for_a_stop_and_its_release_is_in_the_log_with_the_peer_that_states_itself(caplog):
+    """Stop, release and a request take a drive over where no certificates are in use: the log shows how."""
+    loop, replies = Loop(turns=3), []
+    assert loop.driver.motors().granted
+    with caplog.at_level("INFO", "rover_ncp"):
+        for payload, source in ((b'{"reason": "mine"}', "f00d"), (b'{"release": true}', "")):
+            loop.arrivals.append(Query("rover/stop", payload, None, replies.append, replies.append, source))
+            loop.turn(2)
+    assert "the peer with the Zenoh id f00d requests a stop: mine" in caplog.text
+    assert "a peer without a Zenoh id requests the release of the stop" in caplog.text
+    assert loop.node.gate.lease is None

@@ -11,7 +11,6 @@ import typer
 from bridge.ros2.discovery import Convention
 from rover_ncp.core.console import Json, Output, reject
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.interruption import INTERRUPTED
 
 if TYPE_CHECKING:
@@ -185,25 +184,6 @@ def _measure_timeout(chosen: "ChosenBase", inbox: "Inbox", limits: "Limits", out
         )
     output.result(found, words_for(found))
     return 0 if found.line else 1
-
-
-def urdf(
-    model: Annotated[str, typer.Argument(help="A robot description: a name or a file.")] = DEFAULT_ROBOT,
-    *,
-    json: Json = False,
-) -> None:
-    """Print a robot's shape as a URDF, for RViz and robot_state_publisher.
-
-    Its frames are those that the bridge publishes on tf_static.
-
-        rover-ncp urdf p3at-sh > p3at-sh.urdf
-    """
-    from bridge.ros2.urdf import UrdfResult
-    from bridge.ros2.urdf import urdf as urdf_of
-    from rover_ncp.robot.description import load_description
-
-    text = urdf_of(load_description(model))
-    Output(json).result(UrdfResult(model=model, urdf=text), text.rstrip())
 
 
 def keys(

@@ -34,7 +34,6 @@ RESULTS = {
     "tag print": "deploy.tag.localiser:TagPrintResult",
     "tag calibrate": "deploy.tag.localiser:TagCalibration",
     "tag run": "deploy.tag.localiser:TagRunResult",
-    "urdf": "bridge.ros2.urdf:UrdfResult",
     "deploy": "deploy.drive.result:DriveResult",
     "teleop": "deploy.teleop:TeleopResult",
     "identify": "deploy.identify.run:IdentifyResult",

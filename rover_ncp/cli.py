@@ -53,7 +53,7 @@ _PANELS = {
     "Train": ["train", "eval", "explain", "export"],
     "Drive": ["deploy", "teleop", "course", "place", "tag"],
     "Look": ["watch", "report", "replay", "recover"],
-    "Robot": ["mock", "bridge", "check", "identify", "keys", "urdf"],
+    "Robot": ["mock", "bridge", "check", "identify", "keys"],
     "Research": ["paper", "bench"],
 }
 _PANEL = {name: panel for panel, names in _PANELS.items() for name in names}

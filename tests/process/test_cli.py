@@ -152,7 +152,6 @@ def test_a_commands_return_value_is_the_exit_code(returned, code, run_command):
 
 NEEDS = {
     "": [
-        "urdf",
         "recover no.mcap",
         "bridge --base tcp/127.0.0.1:1 --limits no.yaml",
         f"check --on-blocks {NO_BRIDGE}",

@@ -132,7 +132,7 @@ def test_control_characters_are_shown_as_escape_sequences(text, shown):
 
 
 @pytest.mark.parametrize(
-    "line", ["urdf --json >/dev/full", "urdf >&-", "urdf"], ids=["full", "closed", "gone"]
+    "line", ["--version >/dev/full", "--version >&-", "course check parking"], ids=["full", "closed", "gone"]
 )
 def test_result_that_cannot_be_written_is_exit_2_and_one_line(line):
     reader, gone = os.pipe()

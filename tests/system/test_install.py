@@ -28,7 +28,7 @@ COLD = pytest.mark.timeout(600)  # downloads, and commands with cold kernels
 NEWEST = newest_python()
 # What each set of extras makes possible, as command lines and their exit codes.
 WORKS = {
-    "": [("urdf", 0), ("bridge --base tcp/127.0.0.1:1", 3)],
+    "": [("--version", 0), ("bridge --base tcp/127.0.0.1:1", 3)],
     "drive": [
         ("course check parking --out parking.png", 0),
         ("export parking --to c --out exported", 0),

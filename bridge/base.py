@@ -55,6 +55,8 @@ class BaseReport:
     clear_ahead_m: float = math.nan
     clear_behind_m: float = math.nan
     """Shortest recent sonar ranges before and behind the base; NaN = not known."""
+    room_unknown: str = ""
+    """Why one of them is not known, as far as the base knows; "" = both are, or there are no such sensors."""
     flags: int = 0
     faults: int = 0
     """Status and fault bits as the base sent them."""

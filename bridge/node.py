@@ -32,7 +32,17 @@ from bridge.base import (
 )
 from bridge.gate.gate import step
 from bridge.gate.limits import Limits
-from bridge.gate.state import BaseLost, GateEvent, GateState, Reason, Tick, VelocityCommand, Verdict, read_tag
+from bridge.gate.state import (
+    BaseLost,
+    GateEvent,
+    GateState,
+    Reason,
+    Tick,
+    VelocityCommand,
+    Verdict,
+    describe,
+    read_tag,
+)
 from bridge.guarded_base import GuardedBase
 from bridge.inbox import CommandMessage, Query, ThreadError
 from bridge.queries import Answers
@@ -42,7 +52,7 @@ from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.core.process import Clock, suspended_s
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.messages import read_twist, text, twist_stamped
-from rover_ncp.wire.protocol import Signed, dump_json
+from rover_ncp.wire.protocol import REASONS, Signed, dump_json
 
 _LOGGER = logging.getLogger("rover_ncp")
 TICK_S = 0.02
@@ -339,5 +349,6 @@ def _log_lines(before: GateState, after: GateState) -> Iterator[str]:
             if after.lease_over
             else "released the lease"
         )
-    if before.held is None and after.held not in {None, Reason.NO_LEASE}:
-        yield f"stopped: {after.held}"
+    if before.held is None and after.held is not None and after.held is not Reason.NO_LEASE:
+        words = describe(after.held, after)
+        yield f"stopped: {after.held}" + (f": {words}" if words != REASONS.get(after.held) else "")

@@ -23,7 +23,6 @@ from bridge.base import (
     LinkHealth,
     Lost,
     Notice,
-    PassedOn,
     Ready,
     Recovered,
     Setpoint,
@@ -35,14 +34,15 @@ from bridge.ros2.base_timeout import TimeoutRecord
 from bridge.ros2.discovery import Announced
 from bridge.ros2.gyro import GyroTurns
 from bridge.ros2.hazards import Hazards
+from bridge.ros2.inputs import RosBattery, docked_passed_on, pose_passed_on
 from bridge.ros2.odometry import CLOCK_BACK_S, LOSS_S, MIN_IN_RATE, RATE_S, Moved, RosOdometer
 from bridge.ros2.scan import ScanRoom
+from bridge.ros2.unused import UnusedMessages
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.robot.description import RobotDescription, Topics
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.header import header_of
-from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import (
     BATTERY_STATE,
     BOOL,
@@ -55,12 +55,6 @@ from rover_ncp.wire.messages import (
     TWIST,
     TWIST_STAMPED,
     WHEEL_DROP,
-    BatterySample,
-    boolean,
-    read_battery,
-    read_docked,
-    read_pose,
-    with_covariance,
 )
 
 REFRESH_S = 0.05
@@ -78,9 +72,6 @@ OWN_S = 2.0
 COAST_S, DRIVES_ALONE_S = 2.0, 0.5
 """A robot that still drives so long after the last command, for so long, is driven by another."""
 MOVING_M_S, MOVING_RAD_S = 0.05, 0.15
-_NO_BATTERY = BatterySample(0, 0.0, None)
-BATTERY_S = 60.0
-"""A battery's state is that of the robot for so long. Some robots report it every 10 s."""
 _BUMPERS = frozenset({BUMP, CLIFF, WHEEL_DROP})
 _LOOP = (
     "the robot's Zenoh network is connected to the drivers': commands could reach the robot past the bridge; "
@@ -142,7 +133,7 @@ class Ros2Base:
         self._announced = AnnouncedTopics(line.topic, line.zid)
         self._contradictions: dict[str, float] = {}
         """Reasons against being ready, and when each was last seen."""
-        self._loop = self._ready = self._was_ready = self._named = self._pose_refused = False
+        self._loop = self._ready = self._was_ready = self._named = False
         self._known_restarts = self._known_jumps = 0
         self._began_s: float | None = None
         self._sent: deque[tuple[float, bytes]] = deque(maxlen=256)
@@ -151,8 +142,9 @@ class Ros2Base:
         """Number of the lease of the last setpoint."""
         self._driven_s = self._reported_s = -math.inf
         self._alone_since_s: float | None = None
-        self._battery, self._battery_s = _NO_BATTERY, -math.inf
+        self._battery = RosBattery()
         self._hazards = Hazards(self._topics)
+        self._unused = UnusedMessages(line.topic)
         topics = self._topics
         inputs = {topics.imu: IMU, topics.battery_state: BATTERY_STATE, topics.scan: LASER_SCAN}
         for hazard, ros_type in ((topics.stop, BOOL), (topics.hazards, HAZARDS)):
@@ -177,11 +169,10 @@ class Ros2Base:
                     changes.append(Notice(f"the clock that stamps {topic} was set back by {back_s:.2f} s"))
                 if self._odometer.unnamed and not self._named:
                     self._named = True
+                    topic = self._line.topic(self._topics.odom)
                     frames = f"{self._topics.odom_frame or 'odom'} → {self._topics.base_frame or 'base_link'}"
-                    where = self._line.topic(self._topics.odom)
-                    changes.append(
-                        Notice(f"odometry on {where} leaves a frame empty: it is taken for {frames}")
-                    )
+                    words = f"odometry on {topic} leaves a frame empty: it is taken for {frames}"
+                    changes.append(Notice(words))
             case TokenSeen(token, there):
                 self._announced.update(token, there)
                 for topic in self._hazards.topics:
@@ -190,6 +181,7 @@ class Ros2Base:
             case LoopSeen(there):
                 self._loop = there
         changes += self._watch(now)
+        changes += [Notice(line) for line in self._unused.notices(now, self._topics.odom)]
         return [*changes, *events] if self._ready else changes
 
     def drive(self, setpoint: Setpoint, now: float) -> Sequence[BaseEvent]:
@@ -216,11 +208,12 @@ class Ros2Base:
         self._odometer.reset()
 
     def health(self) -> LinkHealth:
-        counters = self._odometer.counters | {"imu left out": self._turns.left_out}
+        counters = self._odometer.counters | self._unused.counts
         unheard = tuple(
-            self._announced.found_instead(topic, wanted) for topic, wanted in self._unheard.items()
+            self._unused.words(topic) or self._announced.found_instead(topic, wanted)
+            for topic, wanted in self._unheard.items()
         )
-        return LinkHealth(counters["unreadable"] > 0, counters, unheard)
+        return LinkHealth(bool(self._unused.topics), counters, unheard)
 
     @property
     def note(self) -> str:
@@ -244,47 +237,40 @@ class Ros2Base:
 
     def _message(self, message: RobotMessage) -> list[BaseEvent]:
         topic, now = message.topic, message.arrived_s
-        self._unheard.pop(topic, None)
         if topic == self._topics.odom:
             moved = self._odometer.take(message.payload, now, message.source)
-            return self._report(moved, now) if moved is not None else []
-        if topic == self._topics.pose:
-            return self._pose(message.payload)
-        try:
-            if topic == self._topics.cmd_vel:
-                self._other_command(message)
-            elif topic == self._topics.imu:
-                self._turns.take(message.payload, now)
-            elif topic == self._topics.scan and self._room is not None:
-                self._room.take(message.payload, now)
-            elif topic in self._hazards.topics:
-                self._hazards.take(topic, message.payload, now)
-            elif topic == self._topics.docked:
-                docked = read_docked(message.payload, self._topics.docked_field)
-                return [PassedOn("docked", boolean(docked))]
-            elif topic == self._topics.battery_state:
-                battery = read_battery(message.payload)
-                if math.isfinite(battery.voltage):
-                    self._battery, self._battery_s = battery, now
-        except FormatError:
-            self._odometer.counters["unreadable"] += 1
-        return []
-
-    def _pose(self, payload: bytes) -> list[BaseEvent]:
-        """Pass on a pose that can be read; the driver decides on its frame and its use."""
-        try:
-            data, limit = with_covariance(payload), spec("pose").max_bytes
-            read_pose(data)
-            if len(data) > limit:
-                raise FormatError(f"it has {len(data)} bytes, expected {limit} at most")
-        except FormatError as error:
-            self._odometer.counters["unreadable"] += 1
-            if self._pose_refused or not self._ready:
+            if moved is None:
+                self._unused.add(topic, self._odometer.problem, now)
                 return []
-            self._pose_refused = True
-            assert self._topics.pose is not None
-            return [Notice(f"a pose on {self._line.topic(self._topics.pose)} is not passed on: {error}")]
-        return [PassedOn("pose", data)]
+            self._unused.end(topic)
+            return self._report(moved, now)
+        try:
+            events = self._take(topic, message)
+        except FormatError as error:
+            self._unused.add(topic, str(error), now)
+            return []
+        self._unused.end(topic)
+        self._unheard.pop(topic, None)
+        return events
+
+    def _take(self, topic: str, message: RobotMessage) -> list[BaseEvent]:
+        """Take a message of another topic than odometry. Raises FormatError for one that cannot be used."""
+        now = message.arrived_s
+        if topic == self._topics.cmd_vel:
+            self._other_command(message)
+        elif topic == self._topics.imu:
+            self._turns.take(message.payload, now)
+        elif topic == self._topics.scan and self._room is not None:
+            self._room.take(message.payload, now)
+        elif topic in self._hazards.topics:
+            self._hazards.take(topic, message.payload, now)
+        elif topic == self._topics.docked:
+            return [docked_passed_on(message.payload, self._topics.docked_field)]
+        elif topic == self._topics.pose:
+            return [pose_passed_on(message.payload)]
+        elif topic == self._topics.battery_state:
+            self._battery.take(message.payload, now)
+        return []
 
     def _report(self, moved: Moved, now: float) -> list[BaseEvent]:
         v, omega = moved.velocity
@@ -306,8 +292,7 @@ class Ros2Base:
         unknown = self._hazards.unknown(
             now, self._line.topic, lambda each: bool(self._announced.publishers(each))
         )
-        age_s = now - self._battery_s
-        battery, age_s = (self._battery, age_s) if age_s <= BATTERY_S else (_NO_BATTERY, 0.0)
+        battery, age_s = self._battery.state(now)
         report = BaseReport(
             *(x, y, theta, v, omega),
             age_s=moved.age_s,
@@ -321,8 +306,14 @@ class Ros2Base:
             bumpers=(int(not hazards.isdisjoint(_BUMPERS)), int(WHEEL_DROP in hazards)),
             clear_ahead_m=ahead,
             clear_behind_m=behind,
+            room_unknown=self._room_unknown(now),
         )
         return [*events, report]
+
+    def _room_unknown(self, now: float) -> str:
+        if self._room is None or self._topics.scan is None or not (words := self._room.unknown(now)):
+            return ""
+        return self._unused.words(self._topics.scan) or f"{self._line.topic(self._topics.scan)}: {words}"
 
     def _other_command(self, message: RobotMessage) -> None:
         """Find out whether a message on ``cmd_vel`` is ours that came back, or another publisher's."""
@@ -379,7 +370,7 @@ class Ros2Base:
             return f"odometry on {where} began again: {self._odometer.restart_reason}"
         if self._odometer.age_s(now) <= LOSS_S:
             return ""
-        return self._odometer.problem or f"no odometry on {where} for {LOSS_S} s"
+        return self._unused.words(self._topics.odom) or f"no odometry on {where} for {LOSS_S} s"
 
     def _no_odometry(self, where: str, now: float) -> str:
         topic = self._topics.odom

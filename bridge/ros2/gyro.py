@@ -8,6 +8,7 @@ import math
 
 from bridge.base import TurnRate
 from rover_ncp.core.clock_offset import StampClock
+from rover_ncp.core.errors import FormatError
 from rover_ncp.wire.messages import GYRO_GAP_S, read_imu
 
 
@@ -20,22 +21,18 @@ class GyroTurns:
         """When the newest message was measured, on the bridge's clock."""
         self._rad = self._seconds = self._rate = 0.0
         self._new = False
-        self.left_out = 0
-        """How many messages did not count."""
 
     def take(self, payload: bytes, arrived_s: float) -> None:
-        """Take a message; those that are not finite, not new, or of a doubtful stamp are left out.
-
-        Raises FormatError.
-        """
+        """Take a message. Raises FormatError for one that is not finite, not new, or of a doubtful stamp."""
         sample = read_imu(payload)
         at_s: float | None = arrived_s
         if sample.stamp_ns != 0:  # else a publisher without a clock
             measured_ns = self._clock.measured_ns(sample.stamp_ns, round(arrived_s * 1e9))
             at_s = None if measured_ns is None else measured_ns * 1e-9
-        if at_s is None or at_s <= self._at_s or not math.isfinite(sample.rate):
-            self.left_out += 1
-            return
+        if not math.isfinite(sample.rate):
+            raise FormatError(f"its rate of turn is {sample.rate:g}")
+        if at_s is None or at_s <= self._at_s:
+            raise FormatError("its stamp jumps, or is not newer than that of the message before")
         seconds = at_s - self._at_s
         if seconds > GYRO_GAP_S:
             self._rad = self._seconds = 0.0

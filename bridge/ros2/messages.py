@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 
 from bridge.base import BaseReport, LinkHealth
-from bridge.gate.state import GateState, Reason
+from bridge.gate.state import GateState, Reason, describe
 from bridge.pioneer.packets import NO_ECHO_MM
 from bridge.ros2.covariance import MIN_VARIANCE, Variances
 from rover_ncp.core.geometry import Pose, Velocity
@@ -87,6 +87,7 @@ def gate_status(state: GateState) -> GateStatus:
         driver_name=lease.name if lease else "",
         sequence=lease.last_sequence if lease else -1,
         held="" if held in {None, Reason.NO_LEASE} else str(held),
+        held_detail="" if held in {None, Reason.NO_LEASE} else describe(held, state),
         ended=str(state.lease_over or ""),
         ended_detail=state.lease_over_detail,
         stop_reason=state.stop_reason or "",
@@ -119,7 +120,7 @@ def _link(link: LinkHealth, reconnects: int) -> Diagnostic:
     return Diagnostic(
         "bridge: link to the base",
         WARNING if link.damaged else OK,
-        "packets were damaged" if link.damaged else "clean",
+        "messages are damaged or cannot be used" if link.damaged else "clean",
         {name: str(value) for name, value in values.items()},
     )
 

@@ -54,7 +54,7 @@ class RosOdometer:
 
     def __init__(self, topics: Topics, motion: Motion) -> None:
         self._topics, self._motion = topics, motion
-        self.counters = dict.fromkeys(("messages", "unreadable", "stale", "repeated", "foreign"), 0)
+        self.counters = dict.fromkeys(("messages", "stale", "repeated", "foreign"), 0)
         self.problem = ""
         self.unnamed = False
         """Whether the last message that counts leaves a frame empty."""
@@ -92,7 +92,6 @@ class RosOdometer:
         try:
             sample = read_odometry(payload)
         except FormatError as error:
-            self.counters["unreadable"] += 1
             self.problem = f"odometry cannot be read: {error}"
             return None
         if source is not None:
@@ -169,6 +168,7 @@ class RosOdometer:
             return False
         if stamp_ns <= self._stamp_ns:
             self.counters["repeated"] += 1
+            self.problem = "the stamps of odometry stand still or go back"
             return False
         self._stamp_ns = stamp_ns
         self._age_s = (arrived_ns - measured_ns) * 1e-9

@@ -1,6 +1,7 @@
 """A LaserScan as the room before and behind a robot, in place of sonars. Pure."""
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,13 +39,13 @@ class ScanRoom:
         stamp_ns = read_stamp_ns(message.header)
         measured_ns = self._clock.measured_ns(stamp_ns, now_ns) if stamp_ns else now_ns
         if measured_ns is None:
-            return
+            raise FormatError("its stamp jumps")
+        if now - measured_ns * 1e-9 > VALID_S:
+            raise FormatError(f"it is {now - measured_ns * 1e-9:.1f} s old, at most {VALID_S:g} s")
         with np.errstate(invalid="ignore"):  # a signalling NaN is one among others
             ranges = np.asarray(message.ranges, np.float64)
         step = float(message.angle_increment)
-        limits = (float(message.angle_min), step, float(message.range_min), float(message.range_max))
-        if not len(ranges) or not all(map(math.isfinite, limits)) or step == 0.0:
-            raise FormatError("a scan without beams or without finite angles")
+        _check(message, len(ranges))
         angles = message.angle_min + step * np.arange(len(ranges)) + math.radians(self._mount.yaw_deg)
         nothing = np.isposinf(ranges)
         ranges = np.where(np.isneginf(ranges), message.range_min, ranges)  # REP 117: something is too close
@@ -63,9 +64,30 @@ class ScanRoom:
         behind = _least(-x[other & (x < 0.0)] - rear) if _scanned(angles, sees, math.pi, step) else math.nan
         self._at_s, self._room = measured_ns * 1e-9, (ahead, behind)
 
+    def unknown(self, now: float) -> str:
+        """Return why the room ahead or behind is not known; "" if it is."""
+        if self._at_s == -math.inf:
+            return "no scan has come that can be used"
+        if now - self._at_s > VALID_S:
+            return f"the newest scan is {now - self._at_s:.1f} s old, at most {VALID_S:g} s"
+        dark = [name for name, room in zip(("ahead", "behind"), self._room, strict=True) if math.isnan(room)]
+        angle = round(math.degrees(LOOKS_RAD))
+        return f"no beam within {angle}° of {' and '.join(dark)} has a valid range" if dark else ""
+
     def clear(self, now: float) -> tuple[float, float]:
         """Return the room in m from the outline to the nearest thing ahead and behind; NaN = not known."""
         return self._room if now - self._at_s <= VALID_S else (math.nan, math.nan)
+
+
+def _check(message: Any, beams: int) -> None:
+    """Raise FormatError for a scan without beams, angles or ranges; an infinite range_max is no limit."""
+    step, least, most = message.angle_increment, message.range_min, message.range_max
+    if not beams:
+        raise FormatError("it has no beams")
+    if not math.isfinite(message.angle_min) or not math.isfinite(step) or step == 0.0:
+        raise FormatError(f"angle_min is {message.angle_min:g} and angle_increment {step:g}")
+    if not math.isfinite(least) or not most > least:
+        raise FormatError(f"range_min is {least:g} and range_max {most:g}, expected range_min < range_max")
 
 
 def _least(room: NDArray[np.float64]) -> float:

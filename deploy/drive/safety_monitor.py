@@ -175,7 +175,7 @@ class SafetyMonitor:
             raise SafetyStop("command", f"the circuit's command is not finite: {command}")
         if missing := self._response.tick(command, motion):
             gate = self._link.gate
-            held = f" (the gate reports {in_words(gate.held)})" if gate.held else ""
+            held = f" (the gate reports {in_words(gate.held, gate.held_detail)})" if gate.held else ""
             raise SafetyStop("no-response", f"by the estimate the rover drove {missing}{held}")
 
 

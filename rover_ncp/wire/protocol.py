@@ -279,9 +279,10 @@ CONTACTS = frozenset({"bumper", "stall"})
 """The reasons that report that the rover touched something."""
 
 
-def in_words(reason: str) -> str:
-    """Return a gate's reason with its words."""
-    return f"{reason}: {REASONS[reason]}" if reason in REASONS else reason
+def in_words(reason: str, detail: str = "") -> str:
+    """Return a gate's reason with its words, or with those of the gate."""
+    words = detail or REASONS.get(reason, "")
+    return f"{reason}: {words}" if words else reason
 
 
 class GateStatus(StrictModel):
@@ -289,16 +290,17 @@ class GateStatus(StrictModel):
 
     ``lease`` is the number of the lease that is held (0 = none), ``driver_name`` its holder, ``sequence`` the
     newest number that the gate accepted under it (-1 = none). ``held`` names what holds the rover at zero now
-    ("" = nothing, a command is in force). ``ended`` names what took the last lease away ("" = it is held, or
-    was given back), and ``ended_detail`` has the words for it. Counters are since the bridge's start, by name
-    of the gate's reason: commands ``dropped``, commands ``limited``, and ``stops``, how often a command in
-    force was cut off.
+    ("" = nothing, a command is in force), and ``held_detail`` has the words for it. ``ended`` names what took
+    the last lease away ("" = it is held, or was given back), and ``ended_detail`` has the words for it.
+    Counters are since the bridge's start, by name of the gate's reason: commands ``dropped``, commands
+    ``limited``, and ``stops``, how often a command in force was cut off.
     """
 
     lease: int = 0
     driver_name: str = ""
     sequence: int = -1
     held: str = ""
+    held_detail: str = ""
     ended: str = ""
     ended_detail: str = ""
     stop_reason: str = ""

@@ -137,7 +137,9 @@ def test_diagnostics_name_the_problems():
     ill_words = "STOP button pressed, stalled, bumper pressed, reports faults"
     healthy = {"link to the base": (0, "clean"), "base": (0, "fine"), "gate": (0, "open")}
     assert levels(well) == healthy
-    assert levels(well, health=DAMAGED) == healthy | {"link to the base": (1, "packets were damaged")}
+    assert levels(well, health=DAMAGED) == healthy | {
+        "link to the base": (1, "messages are damaged or cannot be used")
+    }
     assert levels(ill, SILENT) == healthy | {"base": (2, ill_words), "gate": (1, "silence")}
     assert levels(None) == healthy | {"base": (2, "not connected")}
     over = GateState(held=Reason.NO_LEASE, lease_over=Reason.STALL)

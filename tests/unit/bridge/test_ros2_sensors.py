@@ -8,18 +8,27 @@ import struct
 import numpy as np
 import pytest
 from kit.ros2_world import BURGER, EPOCH_S, World, beyond_its_second, header
+from kit.virtual_bench import VirtualDriver, VirtualRig
 
 from bridge.base import Notice, PassedOn
+from bridge.gate.limits import Limits
 from rover_ncp.core.geometry import ORIGIN
 from rover_ncp.robot.description import Circle, load_description
 from rover_ncp.wire.cdr import encode
-from rover_ncp.wire.messages import IMU, LASER_SCAN, POSE_STAMPED, pose_with_covariance, read_pose
+from rover_ncp.wire.messages import (
+    BATTERY_STATE,
+    IMU,
+    LASER_SCAN,
+    POSE_STAMPED,
+    pose_with_covariance,
+    read_pose,
+)
 
 SIGNALLING_NAN = bytes.fromhex("0100807f")
 """As a float32. numpy warns when it casts one."""
 
 
-def scan(*hits, first_deg=0.0, count=360, step_deg=1.0, else_m=math.inf, min_m=0.1, stamp_s=0.0):
+def scan(*hits, first_deg=0.0, count=360, step_deg=1.0, else_m=math.inf, min_m=0.1, max_m=8.0, stamp_s=0.0):
     """Return a LaserScan's bytes; ``hits`` are (degrees from the laser's x-axis, range in m)."""
     ranges = [else_m] * count
     for degrees, range_m in hits:
@@ -30,7 +39,7 @@ def scan(*hits, first_deg=0.0, count=360, step_deg=1.0, else_m=math.inf, min_m=0
         angle_min=math.radians(first_deg),
         angle_increment=math.radians(step_deg),
         range_min=min_m,
-        range_max=8.0,
+        range_max=max_m,
         ranges=np.array(ranges, np.float32),
     )
 
@@ -84,7 +93,8 @@ def test_a_covered_laser_that_reports_too_close_everywhere_is_no_free_way(ready,
 )
 def test_a_scan_that_is_none_is_counted_and_none_or_an_old_one_is_no_room(ready, payload):
     assert math.isnan(room(ready, payload)[0])
-    assert ready.base.health().counters["unreadable"] == 1
+    assert ready.base.health().counters["scan: not used"] == 1
+    assert ready.reports[-1].room_unknown.startswith("1 message on scan cannot be used: ")
     ready.hear("scan", scan())
     ready.run(0.5)
     assert ready.reports[-1].clear_ahead_m == math.inf
@@ -194,7 +204,7 @@ def test_a_message_that_comes_twice_counts_once(turning):
             turning.hear("imu", imu(rate, turning.clock_s + turning.now))
     turning.run(0.06)
     assert [turn.rate for turn in turning.turns] == [pytest.approx(0.2)]
-    assert turning.base.health().counters["imu left out"] == 1
+    assert turning.base.health().counters["imu: not used"] == 1
 
 
 def pose_of(degrees=0.0, axis="z", frame="map"):
@@ -233,8 +243,56 @@ def test_poses_of_the_robots_own_localiser_are_passed_on(localising):
     ids=["y up", "pitched", "long frame", "no rotation", "short"],
 )
 def test_pose_that_is_none_is_not_passed_on_and_is_named_once(localising, payload, words):
-    for _ in range(3):
-        localising.hear("amcl_pose", payload)
+    localising.run(1.5, each=lambda: localising.hear("amcl_pose", payload))
     assert not any(isinstance(event, PassedOn) for event in localising.events)
     notices = [event.text for event in localising.events if isinstance(event, Notice)]
     assert [bool(re.search(words, each)) for each in notices] == [True]
+
+
+# Messages that cannot be used
+
+
+@pytest.mark.parametrize("max_m", [math.inf, 3.4e38])
+def test_a_scan_without_an_upper_limit_of_its_range_is_used(ready, max_m):
+    ahead, _ = room(ready, scan((0, 1.0), max_m=max_m))
+    assert ahead == pytest.approx(0.927, abs=1e-3)
+
+
+BAD = {
+    "imu": (imu(math.nan), "its rate of turn is nan"),
+    "battery_state": (encode(BATTERY_STATE, voltage=math.nan), "its voltage is nan"),
+    "scan": (scan(max_m=math.nan), "range_min is 0.1 and range_max nan, expected range_min < range_max"),
+}
+
+
+@pytest.mark.parametrize("topic", BAD)
+def test_a_topic_that_sends_nothing_to_be_used_is_named_once_with_reason_and_count(ready, topic):
+    payload, reason = BAD[topic]
+    ready.run(30.0, each=lambda: ready.hear(topic, payload))
+    notices = [event.text for event in ready.events if isinstance(event, Notice)]
+    assert len(notices) == 1
+    assert re.fullmatch(rf"\d+ messages on {topic} cannot be used: {reason}", notices[0])
+    assert any(f"on {topic} cannot be used: {reason}" in words for words in ready.base.health().unheard)
+    assert ready.base.health().damaged
+
+
+@pytest.mark.parametrize(
+    ("sent", "words"),
+    [
+        (None, "scan: no scan has come that can be used"),
+        (BAD["scan"][0], f"[0-9]+ messages on scan cannot be used: {BAD['scan'][1]}"),
+        (scan(else_m=math.nan), "scan: no beam within 20° of ahead and behind has a valid range"),
+    ],
+)
+def test_a_hold_by_the_laser_says_why_the_room_is_not_known(sent, words):
+    rig = VirtualRig(load_description("turtlebot4"), limits=Limits(sonar_stop_m=0.3))
+    emit = rig.base._emit
+    rig.base._emit = lambda topic, data: (
+        emit(topic, data if topic != "scan" else sent) if sent or topic != "scan" else None
+    )
+    driver = VirtualDriver(rig)
+    rig.sleep(3.0)
+    assert driver.motors().granted
+    driver.drive(0.5, 0.1)
+    assert driver.gate.held == "sonar"
+    assert re.search(f"the sonars there report nothing: {words}$", driver.gate.held_detail)

@@ -156,7 +156,15 @@ def test_a_request_reads_as_documented():
         (BaseRequest(), {}),
         (
             GateStatus(),
-            {"lease": 0, "driver_name": "", "sequence": -1, "held": "", "ended": "", "ended_detail": ""}
+            {
+                "lease": 0,
+                "driver_name": "",
+                "sequence": -1,
+                "held": "",
+                "held_detail": "",
+                "ended": "",
+                "ended_detail": "",
+            }
             | {"stop_reason": "", "accepted": 0, "dropped": {}, "limited": {}, "stops": {}},
         ),
         (

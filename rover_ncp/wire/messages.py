@@ -16,6 +16,7 @@ from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.wire.cdr import decode, encode
 from rover_ncp.wire.header import header_of, read_stamp_ns
+from rover_ncp.wire.pose_fields import pose_of, read_planar_pose, rotation_of
 
 FloatArray = NDArray[np.float64]
 
@@ -44,10 +45,6 @@ WITH_COVARIANCE_BYTES = 4 + 12 + 56 + 288
 """Length of a PoseWithCovarianceStamped with an empty frame, at least; a PoseStamped is shorter."""
 TWIST_BYTES = 52
 """A Twist is six float64 behind the CDR header; a TwistStamped is always longer."""
-UPRIGHT = math.cos(math.radians(30.0))
-"""Least vertical part of a pose's z axis: no rover stands on a steeper slope."""
-_UNIT_TOLERANCE = 0.1
-"""How far the squared length of a rotation's quaternion may be from 1: some publishers round to float32."""
 # Planar measurements say nothing of z, roll and pitch: REP convention is a large variance there.
 _UNKNOWN = 1e6
 _PLANAR = (0, 1, 5)
@@ -139,7 +136,7 @@ def odometry(
         ODOMETRY,
         header=header_of(stamp_ns, frames[0]),
         child_frame_id=frames[1],
-        pose={"pose": _pose(pose), "covariance": np.diag([x, y, *[_UNKNOWN] * 3, theta]).ravel()},
+        pose={"pose": pose_of(pose), "covariance": np.diag([x, y, *[_UNKNOWN] * 3, theta]).ravel()},
         twist={
             "twist": _twist(velocity),
             "covariance": np.diag([v, lateral_variance, *[_UNKNOWN] * 3, omega]).ravel(),
@@ -153,7 +150,7 @@ def read_odometry(data: bytes) -> OdometrySample:
     twist = message.twist.twist
     return OdometrySample(
         read_stamp_ns(message.header),
-        _read_pose(message.pose.pose),
+        read_planar_pose(message.pose.pose),
         Velocity(twist.linear.x, twist.angular.z),
         message.header.frame_id,
         message.child_frame_id,
@@ -180,18 +177,18 @@ def read_twist(data: bytes) -> TwistSample:
 
 def pose_stamped(pose: Pose, stamp_ns: int, frame: str) -> bytes:
     """Return a PoseStamped, which viewers draw (they do not draw Odometry)."""
-    return encode(POSE_STAMPED, header=header_of(stamp_ns, frame), pose=_pose(pose))
+    return encode(POSE_STAMPED, header=header_of(stamp_ns, frame), pose=pose_of(pose))
 
 
 def read_pose_stamped(data: bytes) -> Pose:
     """Read a PoseStamped. Raises FormatError."""
-    return _read_pose(decode(POSE_STAMPED, data).pose)
+    return read_planar_pose(decode(POSE_STAMPED, data).pose)
 
 
 def path(poses: Sequence[Pose], stamp_ns: int, frame: str) -> bytes:
     """Return a Path through poses, all with one stamp."""
     header = header_of(stamp_ns, frame)
-    stamped = [{"header": header, "pose": _pose(pose)} for pose in poses]
+    stamped = [{"header": header, "pose": pose_of(pose)} for pose in poses]
     return encode("nav_msgs/msg/Path", header=header, poses=stamped)
 
 
@@ -202,7 +199,7 @@ def pose_with_covariance(pose: Pose, covariance: FloatArray, stamp_ns: int, fram
     return encode(
         POSE_WITH_COVARIANCE,
         header=header_of(stamp_ns, frame),
-        pose={"pose": _pose(pose), "covariance": full.ravel()},
+        pose={"pose": pose_of(pose), "covariance": full.ravel()},
     )
 
 
@@ -214,24 +211,11 @@ def with_covariance(data: bytes) -> bytes:
     if len(data) >= WITH_COVARIANCE_BYTES:
         return data
     try:
-        message = decode(POSE_STAMPED, data)
+        decode(POSE_STAMPED, data)
     except FormatError:
         return data
-    stamp, position, turn = message.header.stamp, message.pose.position, message.pose.orientation
-    return encode(
-        POSE_WITH_COVARIANCE,
-        header={
-            "stamp": {"sec": stamp.sec, "nanosec": stamp.nanosec},
-            "frame_id": message.header.frame_id,
-        },
-        pose={
-            "pose": {
-                "position": {"x": position.x, "y": position.y, "z": position.z},
-                "orientation": {"x": turn.x, "y": turn.y, "z": turn.z, "w": turn.w},
-            },
-            "covariance": np.diag([0.0, 0.0, *[_UNKNOWN] * 3, 0.0]).ravel(),
-        },
-    )
+    number = "<f8" if data[1] == 1 else ">f8"  # the CDR header tells the byte order
+    return data + np.diag([0.0, 0.0, *[_UNKNOWN] * 3, 0.0]).astype(number).tobytes()
 
 
 def read_pose(data: bytes) -> PoseSample:
@@ -241,7 +225,7 @@ def read_pose(data: bytes) -> PoseSample:
     return PoseSample(
         read_stamp_ns(message.header),
         message.header.frame_id,
-        _read_pose(message.pose.pose),
+        read_planar_pose(message.pose.pose),
         full[np.ix_(_PLANAR, _PLANAR)],
     )
 
@@ -267,7 +251,7 @@ def transforms(items: Sequence[Transform], stamp_ns: int) -> bytes:
             "child_frame_id": item.child,
             "transform": {
                 "translation": {"x": item.x, "y": item.y, "z": item.z},
-                "rotation": _rotation(item.yaw),
+                "rotation": rotation_of(item.yaw),
             },
         }
         for item in items
@@ -280,7 +264,7 @@ def imu(rate: float, variance: float, stamp_ns: int) -> bytes:
     return encode(
         IMU,
         header=header_of(stamp_ns, BASE_FRAME),
-        orientation=_rotation(0.0),
+        orientation=rotation_of(0.0),
         orientation_covariance=_NONE,
         angular_velocity={"z": rate},
         angular_velocity_covariance=np.diag([_UNKNOWN, _UNKNOWN, variance]).ravel(),
@@ -402,33 +386,6 @@ def text(content: str) -> bytes:
 def read_text(data: bytes) -> str:
     """Read a String. Raises FormatError."""
     return str(decode(STRING, data).data)
-
-
-def _rotation(yaw: float) -> dict[str, float]:
-    return {"z": math.sin(0.5 * yaw), "w": math.cos(0.5 * yaw)}
-
-
-def _pose(pose: Pose) -> dict[str, Any]:
-    return {"position": {"x": pose.x, "y": pose.y}, "orientation": _rotation(pose.theta)}
-
-
-def _read_pose(pose: Any) -> Pose:
-    yaw, q = read_yaw(pose.orientation), pose.orientation
-    upright = 1.0 - 2.0 * (q.x * q.x + q.y * q.y)
-    if upright < UPRIGHT:
-        tilt = math.degrees(math.acos(max(upright, -1.0)))
-        raise FormatError(
-            f"the pose lies on its side: its z axis is {tilt:.0f}° from vertical, expected z up (REP-103); a "
-            "motion capture with y up has to be set to z up"
-        )
-    return Pose(pose.position.x, pose.position.y, yaw)
-
-
-def read_yaw(q: Any) -> float:
-    """Return the heading of a message's quaternion. Raises FormatError for what is no rotation."""
-    if not abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1.0) <= _UNIT_TOLERANCE:
-        raise FormatError(f"the orientation {q.x:g}, {q.y:g}, {q.z:g}, {q.w:g} is not a rotation")
-    return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
 
 
 def _twist(velocity: Velocity) -> dict[str, Any]:

@@ -22,8 +22,8 @@ from rover_ncp.wire.protocol import Signed
 from rover_ncp.wire.zenoh import CLIENT, client_config
 
 HEARD = [row.name for row in KEYS if row.kind is Kind.MESSAGE and row.senders == {Role.BRIDGE}]
-SELDOM = {"sonar", "imu"}
-"""Only where something is near, and from a base with a gyro."""
+SELDOM = {"sonar", "imu", "docked"}
+"""Only where something is near, from a base with a gyro, and from a ROS 2 robot."""
 
 
 def read(path):

@@ -48,7 +48,7 @@ LINES = {
     "place": f"place set new {ROBOT} {{}}",
     "recover --out": "recover drive.mcap {}",
     "report --out": "report drive.mcap {}",
-    "tag calibrate": f"tag calibrate --camera none --camera-file {CAMERA} --map {TAGS} {ROBOT} {{}}",
+    "tag calibrate": f"tag calibrate --camera none --camera-file {CAMERA} --map {TAGS} {{}}",
     "tag calibrate --camera-file": "tag calibrate --camera none {}",
     "tag calibrate --camera-info": "tag calibrate --camera none --camera-file new.yaml {}",
     "tag print --out": "tag print {}.pdf",

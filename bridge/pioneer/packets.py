@@ -225,6 +225,11 @@ class ConfigPac:
         """Return the packet; what is missing at its end keeps its default."""
         return cls(**_read(_wire_formats(cls), payload)[0])
 
+    @property
+    def sends_gyro(self) -> bool:
+        """Whether the base sends its gyro's readings when asked; with 2 its headings have them already."""
+        return self.has_gyro == 1
+
     def encode(self) -> Packet:
         """Return the packet, ready for ``encode_frame``."""
         return Packet(Kind.CONFIG, _write(_wire_formats(type(self)), self))

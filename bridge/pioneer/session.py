@@ -27,8 +27,6 @@ from rover_ncp.robot.description import RobotDescription
 
 CONFIG_S, OPEN_S = 1.0, 2.0
 """Time to wait for a CONFIGpac, which a ready base is asked for again as often, and for the first SIP."""
-GYRO_CLIENT_SIDE = 1
-"""HASGYRO of a base that sends readings when asked; with 2 its headings have the gyro in them already."""
 POLITE_TRIES, SILENT_TRIES = 1, 6
 """Silent handshakes before CLOSE goes first; before giving up."""
 TRIES_AGAIN = 3
@@ -152,6 +150,11 @@ class Session:
     def watchdog_s(self) -> float | None:
         """Time after which the base halts without packets, by its configuration; None before that arrives."""
         return None if self._config is None else self._config.watchdog / 1000.0
+
+    @property
+    def gyro_silent(self) -> bool:
+        """Whether the base has a gyro that has sent nothing."""
+        return self._config is not None and self._config.sends_gyro and not self._gyro_seen
 
     # Only a ready base gets requests: nothing moves before the first packet from the base.
 
@@ -322,17 +325,8 @@ class Session:
         self._send(Command.CONFIG)
         self._asked_s = self._now
 
-    @property
-    def _has_gyro(self) -> bool:
-        return self._config is not None and self._config.has_gyro == GYRO_CLIENT_SIDE
-
-    @property
-    def gyro_silent(self) -> bool:
-        """Whether the base has a gyro that has sent nothing."""
-        return self._has_gyro and not self._gyro_seen
-
     def _ask_for_gyro(self) -> None:
-        if self._has_gyro:
+        if self._config is not None and self._config.sends_gyro:
             self._send(Command.GYRO, 1)
 
     def _settle(self) -> None:

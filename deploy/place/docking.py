@@ -13,18 +13,18 @@ Rules of this file:
 import math
 from collections import deque
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.drive.config import DriveConfig, settings_for
+from deploy.drive.config import DriveConfig
 from deploy.drive.controller import Controller, Tick, take
 from deploy.drive.start import median_pose
 from deploy.estimator.estimator import Estimate, Estimator
 from deploy.estimator.measurements import Outcome
 from deploy.place.outcome import DockError, DockResult, Evidence, PoseErrors, Stage
-from deploy.place.place import AT_PLACE_M, Place, Proof
+from deploy.place.place import AT_PLACE_M, Proof
 from deploy.place.plan import FAR_M, Way, approach, in_the_way, retreat, tail, to_staging
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import ConfigError, SafetyStop
@@ -38,8 +38,6 @@ from rover_ncp.course.scoring import (
     probability_within,
 )
 from rover_ncp.course.slowdown import slowdown
-from rover_ncp.robot.description import RobotDescription
-from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
 
 STAGED_M, STAGED_RAD = 0.10, math.radians(10.0)
@@ -59,10 +57,6 @@ LATE_S = 35.0
 MIN_POSES = 3
 """External poses that a median needs."""
 KEPT_POSES = 300
-MAX_DRIVE_S = 1800.0
-"""Upper limit of a drive with all its tries."""
-BLIND_S = 60.0
-"""How long the rover may move by odometry alone, where poses are lost."""
 MAX_STAGINGS = 5
 """Ways to the staging pose in one drive."""
 
@@ -386,22 +380,3 @@ class _Judged(NamedTuple):
     probability: float | None = None
     by_estimate: PoseErrors | None = None
     by_proof: PoseErrors | None = None
-
-
-def place_config(
-    place: Place, rover: RoverProfile | None, described: RobotDescription | None, **more: Any
-) -> DriveConfig:
-    """Return the settings of a drive to a place; ``more`` are further settings."""
-    about: dict[str, Any] = {
-        "place": place,
-        "course": place.name,
-        "ticks": round(MAX_DRIVE_S / TICK_S),
-        # A docked rover is where its place is, also if its poses are hidden there.
-        "pose": "auto" if more.get("undock") else "required",
-        "pose_age_s": BLIND_S,
-        "pose_frame": place.frame,
-        "estimator": settings_for(rover, described),
-        "rover": rover,
-        "described": described,
-    }
-    return DriveConfig(**about | more)

@@ -5,11 +5,9 @@ from collections import Counter
 import numpy as np
 import pytest
 from kit.virtual_docking import BEFORE_STAGING, STAGING, VirtualDocking, charging, place
-from kit.virtual_drive import ChangedLink
 
-from deploy.drive.records import attachments
 from deploy.drive.tick_messages import FRAMES_TOPIC, PATH_TOPIC, POSE_TOPIC
-from deploy.place.outcome import DockError, Stage
+from deploy.place.outcome import DockError
 from deploy.replay import replay
 from deploy.view.findings import analyse
 from deploy.view.page_data import columns
@@ -21,7 +19,6 @@ from rover_ncp.course.course import Obstacle
 from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.messages import (
     battery_state,
-    boolean,
     bumpers,
     read_battery,
     read_bumpers,
@@ -171,60 +168,6 @@ def test_bumper_that_opens_and_closes_in_the_dock_does_not_end_the_wait_for_the_
     assert replay(drive.path).same
 
 
-def test_base_that_does_not_tell_whether_it_charges_gets_one_try():
-    drive = charging(VirtualDocking(place(proof="charging", retries=2), STAGING), None)
-    dock = drive.run().dock
-    assert (dock.success, dock.error_code, dock.num_retries) == (False, DockError.FAILED_TO_CHARGE, 0)
-    assert "does not tell whether the battery charges" in dock.error_msg
-    assert (dock.at, drive.stands()) == ("staging pose", True)
-
-
-@pytest.mark.parametrize("sent", ["never again", "repeated"])
-def test_charge_that_was_reported_before_the_end_of_the_approach_proves_nothing(sent):
-    """A bridge repeats the last report of a robot's battery; a robot may be pushed off its charger."""
-    drive, stamps = VirtualDocking(place(proof="charging", retries=0), Pose(1.955, 1.0, 0.0)), []
-
-    def early(data):
-        stamps.append(read_battery(data).stamp_ns)
-        again = len(stamps) > 2
-        return None if again and sent == "never again" else battery_state(12.5, stamps[0], charging=True)
-
-    drive.link.change["battery_state"] = early
-    dock = drive.run().dock
-    assert (dock.success, dock.error_code) == (False, DockError.FAILED_TO_CHARGE)
-    assert len(stamps) > 20
-
-
-def says_docked(drive, docked):
-    """Let a topic of the robot say whether it is docked, with each sample of odometry; None is no message."""
-    drive.link.put_with_odometry(
-        "docked", lambda odom: [] if (found := docked(drive.rover.pose)) is None else [boolean(found)]
-    )
-    return drive
-
-
-def test_topic_of_the_robot_proves_a_docking(tmp_path):
-    drive = VirtualDocking(place(proof="topic", retries=0), STAGING, path=tmp_path / "topic.mcap")
-    result = says_docked(drive, lambda pose: pose.x > 1.97).run()
-    assert (result.exit_code, result.dock.success, result.dock.at) == (0, True, "place")
-    assert replay(drive.path).same
-
-
-@pytest.mark.parametrize(
-    ("docked", "words"),
-    [
-        (lambda pose: None, "no message on 'docked'"),
-        (lambda pose: False, "did not say that it is docked"),
-        (lambda pose: True if pose.x < 1.95 else None, "only before the end of the approach"),
-    ],
-)
-def test_topic_that_does_not_say_docked_after_the_approach_proves_nothing(docked, words):
-    drive = says_docked(VirtualDocking(place(proof="topic", retries=0), Pose(1.9, 1.0, 0.0)), docked)
-    dock = drive.run().dock
-    assert (dock.success, dock.error_code) == (False, DockError.FAILED_TO_CONTROL)
-    assert words in dock.error_msg
-
-
 @pytest.mark.parametrize("bounces", [(), ((0.5, 0.7),), ((0.4, 0.5), (0.8, 1.0))])
 def test_rover_backs_out_at_once_from_contact_far_from_the_place(bounces):
     since, way = Since(1.5), []
@@ -317,14 +260,6 @@ def test_undocking_by_poses_that_cannot_be_used_does_not_begin():
     assert drove_m(drive) == 0.0
 
 
-def test_charge_that_flows_before_the_place_is_no_docking():
-    drive = charging(VirtualDocking(place(proof="charging", retries=0), STAGING, obstacles=[BEFORE]), True)
-    result = drive.run()
-    assert (result.exit_code, result.dock.error_code) == (1, DockError.FAILED_TO_CONTROL)
-    assert result.dock.error_msg.startswith("contact ")
-    assert (result.dock.at, drive.stands()) == ("staging pose", True)
-
-
 def test_dry_run_plans_the_way_and_moves_nothing(tmp_path):
     drive = VirtualDocking(place(), BEFORE_STAGING, path=tmp_path / "dry.mcap", dry_run=True)
     result = drive.run()
@@ -403,46 +338,3 @@ def test_somebody_on_the_way_to_the_staging_pose_stops_the_rover():
     result = drive.run()
     assert (result.exit_code, result.stopped_by) == (4, "stall")
     assert drive.stands()
-
-
-class Racing(ChangedLink):
-    """Receives that the charge ended at once after the control loop, which waits, has read that it flows."""
-
-    received = False
-
-    def __getattribute__(self, name):
-        value = super().__getattribute__(name)
-        waits = isinstance(value, tuple) and value[:1] == (True,) and not Racing.received
-        if waits and self.statuses and self.statuses[-1].state.startswith(Stage.WAIT_FOR_CHARGE):
-            Racing.received = True
-            stamp_ns = self.bridge.time_ns()
-            self.put("battery_state", battery_state(12.5, stamp_ns, charging=False))
-        return value
-
-
-def test_report_that_comes_while_the_last_one_is_read_makes_no_charge_of_it():
-    drive = VirtualDocking(place(proof="charging", retries=0), Pose(1.955, 1.0, 0.0))
-    drive.link.__class__ = Racing
-    stamps = []
-
-    def repeated(data):
-        stamps.append(read_battery(data).stamp_ns)
-        return None if Racing.received else battery_state(12.5, stamps[0], charging=True)
-
-    drive.link.change["battery_state"] = repeated
-    dock = drive.run().dock
-    assert Racing.received
-    assert (dock.success, dock.error_code) == (False, DockError.FAILED_TO_CHARGE)
-
-
-def test_page_of_a_docking_whose_driver_was_killed_claims_nothing(tmp_path):
-    drive = charging(VirtualDocking(place(proof="charging", retries=0), Pose(2.0, 1.0, 0.0)), None)
-    drive.run()
-    states = {message.log_ns for message in drive.recorded if b"RETRY" in message.data}
-    drive.recorded = [message for message in drive.recorded if message.log_ns < min(states)]
-    drive.path = tmp_path / "killed.mcap"
-    drive._write(attachments(drive.policy, drive.course, drive.config, drive.staging))
-    summary = summarise(read_drive(drive.path))
-    assert summary.parked == "not parked"
-    assert summary.headline == "Not docked at bay: the recording ends before the driver's verdict"
-    assert "By the estimated pose" not in dict(summary.rows)

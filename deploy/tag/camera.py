@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from deploy.drive.link import Inbox
+from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.core.process import ClosedAtExit
 
@@ -32,6 +33,8 @@ MAX_PIXELS = 50_000_000
 """Most pixels of a picture; its size is read before the picture is decoded."""
 MAX_FILE = 1 << 26
 """Most bytes of a picture's file."""
+WORTH, LIMIT = 2, 10
+"""A bad stamp counts so much, a good one -1; at the limit, stamps are not used any more."""
 PICTURES = frozenset({".png", ".jpg", ".jpeg"})
 
 
@@ -142,6 +145,30 @@ def decode_picture(data: bytes, wall_ns: int) -> Picture:
     return Picture(np.asarray(frame, np.uint8), wall_ns)
 
 
+class PictureMoments:
+    """When pictures were taken, by their stamps and arrivals. The stamps may be of any clock."""
+
+    def __init__(self) -> None:
+        self._clock = StampClock()
+        self._last_ns, self._bad = 0, 0
+
+    def wall_ns(self, stamp_ns: int | None, arrival_ns: int, monotonic_ns: int) -> int | None:
+        """Return a picture's moment; None if its stamp cannot be right.
+
+        ``monotonic_ns`` is this machine's monotonic clock minus its wall clock. A picture without a stamp was
+        taken when it arrived, as are all of a camera whose stamps are not those of a clock: they repeat, or
+        run at another rate.
+        """
+        if stamp_ns is None or self._bad >= LIMIT:
+            return arrival_ns
+        again, self._last_ns = stamp_ns == self._last_ns, stamp_ns
+        measured_ns = None if again else self._clock.measured_ns(stamp_ns, arrival_ns + monotonic_ns)
+        self._bad = self._bad + WORTH if measured_ns is None else max(self._bad - 1, 0)
+        if self._bad >= LIMIT:
+            return arrival_ns
+        return None if measured_ns is None else measured_ns - monotonic_ns
+
+
 class Ended(str):
     """Why a camera ended; it does not take the place of the last picture."""
 
@@ -157,6 +184,7 @@ class LiveCamera(ClosedAtExit):
 
     def __init__(self, name: str, left_out: Counter[str]) -> None:
         self._name, self._left_out, self._problem = name, left_out, ""
+        self._moments = PictureMoments()
         self.newest = Inbox[Callable[[], Picture] | Ended](2)
         """Functions that decode the newest pictures, or raise ValueError, and an end."""
 
@@ -179,6 +207,13 @@ class LiveCamera(ClosedAtExit):
                 ends.append(self._problem or f"no picture for {TIMEOUT_S:g} s")
             if ends:
                 raise UsageError(f"camera {self._name}: {ends[0]}")
+
+    def moment_ns(self, stamp_ns: int | None, arrival_ns: int) -> int | None:
+        """Return when a picture was taken, by the wall clock; None if it is left out."""
+        found = self._moments.wall_ns(stamp_ns, arrival_ns, time.monotonic_ns() - time.time_ns())
+        if found is None:
+            self.leave_out("the time of a picture contradicts the times of others")
+        return found
 
     def leave_out(self, reason: str) -> None:
         """Count a picture that is not used; the first one of each reason is a line of the log."""

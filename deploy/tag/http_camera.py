@@ -20,7 +20,7 @@ from requests.auth import AuthBase, HTTPBasicAuth, HTTPDigestAuth
 from urllib3.exceptions import HTTPError
 
 from deploy.tag.camera import TIMEOUT_S, Picture, ReadCamera, decode_picture
-from rover_ncp.core.clock_offset import NS_PER_S, StampClock
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import UsageError
 
 MAX_PART, MAX_HEAD = 8 << 20, 1 << 14
@@ -34,8 +34,6 @@ MAX_STAMP_S = 1e10
 LEAST_PERIOD_S = 0.1
 """Time between two requests for single pictures."""
 JPEG, JPEG_END, PNG = b"\xff\xd8", b"\xff\xd9", b"\x89PNG"
-WORTH, LIMIT = 2, 10
-"""A bad stamp counts so much, a good one -1; at the limit, stamps are not used any more."""
 
 
 class HttpCamera(ReadCamera):
@@ -54,7 +52,6 @@ class HttpCamera(ReadCamera):
         if parts.username is not None:
             self._login = unquote(parts.username), unquote(parts.password or "")
         self._auth: AuthBase | None = None
-        self._moments = PictureMoments()
         self.start()
 
     def _pictures(self) -> Iterator[Callable[[], Picture]]:
@@ -88,7 +85,11 @@ class HttpCamera(ReadCamera):
         if response.status_code == requests.codes.unauthorized and self._login and self._auth is None:
             kinds = response.headers.get("www-authenticate", "").lower()
             response.close()
-            self._auth = (HTTPDigestAuth if "digest" in kinds else HTTPBasicAuth)(*self._login)
+            name, password = self._login
+            if "digest" in kinds:
+                self._auth = HTTPDigestAuth(name, password)
+            else:
+                self._auth = HTTPBasicAuth(name.encode(), password.encode())
             response = get()
         if response.ok:
             return response
@@ -121,10 +122,10 @@ class HttpCamera(ReadCamera):
             more = read()
 
     def _picture(self, data: bytes, stamp: str | None, wall_ns: int) -> Iterator[Callable[[], Picture]]:
-        moment_ns = self._moments.wall_ns(stamp, wall_ns, time.monotonic_ns() - time.time_ns())
-        if moment_ns is None:
-            self.leave_out("the time of a picture contradicts the times of others")
-        else:
+        data = data.lstrip(b"\r\n")
+        if not data.startswith((JPEG, PNG)):
+            self.leave_out("a part is neither a JPEG nor a PNG")
+        elif (moment_ns := self.moment_ns(_stamp_ns(stamp), wall_ns)) is not None:
             yield partial(decode_picture, data, moment_ns)
 
 
@@ -258,31 +259,6 @@ class PartReader:
 def _length(header: Message) -> int | None:
     text = str(header.get("content-length", "")).strip()
     return int(text) if re.fullmatch(r"\d{1,7}", text) and 0 < int(text) <= MAX_PART else None
-
-
-class PictureMoments:
-    """When pictures were taken, by their stamps and arrivals. The stamps may be of any clock."""
-
-    def __init__(self) -> None:
-        self._clock = StampClock()
-        self._last_ns, self._bad = 0, 0
-
-    def wall_ns(self, stamp: str | None, arrival_ns: int, monotonic_ns: int) -> int | None:
-        """Return a picture's moment; None if its stamp cannot be right.
-
-        ``monotonic_ns`` is this machine's monotonic clock minus its wall clock. A picture without a stamp was
-        taken when it arrived, as are all of a camera whose stamps are not those of a clock: they repeat, or
-        run at another rate.
-        """
-        stamp_ns = _stamp_ns(stamp)
-        if stamp_ns is None or self._bad >= LIMIT:
-            return arrival_ns
-        again, self._last_ns = stamp_ns == self._last_ns, stamp_ns
-        measured_ns = None if again else self._clock.measured_ns(stamp_ns, arrival_ns + monotonic_ns)
-        self._bad = self._bad + WORTH if measured_ns is None else max(self._bad - 1, 0)
-        if self._bad >= LIMIT:
-            return arrival_ns
-        return None if measured_ns is None else measured_ns - monotonic_ns
 
 
 def _stamp_ns(stamp: str | None) -> int | None:

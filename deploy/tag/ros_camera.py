@@ -19,7 +19,6 @@ from deploy.tag.camera_info import camera_info
 from deploy.tag.locate import OPTICAL
 from deploy.tag.ros_source import Frames, RosSource
 from deploy.tag.tag_map import MOUNT_FIELDS, CameraFile
-from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.config import validated
 from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.recording.recorded import header_stamp_ns
@@ -63,7 +62,7 @@ class RosCamera(LiveCamera):
     def __init__(self, source: str, left_out: Counter[str]) -> None:
         super().__init__(source, left_out)
         where = RosSource.parse(source, "image", IMAGE_TOPIC)
-        self._type, self._clock = image_type(where.topic), StampClock()
+        self._type = image_type(where.topic)
         self._session = where.open()
         self._held = self._session.declare_subscriber(where.key(where.topic), self._take)
 
@@ -72,11 +71,9 @@ class RosCamera(LiveCamera):
         self._session.close()  # type: ignore[no-untyped-call]
 
     def _take(self, sample: zenoh.Sample) -> None:
-        now_ns, wall_ns, data = time.monotonic_ns(), time.time_ns(), sample.payload.to_bytes()
-        stamp_ns = header_stamp_ns(self._type, data)
-        measured_ns = self._clock.measured_ns(stamp_ns, now_ns) if stamp_ns else now_ns
-        if measured_ns is not None:
-            moment_ns = wall_ns - now_ns + measured_ns
+        wall_ns, data = time.time_ns(), sample.payload.to_bytes()
+        moment_ns = self.moment_ns(header_stamp_ns(self._type, data) or None, wall_ns)
+        if moment_ns is not None:
             self.newest.put(partial(read_image, self._type, data, moment_ns))
 
 

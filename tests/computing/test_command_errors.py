@@ -52,7 +52,6 @@ LINES = {
     "tag calibrate --camera-file": "tag calibrate --camera none {}",
     "tag calibrate --camera-info": "tag calibrate --camera none --camera-file new.yaml {}",
     "tag print --out": "tag print {}.pdf",
-    "tag relay": f"tag relay --from ros2/tcp/127.0.0.1:1#topic=pose {ROBOT} {{}}",
     "tag run": f"tag run --camera none --camera-file {CAMERA} --map {TAGS} {ROBOT} {{}}",
     "train --profile": "train --randomize mild {}",
     "watch": f"watch {ROBOT} --port 0 {{}}",

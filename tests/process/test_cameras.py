@@ -97,7 +97,8 @@ def part(level, stamp=None):
     return f"{header}\r\n".encode() + data + b"\r\n"
 
 
-DAMAGED = b"--b\r\nContent-Length: 4\r\n\r\nabcd"
+DAMAGED = b"--b\r\nContent-Length: 4\r\n\r\n\xff\xd8cd"
+STATUS = b"--b\r\nContent-Type: text/plain\r\n\r\nbattery 80 %\r\n"
 
 
 def levels_of(address, count=1):
@@ -119,11 +120,12 @@ def test_stream_gives_the_newest_picture_with_its_moment(serve):
 
 
 def test_damaged_picture_is_left_out_and_counted(serve, caplog):
-    host, left_out = serve(stream_of(part(50), 0.2, DAMAGED, 0.2, DAMAGED, 0.2, part(90), 0.2)), Counter()
+    parts, left_out = (part(50), 0.2, DAMAGED, 0.2, DAMAGED, STATUS, 0.2, part(90), 0.2), Counter()
+    host = serve(stream_of(*parts))
     with HttpCamera(f"http://{host}/", left_out) as camera:
         levels = [int(each.grey[0, 0]) for each in itertools.islice(iter(camera), 2)]
     assert levels == [50, 90]
-    assert left_out == {"a picture is neither a JPEG nor a PNG": 2}
+    assert left_out == {"a picture is neither a JPEG nor a PNG": 2, "a part is neither a JPEG nor a PNG": 1}
     assert caplog.text.count("left out: a picture is neither a JPEG nor a PNG") == 1
 
 

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from deploy.tag.camera import Device, DeviceCamera, DeviceSettings, devices
-from deploy.tag.http_camera import MAX_HEAD, MAX_PART, PartReader, PictureMoments
+from deploy.tag.camera import Device, DeviceCamera, DeviceSettings, PictureMoments, devices
+from deploy.tag.http_camera import MAX_HEAD, MAX_PART, PartReader, _stamp_ns
 from rover_ncp.core.errors import UsageError
 
 PICTURES = [cv2.imencode(".jpg", np.full((8, 8), level, np.uint8))[1].tobytes() for level in (10, 90, 200)]
@@ -103,7 +103,7 @@ def moments(stamps, period_s=0.1, transit_s=(0.0,) * 60):
     clock, found = PictureMoments(), []
     for k, (stamp, late_s) in enumerate(zip(stamps, transit_s, strict=False)):
         arrival_ns = round((1000.0 + k * period_s + late_s) * NS_PER_S)
-        moment_ns = clock.wall_ns(stamp, arrival_ns, -7)
+        moment_ns = clock.wall_ns(_stamp_ns(stamp), arrival_ns, -7)
         found.append(None if moment_ns is None else round((arrival_ns - moment_ns) / NS_PER_S, 6))
     return found
 
@@ -134,6 +134,14 @@ def test_stamps_that_are_no_clock_are_given_up(stamps):
     found = moments(stamps)
     assert found[-40:] == [0.0] * 40
     assert found.count(None) < 10
+
+
+def test_clock_that_is_set_costs_a_picture():
+    """As that of a camera that begins at 0 and gets the time from the network."""
+    for set_to_s in (1_732_000_000, -3600):
+        found = moments([str(10_000.5 + 0.1 * k + (set_to_s if k >= 10 else 0)) for k in range(20)])
+        assert found.count(None) == 1
+        assert [each for each in found if each is not None] == pytest.approx([0.0] * 19, abs=1e-5)
 
 
 def test_devices_are_listed_with_a_name_that_stays(tmp_path):

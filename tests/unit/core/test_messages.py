@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, Velocity, wrap_angle
 from rover_ncp.wire import messages
+from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.header import _warn_of_clock
 from rover_ncp.wire.messages import imu, read_imu
 
@@ -195,3 +197,19 @@ def test_a_gyros_rate_of_turn_says_nothing_of_anything_else():
     message = messages.decode("sensor_msgs/msg/Imu", data)
     assert (message.header.frame_id, message.angular_velocity_covariance[8]) == ("base_link", 1e-4)
     assert message.orientation_covariance[0] == message.linear_acceleration_covariance[0] == -1.0
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.5, 3.0])
+def test_pose_with_y_up_is_refused(heading):
+    """As a motion capture sends it whose vertical axis is y: all headings looked like 0 or half a turn."""
+    turn = Rotation.from_euler("x", -90, degrees=True) * Rotation.from_euler("z", heading)
+    pose = {"orientation": dict(zip("xyzw", turn.as_quat().tolist(), strict=True))}
+    data = encode(messages.POSE_STAMPED, pose=pose)
+    with pytest.raises(FormatError, match="lies on its side: its z axis is 90° from vertical"):
+        messages.read_pose(messages.with_covariance(data))
+
+
+def test_pose_on_a_ramp_has_its_heading():
+    turn = Rotation.from_euler("z", 0.5) * Rotation.from_euler("y", 20, degrees=True)
+    pose = {"orientation": dict(zip("xyzw", turn.as_quat().tolist(), strict=True))}
+    assert messages.read_pose_stamped(encode(messages.POSE_STAMPED, pose=pose)).theta == pytest.approx(0.5)

@@ -4,6 +4,7 @@ ROS's camera_calibration (YAML) and ``ros2 topic echo camera_info``, OpenCV's Fi
 Kalibr's camchain.
 """
 
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -69,7 +70,7 @@ def load_camera_info(path: Path) -> Intrinsics:
     try:
         size = int(given["width"]), int(given["height"])
         k, d = _numbers(given["k"]), _numbers(given["d"])
-    except (TypeError, ValueError, KeyError) as error:
+    except (TypeError, ValueError, KeyError, OverflowError) as error:
         missing = [NAMES[name][0] for name, value in given.items() if value is None]
         words = f"no {', '.join(missing)}" if missing else f"not numbers: {error}"
         raise ConfigError(source, [f"{words}; {EXPECTED}"]) from error
@@ -124,19 +125,18 @@ def _numbers(value: Any) -> list[float]:
 
 
 def _opencv(text: str, source: str) -> dict[str, Any]:
-    """Return the top level of a FileStorage: numbers, words and matrices."""
+    """Return what is known by name in a FileStorage: numbers, words and matrices."""
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        root = storage.root()
         data: dict[str, Any] = {}
-        for key in map(str, root.keys()):
-            node = root.getNode(key)
+        for key in ("distortion_model", "camera_model", "fisheye_model", *itertools.chain(*NAMES.values())):
+            node = storage.getNode(key)
             if node.isInt() or node.isReal():
                 data[key] = node.real()
             elif node.isString():
                 data[key] = node.string()
-            elif (matrix := node.mat()) is not None:
-                data[key] = matrix
+            elif not node.empty():
+                data[key] = node.mat()
     except (cv2.error, SystemError) as error:
         raise ConfigError(source, ["not a FileStorage that OpenCV reads"]) from error
     return data
@@ -148,9 +148,9 @@ def _kalibr(data: Mapping[str, Any], source: str) -> dict[str, Any]:
         raise ConfigError(source, [f"{len(data)} cameras, expected one: leave the others out"])
     (camera,) = data.values()
     try:
-        (fx, fy, cx, cy), size = camera["intrinsics"], camera["resolution"]
         if camera["camera_model"] != "pinhole":
             raise ConfigError(source, [f"camera_model {camera['camera_model']}: expected pinhole"])
+        (fx, fy, cx, cy), size = camera["intrinsics"], camera["resolution"]
         return {
             "image_width": size[0],
             "image_height": size[1],

@@ -263,7 +263,7 @@ def _length(header: Message) -> int | None:
 
 def _stamp_ns(stamp: str | None) -> int | None:
     try:
-        seconds = float(stamp or "")
+        seconds = float(str(stamp or ""))  # with other bytes than ASCII it is no str
     except ValueError:
         return None
     return round(seconds * NS_PER_S) if math.isfinite(seconds) and 0.0 < seconds < MAX_STAMP_S else None

@@ -21,6 +21,7 @@ def ros(d, more, k=K):
 OPENCV = f"""%YAML:1.0
 ---
 calibration_time: "Sat Nov 28"
+flags: {{ fixed: 1 }}
 {SIZE}camera_matrix: !!opencv-matrix
    rows: 3
    cols: 3

@@ -63,6 +63,12 @@ def test_lines_that_end_with_lf_and_text_before_the_first_part():
     assert pictures([b"a multipart message: nothing here\n", *data]) == (PICTURES, [])
 
 
+def test_header_of_other_bytes_than_ascii_costs_nothing():
+    data = b"--frame\r\nX-Timestamp: \xff\xfe1\r\nContent-Length: \xb3\r\nX\xe9: \r\n\r\n" + PICTURES[0]
+    (part,) = PartReader("").feed(data)
+    assert (part.data, _stamp_ns(part.header.get("x-timestamp"))) == (PICTURES[0], None)
+
+
 def test_picture_without_a_length_does_not_wait_for_the_next():
     assert pictures(itertools.islice(stream(length=False), 1)) == (PICTURES[:1], [])
 

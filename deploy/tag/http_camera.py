@@ -202,6 +202,9 @@ class PartReader:
 
     def _read_line(self) -> str | None:
         """Take a line between parts or of a header; "" if that was all, None if more bytes are needed."""
+        if self._between and self._boundary:
+            at = self._buffer.find(self._boundary)
+            del self._buffer[: at if at >= 0 else -len(self._boundary)]
         end = self._buffer.find(b"\n")
         size = len(self._buffer) if end < 0 else end + 1
         self._skipped += size if end >= 0 or size > MAX_HEAD else 0

@@ -73,9 +73,10 @@ def file_pictures(source: str, left_out: Counter[str]) -> Iterator[Picture]:
             raise FileError(f"{path}: no pictures (.png, .jpg)")
         return _still_pictures(path, files, left_out)
     if not path.is_file():
+        *login, place = source.rpartition("@")  # it may be an address that holds a password
         raise FileError(
-            f"{source}: no such file; expected a device (0 or /dev/video0; 'rover-ncp tag cameras' lists "
-            "them), http://HOST:PORT/PATH, a video or a folder of pictures"
+            f"{'...@' * any(login)}{place}: no such file; expected a device (0 or /dev/video0; 'rover-ncp "
+            "tag cameras' lists them), http://HOST:PORT/PATH, a video or a folder of pictures"
         )
     return _still_pictures(path, [path], left_out) if path.suffix.lower() in PICTURES else _video(path)
 

@@ -21,10 +21,12 @@ from kit.zenoh_session import open_router, repeating
 
 from bridge.ros2.discovery import Convention
 from bridge.ros2.ros_node import RosNode
+from deploy.tag.camera import DeviceSettings
 from deploy.tag.http_camera import HttpCamera
 from deploy.tag.ros_camera import CAMERA_INFO, COMPRESSED, IMAGE
+from deploy.tag.run import opened
 from rover_ncp.core.config import dump_yaml
-from rover_ncp.core.errors import UsageError
+from rover_ncp.core.errors import RoverNcpError, UsageError
 from rover_ncp.core.geometry import Pose
 from rover_ncp.wire.messages import TF
 
@@ -220,11 +222,15 @@ def test_password_of_the_address_is_used_and_in_no_message(serve, scheme, caplog
         "http://robot:s3c/ret@cam/",
         "http://robot:s3cret@cam:0/",
         "rtsp://a:s3cret@cam/",
+        "a:s3cret@cam/stream",
     ],
 )
 def test_address_that_cannot_be_read_is_not_shown(address):
-    with pytest.raises(UsageError, match="expected http://") as caught:
-        HttpCamera(address, Counter())
+    with (
+        pytest.raises(RoverNcpError, match="http://") as caught,
+        opened(address, DeviceSettings(), Counter()),
+    ):
+        pass
     assert "s3c" not in str(caught.value)
 
 

@@ -1,0 +1,247 @@
+"""Injections of the hazard table: changed messages of a robot, reports of a Pioneer, commands and poses.
+
+Each is a function of the drive (`Cell` of ``tests/unit/test_hazards.py``) that it changes. It acts while the
+drive is ``active``.
+"""
+
+import math
+from collections import deque
+from dataclasses import replace
+
+from bridge.base import BaseReport
+from kit.virtual_drive import LOST
+from rover_ncp.wire import messages as ros
+from rover_ncp.wire.cdr import decode, encode
+from rover_ncp.wire.protocol import CommandTag, Signed, StopRequest, dump_json
+from sim.base.faults import Fault
+
+NS = 10**9
+
+
+def on_topic(name, change):
+    """Change the messages of a topic of the ROS 2 robot: ``change(drive, payload)`` returns what arrives."""
+
+    def inject(drive):
+        robot, sent = drive.base, drive.base.messages
+
+        def messages():
+            for topic, payload in sent():
+                if topic == name and drive.active:
+                    yield from ((name, data) for data in change(drive, payload))
+                else:
+                    yield topic, payload
+
+        robot.messages = messages
+
+    return inject
+
+
+def silence(drive, payload):
+    return []
+
+
+def once(change):
+    """Apply a change to the first message alone."""
+
+    def changed(drive, payload):
+        drive.times += 1
+        return change(drive, payload) if drive.times == 1 else [payload]
+
+    return changed
+
+
+def delay(seconds):
+    """Let each message arrive so much later."""
+
+    def delayed(drive, payload):
+        drive.held.append((drive.bridge.now_ns, payload))
+        due_ns = drive.bridge.now_ns - seconds * NS
+        return [drive.held.popleft()[1] for _ in list(drive.held) if drive.held[0][0] <= due_ns]
+
+    return delayed
+
+
+def repeat(drive, payload):
+    """Send the first message again and again."""
+    drive.held = drive.held or deque([payload])
+    return [drive.held[0]]
+
+
+def as_stamped(stamp_ns):
+    """Give odometry another stamp: ``stamp_ns(drive, its own)``."""
+
+    def changed(drive, payload):
+        sample = ros.read_odometry(payload)
+        frames = drive.robot.topics.odom_frame, drive.robot.topics.base_frame
+        return [ros.odometry(sample.pose, sample.velocity, stamp_ns(drive, sample.stamp_ns), frames=frames)]
+
+    return changed
+
+
+def turned(drive, payload):
+    message = decode(ros.IMU, payload)
+    stamp = message.header.stamp
+    return [ros.imu(1.0, 1e-6, stamp.sec * NS + stamp.nanosec)]
+
+
+def wall(drive, payload):
+    message = decode(ros.LASER_SCAN, payload)
+    stamp = message.header.stamp
+    ranges = [0.25] * len(message.ranges)
+    return [ros.laser_scan(ranges, (0.15, 12.0), stamp.sec * NS + stamp.nanosec)]
+
+
+def pressed(value):
+    return lambda drive, payload: [encode(ros.BOOL, data=value)]
+
+
+def press_and_release(drive, payload):
+    return [encode(ros.BOOL, data=value) for value in (True, False)]
+
+
+def contacts(*kinds):
+    return lambda drive, payload: [ros.hazards(kinds, drive.bridge.time_ns())]
+
+
+def on_report(**fields):
+    """Change fields of the Pioneer's reports; ``once`` is how many."""
+    count = fields.pop("once", math.inf)
+
+    def inject(drive):
+        base, receive = drive.bridge.connection.base, drive.bridge.connection.base.receive
+
+        def received(arrival, now):
+            return [changed(event) for event in receive(arrival, now)]
+
+        def changed(event):
+            if not (isinstance(event, BaseReport) and drive.active and drive.times < count):
+                return event
+            drive.times += 1
+            return replace(event, **fields)
+
+        base.receive = received
+
+    return inject
+
+
+def frozen(drive):
+    """Freeze the pose of odometry while its speeds go on."""
+    drive.then = lambda: drive.base.inject(Fault("freeze-odometry"))
+
+
+def on_command(tag):
+    """Change the tags of the driver's commands: ``tag(drive, payload, sequence)``."""
+
+    def inject(drive):
+        drive.link.tag = lambda data, sequence: tag(drive, data, sequence) if drive.active else None
+
+    return inject
+
+
+def resigned(lease=0, age_s=0):
+    def tag(drive, data, sequence):
+        link = drive.link
+        found = CommandTag(link.lease.number + lease, sequence, link.bridge.now_ns - age_s * NS)
+        return found.sign(link.lease._secret, Signed.COMMAND, "cmd_vel", data)
+
+    return tag
+
+
+def lost_once(drive, data, sequence):
+    drive.times += 1
+    return LOST if drive.times == 1 else None
+
+
+def forged(drive, data, sequence):
+    drive.bridge.command(data, CommandTag(drive.link.lease.number, sequence + 5, drive.bridge.now_ns).pack())
+
+
+def taken(drive):
+    """Let another driver hold the lease."""
+    request = b'{"version": 2, "enable": true, "name": "other"}'
+    drive.link.request_motors = lambda name, ask=drive.link.request_motors: (
+        drive.bridge.query("rover/motors", request),
+        ask(name),
+    )[1]
+
+
+def stop_and_release(drive):
+    def both():
+        for request in (StopRequest(reason="x"), StopRequest(release=True)):
+            drive.bridge.query("rover/stop", dump_json(request))
+
+    drive.then = both
+
+
+def poses(see):
+    """Let a localiser send ``see(drive, true pose)``, None for nothing, eight times a second."""
+
+    def inject(drive):
+        drive.localiser = see
+
+    return inject
+
+
+def far(drive, pose):
+    return pose._replace(y=pose.y + 1.0)
+
+
+def far_once(drive, pose):
+    drive.times += 1
+    return far(drive, pose) if drive.times == 1 else pose
+
+
+def same(drive, pose):
+    drive.held = drive.held or deque([pose])
+    return drive.held[0]
+
+
+TOPICS = ("odom", "imu", "stop", "hazard_detection", "scan", "battery_state")
+INJECTIONS = {
+    **{f"silence {topic}": on_topic(topic, silence) for topic in TOPICS},
+    **{f"truncate {topic} once": on_topic(topic, once(lambda _, data: [data[:-9]])) for topic in TOPICS},
+    **{f"repeat {topic}": on_topic(topic, repeat) for topic in TOPICS},
+    "delay odom 0.6": on_topic("odom", delay(0.6)),
+    "delay imu 1.0": on_topic("imu", delay(1.0)),
+    "delay stop 1.0": on_topic("stop", delay(1.0)),
+    "delay hazard_detection 1.0": on_topic("hazard_detection", delay(1.0)),
+    "delay scan 2.0": on_topic("scan", delay(2.0)),
+    "freeze pose": frozen,
+    "turn rate of the gyro": on_topic("imu", turned),
+    "press stop": on_topic("stop", pressed(True)),
+    "press stop every second time": on_topic(
+        "stop", lambda d, p: [pressed(v)(d, p)[0] for v in (True, False)]
+    ),
+    "press stop once more": on_topic("stop", once(lambda d, p: [*pressed(True)(d, p), p])),
+    "contact": on_topic("hazard_detection", contacts(ros.BUMP)),
+    "contact once": on_topic("hazard_detection", once(contacts(ros.BUMP))),
+    "wheels dropped": on_topic("hazard_detection", contacts(ros.WHEEL_DROP)),
+    "wall by the scan alone": on_topic("scan", wall),
+    "stamps 0": on_topic("odom", as_stamped(lambda drive, own_ns: 0)),
+    "stamps stand still": on_topic("odom", as_stamped(lambda drive, own_ns: drive.began_ns)),
+    "slow clock": on_topic(
+        "odom", as_stamped(lambda drive, own: drive.began_ns + (own - drive.began_ns) // 2)
+    ),
+    "stamp of tomorrow once": on_topic("odom", once(as_stamped(lambda drive, own_ns: own_ns + 86_400 * NS))),
+    "clock of an hour ago": on_topic("odom", as_stamped(lambda drive, own_ns: own_ns - 3600 * NS)),
+    "no echoes": on_report(clear_ahead_m=math.nan, clear_behind_m=math.nan),
+    "near echo": on_report(clear_ahead_m=0.1),
+    "near echo once": on_report(clear_ahead_m=0.1, once=1),
+    "near echo behind": on_report(clear_behind_m=0.1),
+    "no voltage": on_report(battery_v=0.0),
+    "low voltage": on_report(battery_v=10.0),
+    "low voltage once": on_report(battery_v=10.0, once=1),
+    "voltage NaN": on_report(battery_v=math.nan),
+    "no poses": poses(lambda drive, pose: None),
+    "late poses": poses(lambda drive, pose: pose),
+    "far pose once": poses(far_once),
+    "far poses": poses(far),
+    "same pose": poses(same),
+    "another driver": taken,
+    "no commands arrive": on_command(lambda *_: LOST),
+    "commands of 1 s ago": on_command(resigned(age_s=1)),
+    "commands of another lease": on_command(resigned(lease=1)),
+    "one command is lost": on_command(lost_once),
+    "forged commands": on_command(forged),
+    "stop and release": stop_and_release,
+}

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
-from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml, parse_yaml
+from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml, parse_yaml, read_yaml
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.files import resolve, shipped_names, write_atomic
 
@@ -140,6 +140,14 @@ def test_short_yaml_that_stands_for_much_is_a_short_error(text, expected):
     error = str(refused(text, Numbers))
     assert expected in error
     assert len(error) < 5000
+
+
+def test_merged_mapping_has_the_rules_of_any_mapping():
+    earlier = "b: &b {x: 2}\nq: {a: &a {<<: *b, x: 1}}\nc: {<<: *a}\n"  # c merges a before a is read
+    assert read_yaml(earlier, "c.yaml") == {"b": {"x": 2}, "q": {"a": {"x": 1}}, "c": {"x": 1}}
+    assert read_yaml("<<: {1: a}", "c.yaml") == {"1": "a"}
+    with pytest.raises(ConfigError, match="appears twice"):
+        read_yaml("<<: [{x: 1, x: 2}]", "c.yaml")
 
 
 def test_aliases_merge_keys_and_keys_that_look_like_numbers_are_read():

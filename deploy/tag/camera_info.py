@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from deploy.tag.tag_map import Intrinsics
-from rover_ncp.core.config import read_yaml, validated
+from rover_ncp.core.config import MAX_CHARACTERS, MAX_DEPTH, read_yaml, validated
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import read_text
 
@@ -54,9 +54,10 @@ EXPECTED = (
 def load_camera_info(path: Path) -> Intrinsics:
     """Read intrinsics from a file. Raises FileError and ConfigError."""
     text, source = read_text(path), str(path)
-    if text.lstrip().startswith(("%YAML:1", "<?xml", "<opencv_storage")):
+    if text.lstrip().startswith(("<?xml", "<opencv_storage")):
         data: Any = _opencv(text, source)
     else:
+        text = re.sub(r"^%YAML.*$|!!opencv[\w-]*", "", text, flags=re.MULTILINE)  # OpenCV's own
         # A topic's messages end with a line of dashes.
         documents = [each for each in re.split(r"^---.*$", text, flags=re.MULTILINE) if each.strip()]
         if not documents or text.lstrip().startswith("# oST"):
@@ -75,7 +76,7 @@ def load_camera_info(path: Path) -> Intrinsics:
         words = f"no {', '.join(missing)}" if missing else f"not numbers: {error}"
         raise ConfigError(source, [f"{words}; {EXPECTED}"]) from error
     model, camera = (str(data.get(key) or "") for key in ("distortion_model", "camera_model"))
-    if data.get("fisheye_model") in {1}:
+    if data.get("fisheye_model") == 1:
         camera = "fisheye"
     if camera == "fisheye":
         if MODELS.get(model, "fisheye") != "fisheye":
@@ -125,7 +126,11 @@ def _numbers(value: Any) -> list[float]:
 
 
 def _opencv(text: str, source: str) -> dict[str, Any]:
-    """Return what is known by name in a FileStorage: numbers, words and matrices."""
+    """Return what is known by name in a FileStorage in XML: numbers, words and matrices."""
+    # OpenCV's reader ends the process on a deep nesting.
+    steps = (1 if mark[0] not in {"</", "/>"} else -1 for mark in re.finditer(r"<\w|</|/>", text))
+    if len(text) > MAX_CHARACTERS or max(itertools.accumulate(steps), default=0) > MAX_DEPTH:
+        raise ConfigError(source, ["too long, or elements too deep in each other, for a calibration"])
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         data: dict[str, Any] = {}

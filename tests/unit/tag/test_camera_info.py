@@ -110,7 +110,10 @@ def test_calibration_of_each_format_is_read(tmp_path, text, model, distortion):
         ("image_width: 640\ncamera_matrix: 3\n", "no image_height, distortion_coefficients"),
         ("# oST version 5.0 parameters\n\n\n[image]\n\nwidth\n640\n", "expected a calibration of ROS"),
         (KALIBR + KALIBR.replace("cam0", "cam1"), "2 cameras, expected one"),
-        ("%YAML:1.0\n---\nnothing: [", "FileStorage|expected a calibration"),
+        ("%YAML:1.0\n---\nnothing: [", "not valid YAML"),
+        ("%YAML:1.0\n---\nnothing: " + "[" * 100_000, "in each other"),
+        ("%YAML:1.0\n---\nnothing:\n  " + "- " * 100_000, "in each other"),
+        ('<?xml version="1.0"?>\n<opencv_storage>' + "<a>" * 60_000, "in each other"),
     ],
 )
 def test_calibration_that_cannot_be_right_is_refused(tmp_path, text, words):

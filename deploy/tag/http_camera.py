@@ -65,13 +65,13 @@ class HttpCamera(ReadCamera):
                         first, wall_ns = b"", time.time_ns()
                         while len(first.lstrip()) < len(PNG) and (more := read()):
                             first, wall_ns = first + more, time.time_ns()
-                        if not first.startswith((JPEG, PNG)):
+                        if not first.lstrip().startswith((JPEG, PNG)):
                             yield from self._stream(first, read, response.headers.get("content-type", ""))
                             return
                         data = _whole(first, read)
                         yield from self._picture(data, response.headers.get(STAMP), wall_ns)
                     time.sleep(max(0.0, began_s + LEAST_PERIOD_S - time.monotonic()))
-        except (requests.RequestException, HTTPError) as error:
+        except (requests.RequestException, HTTPError, LookupError) as error:  # a challenge without a realm
             raise ValueError(_reason(error)) from error
 
     def _answer(self, session: requests.Session) -> requests.Response:

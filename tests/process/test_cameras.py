@@ -265,6 +265,17 @@ def test_camera_that_dies_ends_the_command_with_one_line(serve, answer, words):
         levels_of(f"http://{serve(answer)}/", 10)
 
 
+def test_challenge_without_a_realm_is_one_line(serve):
+    def challenge(request):
+        request.send_response(401)
+        request.send_header("WWW-Authenticate", "Digest")
+        request.send_header("Content-Length", "0")
+        request.end_headers()
+
+    with pytest.raises(UsageError, match=r"/: the connection failed \(KeyError\)"):
+        levels_of(f"http://robot:secret@{serve(challenge)}/")
+
+
 def stamped(data):
     """Return a message that begins with a header, stamped now."""
     now_ns = time.time_ns()

@@ -188,11 +188,13 @@ def _from_csv(path: Path) -> PoseList:
                 f"got {_SHORT.repr(', '.join(header))})"
             )
         columns = [names.index(name) for name in Pose._fields]
-        rows = [
-            (f"{path}: line {begin + reader.line_num}", [row[n] if n < len(row) else "" for n in columns])
-            for row in reader
-            if any(map(str.strip, row))
-        ]
+        rows = []
+        for row in reader:
+            where = f"{path}: line {begin + reader.line_num}"
+            if any(map(str.strip, row[len(names) :])):  # as with decimal commas between commas
+                raise FileError(f"{where}: {len(row)} values, but the first line has {len(names)} names")
+            if any(map(str.strip, row)):
+                rows.append((where, [row[n] if n < len(row) else "" for n in columns]))
     except csv.Error as error:
         raise FileError(f"{path}: line {begin + reader.line_num}: no CSV: {error}") from error
     comma = delimiter != "," and not any("." in cell for _, cells in rows for cell in cells)

@@ -110,6 +110,7 @@ def test_a_drive_to_and_fro_keeps_its_turning_point(tmp_path):
         ("a.csv", "x,y\n1,2\n", FileError, "lacks theta"),
         ("a.csv", "x,y,theta\n1,2,three\n", FileError, "line 2: expected three numbers"),
         ("a.csv", "x,y,theta\n1,2\n", FileError, "line 2: expected three numbers"),
+        ("a.csv", "x,y,theta\n0,3,0,1,0,0\n", FileError, "line 2: 6 values, but the first line has 3 names"),
         ("a.csv", "x,y,theta\n1,2,3\n", FileError, "two poses at least, got 1"),
         ("a.yaml", "poses:\n- {x: 1, y: 2, theta: 3}\n", ConfigError, r"\$\.poses"),
         ("a.yaml", "poses: [[1, 2, 3], [1, 2, 3]]\n", ConfigError, r"\$\.poses\[0\]"),

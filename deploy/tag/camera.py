@@ -263,7 +263,7 @@ class DeviceCamera(ReadCamera):
         self.start()
 
     def _pictures(self) -> Iterator[Callable[[], Picture]]:
-        number = re.fullmatch(r"/dev/video(\d+)", self._path)
+        number = re.fullmatch(r"/dev/video(\d{1,3})", self._path)  # OpenCV raises for long ones
         capture = cv2.VideoCapture(int(number[1]) if number else self._path, cv2.CAP_V4L2)
         try:
             if not capture.isOpened():

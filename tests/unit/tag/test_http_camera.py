@@ -208,11 +208,12 @@ def test_device_is_set_to_its_calibration(monkeypatch, caplog, tmp_path, focus):
     assert focus is None or (device.get(cv2.CAP_PROP_AUTOFOCUS), device.get(cv2.CAP_PROP_FOCUS)) == (0, 30)
 
 
-def test_device_that_is_not_there_names_those_that_are(monkeypatch):
+@pytest.mark.parametrize("number", ["94", "9" * 20])
+def test_device_that_is_not_there_names_those_that_are(monkeypatch, number):
     monkeypatch.setattr("deploy.tag.camera.devices", lambda: [Device("/dev/video5", "Webcam", "")])
-    camera = DeviceCamera("/dev/video94", DeviceSettings(), Counter())
+    camera = DeviceCamera(number, DeviceSettings(), Counter())
     with (
         camera,
-        pytest.raises(UsageError, match="no /dev/video94; cameras of this machine: /dev/video5"),
+        pytest.raises(UsageError, match=f"no /dev/video{number}; cameras of this machine: /dev/video5"),
     ):
         next(iter(camera))

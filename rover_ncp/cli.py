@@ -187,6 +187,8 @@ def _prefer_own_packages() -> list[str]:
         sys.path.append(ours)
     shadows = {}
     for folder in sys.path[: sys.path.index(ours)]:
+        if os.path.realpath(folder) == os.path.realpath(ours):  # such as "" where that is the current folder
+            continue
         found = [PathFinder.find_spec(name, [folder or os.curdir]) for name in _OWN_PACKAGES]
         if modules := [each.origin or each.name for each in found if each is not None and each.loader]:
             shadows[folder] = modules

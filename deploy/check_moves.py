@@ -71,7 +71,9 @@ class Moves:
         except SafetyStop as stop:
             if stop.rule != NOT_ACCEPTED:
                 raise
-            # A second attempt: a stall of this computer is no fault of the robot.
+            # A second attempt: a stall of this computer is no fault of the robot. After it the gate has fresh
+            # odometry again, without which it refuses the motors.
+            self.until(lambda: False, ACCEPTED_S)
             self._link.request_motors(self._name)
             self.until(lambda: False, ACCEPTED_S)
             return self.command(velocity)

@@ -92,8 +92,8 @@ class TimeoutMeasurement:
 
     @property
     def command(self) -> Velocity:
-        """What the robot is commanded; in a silence nothing is sent."""
-        return Velocity(self._speed, 0.0) if self.phase in {Phase.DRIVE, Phase.SILENT} else STANDSTILL
+        """Command for the gate: zero in the silence, in which nothing is sent, so that it expects a halt."""
+        return Velocity(self._speed, 0.0) if self.phase is Phase.DRIVE else STANDSTILL
 
     def tick(self, now: float, last_sent_s: float) -> None:
         """Let time pass. ``last_sent_s`` is when the robot was sent its last command."""

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from kit.ros2_world import BURGER
+from kit.described import described
 
 from bridge.base import BaseReport
 from bridge.measure_timeout import measure, words_for
@@ -70,9 +70,8 @@ def test_wheels_that_do_not_turn_measure_nothing():
 class Robot:
     """A simulated robot behind a base on a virtual clock, which nothing but the measurement drives."""
 
-    def __init__(self, timeout_s, speed_mean_s=0.0):
-        topics = BURGER.topics.model_copy(update={"cmd_vel_timeout_s": timeout_s})
-        robot = BURGER.model_copy(update={"topics": topics})
+    def __init__(self, timeout_s, model="turtlebot3-burger"):
+        robot = described(model, topics={"cmd_vel_timeout_s": timeout_s})
         self.robot = Ros2Robot(robot, PymunkRover(described_rover(robot), Ground(())))
         self.line = Ros2Connection(self.robot, None)
         self.now_s, self.act = 0.0, lambda: None
@@ -110,8 +109,9 @@ class Robot:
 
 
 @pytest.mark.parametrize("timeout_s", [0.5, 1.5])
-def test_a_robot_is_measured_through_the_gate_and_gets_the_line(timeout_s):
-    robot = Robot(timeout_s)
+@pytest.mark.parametrize("model", ["turtlebot3-burger", "husky-a200", "jackal-j100"])
+def test_a_robot_is_measured_through_the_gate_and_gets_the_line(timeout_s, model):
+    robot = Robot(timeout_s, model)
     found = robot.measure()
     assert timeout_s <= found.timeout_s <= timeout_s + 0.4  # braking, and what cannot be resolved
     assert found.line.startswith(f"measured_base_timeout_s: {found.timeout_s:g} # ")

@@ -6,8 +6,10 @@ import pytest
 from kit.gate_bench import SECRET, Gate, follow, timelines
 
 from bridge.base import BaseReport
+from bridge.gate.limits import Limits
 from bridge.gate.state import BaseLost, Enable, GateState, Reason, VelocityCommand, describe, read_tag
-from rover_ncp.wire.protocol import CommandTag, Signed
+from rover_ncp.robot.description import load_description
+from rover_ncp.wire.protocol import REASONS, CommandTag, Signed
 
 
 @pytest.mark.parametrize("timeline", list(timelines()))
@@ -39,10 +41,43 @@ def test_words_for_the_end_of_a_lease_last_until_the_next_lease():
         (Reason.ANOTHER_DRIVER, GateState(), "another driver holds the lease"),
         (Reason.ANOTHER_DRIVER, Gate().driving().state, "deploy holds the lease"),
         (Reason.SPEED, GateState(), ""),
+        (
+            Reason.HAZARD_UNKNOWN,
+            GateState(base=BaseReport(hazard_unknown="stop: silent")),
+            f"{REASONS['hazard-unknown']}: stop: silent",
+        ),
+        (
+            Reason.SONAR,
+            GateState(base=BaseReport(room_unknown="y" * 300)),
+            f"{REASONS['sonar']}: {'y' * 300}"[:200],
+        ),
+        (Reason.SONAR, GateState(base=BaseReport(hazard_unknown="stop: silent")), REASONS["sonar"]),
+        (Reason.HAZARD_UNKNOWN, GateState(), REASONS["hazard-unknown"]),
     ],
 )
 def test_words_of_a_reason_name_who_and_what(reason, state, words):
     assert describe(reason, state) == words
+
+
+def test_an_unknown_hazard_ends_the_lease_until_it_is_known():
+    gate = Gate().driving()
+    gate.at(0.1, BaseReport(hazard_unknown="stop: silent"))
+    assert gate.state.lease_over is Reason.HAZARD_UNKNOWN
+    assert gate.state.lease_over_detail.endswith(": stop: silent")
+    assert gate.enable(0.2).refusal is Reason.HAZARD_UNKNOWN
+    gate.at(0.3, BaseReport())
+    assert gate.enable(0.3).refusal is None
+
+
+def test_a_robots_own_limits_count_where_they_are_tighter_or_nothing_else_is_set():
+    burger = load_description("turtlebot3-burger")
+    found = Limits().within(burger)
+    assert (found.v_max, found.omega_max, found.brake) == (0.22, 0.6, 0.3)
+    assert (found.battery_min_v, found.speed_mean_s) == (burger.battery.min_v, burger.odometry.speed_mean_s)
+    assert Limits(v_max=0.1, battery_min_v=12.0, speed_mean_s=0.5).within(burger).model_dump() == (
+        Limits(v_max=0.1, battery_min_v=12.0, speed_mean_s=0.5).model_dump()
+    )
+    assert found.within(burger) == found
 
 
 def test_the_key_is_in_no_text_about_the_gate():

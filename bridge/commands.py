@@ -120,7 +120,16 @@ def bridge(
         ros2_options = {"no_base_watchdog": no_base_watchdog, "measure_timeout": measure_timeout}
         reject("is for a ROS 2 robot (ros2/tcp/HOST)", **ros2_options)
     if measure_timeout:
-        reject("does not go with --measure-timeout", listen=listen, no_base_watchdog=no_base_watchdog)
+        reject(
+            "does not go with --measure-timeout, which serves no driver",
+            listen=listen,
+            namespace=namespace,
+            zenoh_config=zenoh_config,
+            ros=ros,
+            accept_ros=accept_ros,
+            insecure=insecure,
+            no_base_watchdog=no_base_watchdog,
+        )
     require_open_files(OPEN_FILES)
     output = Output(json, controls=True)
     chosen = choose_base(base, model, base_zenoh_config)

@@ -55,8 +55,8 @@ def measure(
 ) -> TimeoutResult:
     """Drive a robot forward for 1.5 s, send it nothing, and measure when it halts.
 
-    Raises NoRobot, SafetyStop if the gate ends the lease or the robot does not move, and KeyboardInterrupt
-    when ``stopping`` becomes true. The robot gets zeros at each end.
+    Raises NoRobot, SafetyStop if the gate holds the robot or it does not move, and KeyboardInterrupt when
+    ``stopping`` becomes true. The robot gets zeros at each end.
     """
     node = Node(
         base,
@@ -108,9 +108,10 @@ class _Run:
         if not self._lease:
             self._begin(now)
             return False
-        if gate.lease is None or gate.lease.number != self._lease:
-            reason = str(gate.lease_over or "lease")
-            raise SafetyStop(reason, f"the timeout was not measured: {gate.lease_over_detail or reason}")
+        if self._sequence and gate.held is not None:  # zeros were sent, so what follows says nothing
+            reason = gate.lease_over or gate.held
+            words = gate.lease_over_detail or describe(reason, gate) or reason
+            raise SafetyStop(str(reason), f"the timeout was not measured: {words}")
         if self._node.report is not self._seen and self._node.report is not None:
             self._seen = self._node.report
             measurement.take(self._seen, now)

@@ -77,7 +77,7 @@ class Phase(Enum):
 class TimeoutMeasurement:
     """Drives a robot forward, sends nothing, and measures when it is still, by its odometry.
 
-    The caller ends the measurement if the gate ends the lease: then zeros or a hazard halted the robot.
+    The caller ends the measurement if the gate holds the robot: then zeros or a hazard halted it.
     """
 
     def __init__(self, began_s: float, speed_m_s: float = SPEED_M_S, speed_mean_s: float = 0.0) -> None:
@@ -87,13 +87,20 @@ class TimeoutMeasurement:
         """At most the time to drive `STILL_M` too long, never too short."""
         self._speed = speed_m_s
         self._began_s, self._mean_s = began_s, speed_mean_s
+        self._motion = STANDSTILL
+        self._newest: BaseReport | None = None
         self._anchor: BaseReport | None = None
         self._still_since_s, self._reports = began_s, 0
 
     @property
     def command(self) -> Velocity:
-        """Command for the gate: zero in the silence, in which nothing is sent, so that it expects a halt."""
-        return Velocity(self._speed, 0.0) if self.phase is Phase.DRIVE else STANDSTILL
+        """Command for the gate: in the silence, which sends nothing, the motion that the robot reports.
+
+        So fence, sonars and frozen odometry end a measurement too.
+        """
+        if self.phase is Phase.DRIVE:
+            return Velocity(self._speed, 0.0)
+        return self._motion if self.phase is Phase.SILENT else STANDSTILL
 
     def tick(self, now: float, last_sent_s: float) -> None:
         """Let time pass. ``last_sent_s`` is when the robot was sent its last command."""
@@ -106,7 +113,10 @@ class TimeoutMeasurement:
 
     def take(self, report: BaseReport, now: float) -> None:
         """Take a report that arrived ``now``."""
-        anchor = self._anchor
+        before, self._newest, anchor = self._newest, report, self._anchor
+        # A mean speed goes on for a while after the pose has stopped to change.
+        repeated = before is not None and _pose(before) == _pose(report)
+        self._motion = STANDSTILL if repeated else Velocity(report.v, report.omega)
         still = anchor is not None and (
             math.hypot(report.x - anchor.x, report.y - anchor.y) < STILL_M
             and abs(report.theta - anchor.theta) < STILL_RAD
@@ -123,3 +133,7 @@ class TimeoutMeasurement:
             self.phase = Phase.HALTED
             moved_s = STILL_M / self._speed
             self.timeout_s = max(self._still_since_s - self._began_s, 0.0) + moved_s
+
+
+def _pose(report: BaseReport) -> tuple[float, float, float]:
+    return report.x, report.y, report.theta

@@ -255,7 +255,8 @@ def test_nobody_drives_a_robot_until_its_description_has_the_measured_timeout(tm
             assert (reply.granted, reply.reason) == (False, "unchecked")
             assert "--measure-timeout" in reply.detail
         rig.end_process(rig.bridge)
-        with Process("bridge", ["--base", rig.base, *bridge, "--measure-timeout"], tmp_path) as measuring:
+        arguments = ["--base", ROS2DDS.format(rig.base), *bridge, "--measure-timeout"]
+        with Process("bridge", arguments, tmp_path) as measuring:
             done = measuring.wait(60.0)
         assert done.code == 0, done
         # The mock halts 0.5 s after its last command, as its description has it.

@@ -6,6 +6,7 @@ import pytest
 from kit.described import described
 
 from bridge.base import BaseReport
+from bridge.gate.limits import Fence
 from bridge.measure_timeout import measure, words_for
 from bridge.ros2.base_timeout import Phase, TimeoutMeasurement, TimeoutRecord
 from rover_ncp.core.errors import ConfigError, SafetyStop
@@ -97,8 +98,8 @@ class Robot:
     def speed(self):
         return self.robot.drive.measured.v
 
-    def measure(self, stopping=lambda: False):
-        base, limits = self.line.base, self.line.limits
+    def measure(self, stopping=lambda: False, fence=None):
+        base, limits = self.line.base, self.line.limits.model_copy(update={"fence": fence})
         return measure(base, self, limits, stopping, clock=self, total_suspended_s=lambda: 0.0)
 
     def stands_soon(self):
@@ -126,6 +127,15 @@ def test_a_robot_without_a_timeout_gets_no_line_and_stands_afterwards():
     assert robot.stands_soon()
 
 
+@pytest.mark.parametrize("x_max", [0.16, 0.3], ids=["before the silence", "in the silence"])
+def test_a_robot_that_the_fence_halts_is_not_measured(x_max):
+    robot = Robot(None)
+    with pytest.raises(SafetyStop, match="not measured: the rover would leave the geofence"):
+        robot.measure(fence=Fence(x_min=-1.0, x_max=x_max, y_min=-1.0, y_max=1.0))
+    assert robot.stands_soon()
+    assert robot.robot.drive.rover.pose.x < x_max
+
+
 @pytest.mark.parametrize("at_s", [1.0, 2.5])
 def test_an_interrupted_measurement_stops_the_robot(at_s):
     robot, moving_s = Robot(None), []
@@ -151,7 +161,7 @@ def test_odometry_that_stops_ends_the_measurement_and_the_robot_stands(silent):
         return before(timeout_s)
 
     robot.lost, robot.take = False, take
-    with pytest.raises(SafetyStop, match="not measured: the base is not connected"):
+    with pytest.raises(SafetyStop, match=r"not measured: .* odometry is stale"):
         robot.measure()
     robot.take = before
     assert robot.stands_soon()

@@ -83,7 +83,7 @@ def gate_limits(file: Path | None, description: RobotDescription | None) -> Limi
     The bridge sets a Pioneer's deceleration, so `brake` is at most that. Without a description the limits are
     bounded when the Pioneer says what it is.
 
-    Raises FileError or ConfigError, and UsageError for a limit in the file that the robot does not reach.
+    Raises FileError or ConfigError, and UsageError for a limit in the file that is wider than the robot's.
     """
     given = Limits() if file is None else load_yaml(file, Limits)
     if (description is None or description.arcos is not None) and given.brake > MotionLimits.decel:
@@ -99,6 +99,11 @@ def gate_limits(file: Path | None, description: RobotDescription | None) -> Limi
         value = getattr(given, name)
         if name in given.model_fields_set and value > most:
             raise UsageError(f"{file}: {name} is {value:g}, but {description.name} has {most:g} at most")
+    least = description.battery.min_v
+    if "battery_min_v" in given.model_fields_set and given.battery_min_v < least:
+        raise UsageError(
+            f"{file}: battery_min_v is {given.battery_min_v:g}, but {description.name} has {least:g} at least"
+        )
     return given.within(description)
 
 

@@ -77,13 +77,13 @@ class Limits(StrictModel):
 
         A voltage and a time of mean speeds that are not set here are the robot's.
         """
-        motion = robot.motion
+        motion, given = robot.motion, self.model_fields_set
+        least_v = self.battery_min_v if "battery_min_v" in given else 0.0
         chosen = {
             "v_max": min(self.v_max, motion.v_max),
             "omega_max": min(self.omega_max, motion.omega_max),
             "brake": min(self.brake, motion.decel),
-            "battery_min_v": robot.battery.min_v,
-            "speed_mean_s": robot.odometry.speed_mean_s,
+            "battery_min_v": max(robot.battery.min_v, least_v),
+            "speed_mean_s": self.speed_mean_s if "speed_mean_s" in given else robot.odometry.speed_mean_s,
         }
-        known = self.model_fields_set & {"battery_min_v", "speed_mean_s"}
-        return self.model_copy(update={name: each for name, each in chosen.items() if name not in known})
+        return self.model_copy(update=chosen)

@@ -4,11 +4,8 @@ from pathlib import Path
 
 import pytest
 import yaml
-from kit.driver_client import DriverClient
-from kit.virtual_bench import VirtualRig
 
 from bridge.bases import choose_base, gate_limits
-from bridge.pioneer.setpoints import MotionLimits
 from rover_ncp.core.errors import ConfigError, UsageError
 from rover_ncp.core.files import resolve, shipped_names
 from rover_ncp.robot.description import load_description
@@ -104,28 +101,6 @@ def test_a_model_that_does_not_fit_its_address_is_refused(base, model, expected)
         choose_base(base, model)
 
 
-def test_the_gates_limits_are_those_of_the_robot(tmp_path):
-    burger = load_description("turtlebot3-burger")
-    limits = gate_limits(None, burger)
-    assert (limits.v_max, limits.omega_max, limits.battery_min_v) == (0.22, 0.6, 10.5)
-    file = tmp_path / "limits.yaml"
-    file.write_text("v_max: 0.25\n")
-    with pytest.raises(UsageError, match=r"v_max is 0.25, but turtlebot3-burger has 0.22"):
-        gate_limits(file, burger)
-    assert gate_limits(file, load_description("p3at-sh")).v_max == 0.25
-
-
-@pytest.mark.parametrize("model", [None, "p3at-sh"])
-def test_brake_is_at_most_what_the_bridge_sets_in_a_pioneer(tmp_path, model):
-    description, decel = model and load_description(model), MotionLimits().decel
-    file = tmp_path / "limits.yaml"
-    file.write_text(f"brake: {decel}\n")
-    assert gate_limits(None, description).brake < gate_limits(file, description).brake == decel
-    file.write_text("brake: 0.32\n")
-    with pytest.raises(UsageError, match=r"limits.yaml: brake is 0.32; expected at most 0.31"):
-        gate_limits(file, description)
-
-
 def test_a_pioneer_of_ones_own_is_simulated_and_driven_from_its_file(tmp_path):
     file = tmp_path / "arm.yaml"
     file.write_text("name: p3at-arm\nbased_on: p3at-sh\nheight_m: 0.9\n")
@@ -134,44 +109,3 @@ def test_a_pioneer_of_ones_own_is_simulated_and_driven_from_its_file(tmp_path):
     bridge.sleep(3.0)
     shape = parse_json(BaseReply, bridge.query("rover/base", b"{}"))
     assert shape.model == "p3at-arm"
-
-
-@pytest.mark.parametrize("checked", [True, False], ids=["--model FILE", "--model auto"])
-def test_the_gate_keeps_the_limits_of_a_pioneers_description(checked, tmp_path):
-    def connected(min_v):
-        file.write_text(f"{arm}\nbattery: {{nominal_v: 24.0, min_v: {min_v}}}\n")
-        robot = load_description(file)
-        rig = VirtualRig(robot, limits=gate_limits(None, robot) if checked else None)
-        rig.sleep(3.0)
-        return robot, DriverClient(rig)
-
-    file, arm = tmp_path / "arm.yaml", "name: arm\nbased_on: p3at-sh\nmotion: {v_max: 0.2, omega_max: 0.4}"
-    _, driver = connected(22.0)
-    assert driver.motors().reason == "low-battery"  # the mock reports 12.7 V
-    robot, driver = connected(11.5)
-    limits = driver.motors().limits
-    assert (limits["v"], limits["omega"]) == (0.2, 0.4)
-    with pytest.raises(UsageError, match=r"v_max is 0.25, but arm has 0.2"):
-        gate_limits(limits_file(tmp_path, "v_max: 0.25"), robot)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "brake: 1e-310",
-        "brake: 1e-300",
-        "omega_max: 1e-320",
-        "fence: {x_min: -1e300, x_max: 1e300, y_min: -1, y_max: 1}",
-        "command_timeout_s: 1e-9",
-        "lease_s: 1e-9",
-        "battery_min_v: 1e9",
-    ],
-)
-def test_limits_with_which_nothing_can_be_computed_are_refused(text, tmp_path):
-    with pytest.raises(ConfigError):
-        gate_limits(limits_file(tmp_path, text), None)
-
-
-def limits_file(folder, text):
-    (folder / "limits.yaml").write_text(text)
-    return folder / "limits.yaml"

@@ -60,7 +60,7 @@ TICK_S = 0.02
 APART_S = 0.01
 """Commands at a higher rate than this are not passed on one by one: a serial line could not carry them."""
 MAX_LOG_LINES = 20
-"""Lines of requests that one turn of the loop logs: a flood of them must not fill the log."""
+"""Lines of requests that are logged in a second: a flood of them must not fill the log."""
 SUSPENDED_S = 0.1
 """A suspend of the computer for longer than this ends the lease."""
 STATUS_S = 0.1
@@ -118,8 +118,10 @@ class Node:
         self._ready = ready
         self._log: list[str] = []
         """Events to log after the base has got its setpoint."""
+        self._requests = 0
+        """Lines of requests since `_publish_slowly`."""
         self._answers = Answers(
-            *(limits, link.key, self.judge, self._base), wall_ns=self._wall_ns, log=self._log_line
+            *(limits, link.key, self.judge, self._base), wall_ns=self._wall_ns, log=self._log_request
         )
         self.gate = GateState()
         self.reconnects = -1
@@ -255,8 +257,9 @@ class Node:
     def _accepts_ros(self) -> bool:
         return self._accept_ros and not self._base.base_timeout.refusal
 
-    def _log_line(self, line: str) -> None:
-        if len(self._log) < MAX_LOG_LINES:
+    def _log_request(self, line: str) -> None:
+        self._requests += 1
+        if self._requests <= MAX_LOG_LINES:
             self._log.append(line)
 
     def _flush_log(self) -> None:
@@ -305,6 +308,9 @@ class Node:
 
     def _publish_slowly(self, now: float) -> None:
         self._slow_due_s = now + SLOW_S
+        if self._requests > MAX_LOG_LINES:
+            self._log.append(f"{self._requests - MAX_LOG_LINES} more requests came")
+        self._requests = 0
         self._set_wall_clock()
         stamp_ns = self._wall_ns(now)
         health = ros.diagnostics(

@@ -117,6 +117,8 @@ class Answers:
         if verdict.refusal is not None:
             return _refusal(verdict.refusal, gate)
         assert verdict.lease is not None  # it was granted
+        if sequence is None:
+            self._log(f"the lease is that of {_who(query)}")
         limits = self.limits
         return MotorsReply(
             granted=True,
@@ -178,7 +180,7 @@ class Answers:
 
 def _who(query: Query) -> str:
     """Return the sender of a request in words. Only certificates prove who it is."""
-    return f"the peer with the Zenoh id {query.source}" if query.source else "a peer without a Zenoh id"
+    return f"the peer with the Zenoh id {query.source}" if query.source else "a peer that states no Zenoh id"
 
 
 def _finite(value: float) -> float | None:

@@ -160,6 +160,7 @@ class ZenohLink(Link, ZenohClient):
             timeout=timeout_s,
             target=target,
             consolidation=zenoh.ConsolidationMode.NONE,
+            source_info=zenoh.SourceInfo(self._session.id, 0),  # for the bridge's log
         )
 
     def bridges(self) -> list[str]:

@@ -97,7 +97,8 @@ class Viewer(ZenohClient):
         no readable answer.
         """
         request = StopRequest(release=release, reason="" if release else REASON)
-        answer = self.bridge_answer(self._stopper.get(payload=dump_json(request)))
+        source = zenoh.SourceInfo(self._stopper.id, 0)  # for the bridge's log
+        answer = self.bridge_answer(self._stopper.get(payload=dump_json(request), source_info=source))
         if answer is not None:
             try:
                 return parse_json(StopReply, answer)

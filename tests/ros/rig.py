@@ -22,6 +22,8 @@ ROS2DDS_BRIDGE = shutil.which("zenoh-bridge-ros2dds")
 """The real one, which is used where it is present; else the stand-in."""
 STARTED_S = 30.0
 TOPICS = 4
+MODEL = str(Path(__file__).with_name("robot.yaml"))
+"""The description of the robot."""
 """Odometry, gyro, battery and commands of `robot.py`."""
 # Each worker of xdist has 30 domains. Those above 101 have ports that Linux gives to others.
 _FIRST = 1 + 30 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
@@ -143,7 +145,7 @@ class RunWithRos(LiveRun):
 class RosRun(RunWithRos):
     """A robot of ROS 2, its Zenoh integration, and our bridge; ``way`` is a wire of ``wires.py``."""
 
-    def __init__(self, folder, *bridge, model="turtlebot4", robot=(), way="rclpy", namespace=""):
+    def __init__(self, folder, *bridge, model=MODEL, robot=(), way="rclpy", namespace=""):
         super().__init__(folder, bridge=["--model", model, "--no-base-watchdog", *bridge])
         self.way = way
         self._base_form = f"{ROS2DDS}#" if way == "rclpy" else f"{RMW_ZENOH}&domain={self.domain}"

@@ -15,6 +15,7 @@ from wires import WIRES, header, input_lines
 
 STEP_S, PRINT_S = 0.01, 0.1
 ODOMETRY, IMU, BATTERY = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu", "sensor_msgs/msg/BatteryState"
+BOOL = "std_msgs/msg/Bool"
 
 
 class Body:
@@ -68,21 +69,28 @@ class Robot:
                 ("battery", arguments.battery, BATTERY),
             ]
         }
-        command = "TwistStamped" if arguments.stamped else "Twist"
+        if arguments.stop:
+            self.publishers["stop"] = self.wire.publisher(arguments.stop, BOOL, reliable)
+        command = "Twist" if arguments.twist else "TwistStamped"
         self.wire.subscribe(arguments.cmd_vel, f"geometry_msgs/msg/{command}", self.receive)
 
     def receive(self, message):
-        twist = message.twist if self.arguments.stamped else message
+        twist = message if self.arguments.twist else message.twist
         self.body.command(twist.linear.x, twist.angular.z)
 
     def run(self):
         now = time.monotonic()
-        due = dict.fromkeys(("odom", "imu", "battery", "print"), now)
+        due = dict.fromkeys((*self.publishers, "print"), now)
         while (lines := input_lines()) is not None:
             self.change(lines)
             self.wire.spin(max(0.0, min(due.values()) - time.monotonic()))
             self.body.advance(now := time.monotonic())
-            periods = {"odom": 1 / self.rate_hz, "imu": 1 / self.arguments.imu_rate, "battery": 1.0}
+            periods = {
+                "odom": 1 / self.rate_hz,
+                "imu": 1 / self.arguments.imu_rate,
+                "battery": 1.0,
+                "stop": 0.1,
+            }
             for name in [name for name, at in due.items() if now >= at]:
                 # A robot that was held up does not send what it missed.
                 period = periods.get(name, PRINT_S)
@@ -128,6 +136,9 @@ class Robot:
         rate = (body.theta - theta) / (body.now - now) if body.now > now else body.omega
         return {"header": self.header("imu_link"), "angular_velocity": {"z": rate}}
 
+    def stop(self):
+        return {"data": False}
+
     def battery(self):
         return {"header": self.header("base_link"), "voltage": self.arguments.volts, "present": True}
 
@@ -144,7 +155,8 @@ def main():
     add("--imu", default="imu")
     add("--battery", default="battery_state")
     add("--cmd-vel", default="cmd_vel")
-    add("--stamped", action="store_true")
+    add("--twist", action="store_true", help="take Twist, not TwistStamped")
+    add("--stop", default="", help="the topic of its stop button, if it has one")
     add("--best-effort", action="store_true")
     add("--rate", type=float, default=20.0)
     add("--imu-rate", type=float, default=20.0)

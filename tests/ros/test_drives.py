@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from ros.rig import RosRun
+from ros.rig import MODEL, RosRun
 from ros.test_messages import NO_WHEEL, read_by_ros
 
 from deploy.replay import replay
@@ -22,7 +22,7 @@ def true_pose(robot):
 def test_a_robot_parks_and_the_recording_replays(way, tmp_path):
     with RosRun(tmp_path, way=way) as run:
         begin, drive = true_pose(run.body), tmp_path / "run.mcap"
-        done = run.deploy("--model", "turtlebot4", "--course", "parking", "--record", str(drive)).wait(120.0)
+        done = run.deploy("--model", MODEL, "--course", "parking", "--record", str(drive)).wait(120.0)
         assert done.code == 0, done.last_line
         assert done.result["verdict"] == "parked"
         reached = relative(begin, true_pose(run.body))

@@ -5,12 +5,12 @@ import time
 import pytest
 from kit.bridge_bench import Driver, wait_for
 from kit.paths import DATA
-from ros.rig import RosRun
+from ros.rig import MODEL, RosRun
 
 from sim.live.processes import Process
 
 BRIEF = str(DATA / "brief_course.yaml")
-HUSKY = ["--stamped", "--odom", "platform/odom", "--imu", "sensors/imu_0/data"]
+HUSKY = ["--odom", "platform/odom", "--imu", "sensors/imu_0/data", "--stop", "platform/emergency_stop"]
 HUSKY += ["--battery", "platform/bms/state", "--volts", "25", "--accel", "1", "--alpha", "1"]
 V = 0.15
 
@@ -34,8 +34,8 @@ def test_a_husky_parks_in_a_namespace_by_best_effort_odometry_at_200_hz_and_a_cl
         ("", ["--rate", "1"], "odometry on odom arrives 1."),
         (
             "",
-            ["--stamped"],
-            "the robot takes geometry_msgs/msg/TwistStamped on cmd_vel: set topics.cmd_vel_type",
+            ["--twist"],
+            "the robot takes geometry_msgs/msg/Twist on cmd_vel: set topics.cmd_vel_type",
         ),
         (
             "",
@@ -97,10 +97,10 @@ def test_the_clock_of_a_robot_is_set_in_the_drive(tmp_path):
 
 def test_a_second_publisher_of_commands_stops_the_drive_and_the_driver_says_so(tmp_path):
     with RosRun(tmp_path) as run:
-        deploy = run.deploy("--model", "turtlebot4", "--course", BRIEF)
+        deploy = run.deploy("--model", MODEL, "--course", BRIEF)
         wait_for(lambda: run.body.last["v"] > 0.05, 60.0)
-        fields = '{"linear": {"x": 0.1}}'
-        joystick = run.ros("joystick", "topic.py", "pub", "cmd_vel", "geometry_msgs/msg/Twist", fields)
+        fields = '{"twist": {"linear": {"x": 0.1}}}'
+        joystick = run.ros("joystick", "topic.py", "pub", "cmd_vel", "geometry_msgs/msg/TwistStamped", fields)
         done = deploy.wait(60.0)
         assert (done.code, done.result["stopped_by"]) == (4, "no-base")
         assert "publishes cmd_vel too" in done.result["reason"]
@@ -125,12 +125,12 @@ def test_two_robots_that_publish_one_odometry_stop_the_rover(tmp_path):
     ("hazards", "code", "name", "words"),
     [
         ("null", 0, "watchdog", "not known whether the base halts"),
-        ("hazard_detection", 1, "stop", "no message has come on hazard_detection"),  # it does not send them
+        ("hazard_detection", 1, "inputs", "no message on hazard_detection"),  # it does not send them
     ],
 )
 def test_check_of_a_robot_fails_if_its_hazards_are_silent(hazards, code, name, words, tmp_path):
     model = tmp_path / "mine.yaml"
-    model.write_text(f"name: mine\nbased_on: turtlebot4\ntopics: {{hazards: {hazards}}}\n")
+    model.write_text(f"name: mine\nbased_on: {MODEL}\ntopics: {{hazards: {hazards}}}\n")
     with RosRun(tmp_path, model=str(model), robot=["--rate", "40"]) as run:
         about = ["--robot", run.robot, "--on-blocks", "--model", str(model)]
         with Process("check", about, tmp_path) as check:

@@ -68,8 +68,8 @@ class Obstacle(StrictModel):
     x: Coordinate
     y: Coordinate
     theta: Angle = 0.0
-    length: float = Field(gt=0, le=FAR_M, description="m, along theta")
-    width: float = Field(gt=0, le=FAR_M, description="m")
+    length: float = Field(ge=0.001, le=FAR_M, description="m, along theta")
+    width: float = Field(ge=0.001, le=FAR_M, description="m")
 
 
 class ParkedRule(StrictModel):

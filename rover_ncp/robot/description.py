@@ -24,6 +24,9 @@ MAX_BASE_TIMEOUT_S = 2.5
 """Longest base timeout that counts: a Pioneer has 2 s."""
 
 Metres = Annotated[float, Field(ge=0.001, le=5)]
+Range = Annotated[float, Field(ge=0.001, le=1000)]
+Degrees = Annotated[float, Field(ge=-360, le=360)]
+Offset = Annotated[float, Field(ge=-5, le=5)]
 TopicName = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*(/[A-Za-z_]\w*)*$")]
 
 
@@ -159,14 +162,14 @@ class Scan(StrictModel):
     """Direction of its zero angle, to the left of straight ahead."""
     rate_hz: float = Field(default=5.0, ge=0.1, le=100)
     """Scans per second."""
-    range_m: tuple[float, float] = (0.12, 3.5)
+    range_m: tuple[Range, Range] = (0.12, 3.5)
     """Smallest and largest range."""
 
 
 class Battery(StrictModel):
     """Voltages of the whole pack."""
 
-    nominal_v: float = Field(gt=0, le=100)
+    nominal_v: float = Field(ge=0.1, le=100)
     """Nominal voltage, which the mock reports."""
     min_v: float = Field(ge=0, le=100)
     """Below this voltage the gate stops the robot."""
@@ -177,7 +180,7 @@ class HazardTopic(StrictModel):
 
     topic: TopicName
     """The topic's name."""
-    periodic_s: float | None = Field(default=None, gt=0, le=5)
+    periodic_s: float | None = Field(default=None, ge=0.01, le=5)
     """Longest time between two messages; three times that without one is a hazard. None = 1, or `latched`."""
     latched: bool = False
     """Published at changes only, reliably and transient local; a publisher that is gone is a hazard."""
@@ -239,7 +242,7 @@ class Sonars(StrictModel):
 
     height_m: Metres
     """Height of all sonars above the ground."""
-    poses_m_deg: tuple[tuple[float, float, float], ...]
+    poses_m_deg: tuple[tuple[Offset, Offset, Degrees], ...]
     """x ahead, y to the left and direction of each."""
 
 

@@ -14,6 +14,7 @@ from rover_ncp.wire.protocol import (
     KEY_BYTES,
     PROTOCOL,
     VERSION_REASON,
+    BaseReply,
     BaseRequest,
     CommandTag,
     DriverStatus,
@@ -24,6 +25,7 @@ from rover_ncp.wire.protocol import (
     ResetRequest,
     Signed,
     StopRequest,
+    TimeoutState,
     dump_json,
     in_words,
     other_version,
@@ -155,6 +157,11 @@ def test_a_request_reads_as_documented():
         (StopRequest(), {"release": False, "reason": ""}),
         (BaseRequest(), {}),
         (
+            BaseReply(model="x", state=TimeoutState.UNKNOWN),
+            {"model": "x", "battery_min_v": None, "state": "unknown", "timeout_s": None, "unheard": []}
+            | {"problem": "", "version": "", "zenoh": "", "wall_ns": 0, "room_m": [None, None]},
+        ),
+        (
             GateStatus(),
             {
                 "lease": 0,
@@ -177,6 +184,10 @@ def test_a_request_reads_as_documented():
 def test_fields_that_a_sender_leaves_out_have_these_values(message, fields):
     assert json.loads(dump_json(message)) == fields
     assert parse_json(type(message), dump_json(message)) == message
+
+
+def test_statuses_in_recordings_of_earlier_versions_are_read():
+    assert parse_json(DriverStatus, '{"state": "driving", "second_publisher": ""}').state == "driving"
 
 
 def test_the_largest_values_are_read():

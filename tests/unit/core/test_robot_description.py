@@ -71,6 +71,8 @@ def test_a_description_is_based_on_a_file_beside_it_whatever_the_working_folder(
         ("name: x\nbased_on: [p3at]\n", r"\$.based_on"),
         ("name: x\nbased_on: p3at\nmotion: {v_max: -1}\n", r"\$.motion.v_max"),
         ("name: x\nbased_on: p3at\nmotion: {v_max: .nan}\n", r"\$.motion.v_max"),
+        ("name: x\nbased_on: turtlebot4\nscan: {range_m: [0.1, 1.0e+300]}\n", r"\$.scan.range_m"),
+        ("name: x\nbased_on: p3at\nbattery: {nominal_v: 1.0e-310}\n", r"\$.battery.nominal_v"),
         ("name: x\nbased_on: p3at\nwheels: {axles_m: 0}\n", "a skid drive needs wheels.axles_m"),
         ("name: x\nbased_on: p3at\ntopics: {odom: /odom}\n", r"\$.topics.odom"),
         ("name: x\nbased_on: p3at\ntopics: {cmd_vel_type: Pose}\n", r"\$.topics.cmd_vel_type"),

@@ -92,7 +92,7 @@ def test_errors_are_distances(dx, dy, dtheta):
         ({"checkpoints": [{"t": 2, "x": 0, "y": 0, "theta": 0, "z": 1}]}, "$.checkpoints[0].z: unknown key"),
         ({"checkpoints": [{"t": 2, "x": 0, "y": 0, "theta": 90}]}, "theta: an angle is in radians"),
         ({"name": "Parking lot"}, "$.name"),
-        ({"obstacles": [{"x": 0, "y": 0, "length": 0, "width": 1}]}, "$.obstacles[0].length"),
+        ({"obstacles": [{"x": 0, "y": 0, "length": 1e-310, "width": 1}]}, "$.obstacles[0].length"),
         ({"format": 2}, "$.format"),
     ],
 )

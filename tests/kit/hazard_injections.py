@@ -67,21 +67,38 @@ def repeat(drive, payload):
     return [drive.held[0]]
 
 
-def as_stamped(stamp_ns):
-    """Give odometry another stamp: ``stamp_ns(drive, its own)``."""
+def odometry(change):
+    """Change odometry: ``change(sample, first stamp)`` returns its pose, velocity and stamp."""
 
     def changed(drive, payload):
         sample = ros.read_odometry(payload)
+        drive.first_ns = drive.first_ns or sample.stamp_ns
         frames = drive.robot.topics.odom_frame, drive.robot.topics.base_frame
-        return [ros.odometry(sample.pose, sample.velocity, stamp_ns(drive, sample.stamp_ns), frames=frames)]
+        return [ros.odometry(*change(sample, drive.first_ns), frames=frames)]
 
     return changed
 
 
-def turned(drive, payload):
-    message = decode(ros.IMU, payload)
-    stamp = message.header.stamp
-    return [ros.imu(1.0, 1e-6, stamp.sec * NS + stamp.nanosec)]
+def as_stamped(stamp_ns):
+    """Give odometry another stamp: ``stamp_ns(its own, the first one)``."""
+    return odometry(
+        lambda sample, first_ns: (sample.pose, sample.velocity, stamp_ns(sample.stamp_ns, first_ns))
+    )
+
+
+def as_pose(pose):
+    """Give odometry another pose: ``pose(its own)``."""
+    return odometry(lambda sample, first_ns: (pose(sample.pose), sample.velocity, sample.stamp_ns))
+
+
+def rate(change):
+    """Give the gyro another rate of turn: ``change(its own)``."""
+
+    def changed(drive, payload):
+        sample = ros.read_imu(payload)
+        return [ros.imu(change(sample.rate), 1e-6, sample.stamp_ns)]
+
+    return changed
 
 
 def wall(drive, payload):
@@ -124,9 +141,13 @@ def on_report(**fields):
     return inject
 
 
-def frozen(drive):
-    """Freeze the pose of odometry while its speeds go on."""
-    drive.then = lambda: drive.base.inject(Fault("freeze-odometry"))
+def fault(name, value=0.0):
+    """Inject a fault of the mock."""
+
+    def inject(drive):
+        drive.then = lambda: drive.base.inject(Fault(name, value))
+
+    return inject
 
 
 def on_command(tag):
@@ -138,10 +159,10 @@ def on_command(tag):
     return inject
 
 
-def resigned(lease=0, age_s=0):
+def resigned(lease=0, age_s=0, number=None):
     def tag(drive, data, sequence):
         link = drive.link
-        found = CommandTag(link.lease.number + lease, sequence, link.bridge.now_ns - age_s * NS)
+        found = CommandTag(link.lease.number + lease, number or sequence, link.bridge.now_ns - age_s * NS)
         return found.sign(link.lease._secret, Signed.COMMAND, "cmd_vel", data)
 
     return tag
@@ -191,6 +212,22 @@ def far_once(drive, pose):
     return far(drive, pose) if drive.times == 1 else pose
 
 
+def late(seconds):
+    """Let the localiser's poses arrive so much later, with the stamps of their pictures."""
+
+    def inject(drive):
+        localise = drive.link.localise
+
+        def later(data, arrival_ns):
+            drive.held.append((arrival_ns, data))
+            while drive.held and (not drive.active or drive.held[0][0] <= arrival_ns - seconds * NS):
+                localise(drive.held.popleft()[1], arrival_ns)
+
+        drive.link.localise = later
+
+    return inject
+
+
 def same(drive, pose):
     drive.held = drive.held or deque([pose])
     return drive.held[0]
@@ -206,8 +243,16 @@ INJECTIONS = {
     "delay stop 1.0": on_topic("stop", delay(1.0)),
     "delay hazard_detection 1.0": on_topic("hazard_detection", delay(1.0)),
     "delay scan 2.0": on_topic("scan", delay(2.0)),
-    "freeze pose": frozen,
-    "turn rate of the gyro": on_topic("imu", turned),
+    "freeze pose": fault("freeze-odometry"),
+    "pose jumps once": on_topic("odom", once(as_pose(lambda pose: pose._replace(x=pose.x + 0.5)))),
+    "pose NaN once": on_topic("odom", once(as_pose(lambda pose: pose._replace(x=math.nan)))),
+    "pose NaN": on_topic("odom", as_pose(lambda pose: pose._replace(x=math.nan))),
+    "gyro stuck": on_topic("imu", rate(lambda own: 0.0)),
+    "gyro mirrored": on_topic("imu", rate(lambda own: -own)),
+    "gyro in degrees": on_topic("imu", rate(math.degrees)),
+    "gyro turns": on_topic("imu", rate(lambda own: 1.0)),
+    "gyro NaN": on_topic("imu", rate(lambda own: math.nan)),
+    "gyro turns once": on_topic("imu", once(rate(lambda own: 20.0))),
     "press stop": on_topic("stop", pressed(True)),
     "press stop every second time": on_topic(
         "stop", lambda d, p: [pressed(v)(d, p)[0] for v in (True, False)]
@@ -217,13 +262,11 @@ INJECTIONS = {
     "contact once": on_topic("hazard_detection", once(contacts(ros.BUMP))),
     "wheels dropped": on_topic("hazard_detection", contacts(ros.WHEEL_DROP)),
     "wall by the scan alone": on_topic("scan", wall),
-    "stamps 0": on_topic("odom", as_stamped(lambda drive, own_ns: 0)),
-    "stamps stand still": on_topic("odom", as_stamped(lambda drive, own_ns: drive.began_ns)),
-    "slow clock": on_topic(
-        "odom", as_stamped(lambda drive, own: drive.began_ns + (own - drive.began_ns) // 2)
-    ),
-    "stamp of tomorrow once": on_topic("odom", once(as_stamped(lambda drive, own_ns: own_ns + 86_400 * NS))),
-    "clock of an hour ago": on_topic("odom", as_stamped(lambda drive, own_ns: own_ns - 3600 * NS)),
+    "stamps 0": on_topic("odom", as_stamped(lambda own, first: 0)),
+    "stamps stand still": on_topic("odom", as_stamped(lambda own, first: first)),
+    "slow clock": on_topic("odom", as_stamped(lambda own, first: (first + own) // 2)),
+    "stamp of tomorrow once": on_topic("odom", once(as_stamped(lambda own, first: own + 86_400 * NS))),
+    "clock of an hour ago": fault("clock", -3600.0),
     "no echoes": on_report(clear_ahead_m=math.nan, clear_behind_m=math.nan),
     "near echo": on_report(clear_ahead_m=0.1),
     "near echo once": on_report(clear_ahead_m=0.1, once=1),
@@ -233,14 +276,16 @@ INJECTIONS = {
     "low voltage once": on_report(battery_v=10.0, once=1),
     "voltage NaN": on_report(battery_v=math.nan),
     "no poses": poses(lambda drive, pose: None),
-    "late poses": poses(lambda drive, pose: pose),
+    "late poses": late(1.5),
     "far pose once": poses(far_once),
     "far poses": poses(far),
+    "poses of another heading": poses(lambda drive, pose: pose._replace(x=-pose.x, y=-pose.y)),
     "same pose": poses(same),
     "another driver": taken,
     "no commands arrive": on_command(lambda *_: LOST),
     "commands of 1 s ago": on_command(resigned(age_s=1)),
     "commands of another lease": on_command(resigned(lease=1)),
+    "the same command again": on_command(resigned(number=1)),
     "one command is lost": on_command(lost_once),
     "forged commands": on_command(forged),
     "stop and release": stop_and_release,

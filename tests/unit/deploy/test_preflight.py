@@ -14,6 +14,7 @@ from kit.virtual_drive import ChangedLink
 from bridge.gate.limits import Limits
 from bridge.pioneer.base_connection import Received
 from bridge.pioneer.framing import encode_frame
+from bridge.pioneer.packets import Kind
 from deploy.check import Preflight
 from deploy.check_inputs import Battery, InputSteps
 from deploy.check_moves import Moves
@@ -336,6 +337,22 @@ def test_a_pioneer_that_would_drive_on_for_longer_than_two_seconds_is_not_driven
     else:
         link.request_motors("driver")
     assert (link.gate.lease == 0) is refused
+
+
+def test_a_pioneer_that_reports_no_watchdog_is_driven_and_nobody_says_that_it_does(monkeypatch):
+    def emit(self, packet):
+        if packet.kind is not Kind.CONFIG:
+            emit_any(self, packet)
+
+    emit_any, robot = Firmware._emit, load_description("p3at-sh")
+    monkeypatch.setattr(Firmware, "_emit", emit)
+    bridge = VirtualBridge(Firmware(robot, PymunkRover(described_rover(robot), Ground(()))))
+    bridge.sleep(5.0)
+    link = ChangedLink(bridge, lambda *_: None)
+    base = link.about_base()
+    assert (base.state, base.timeout_s) == ("unknown", 2.0)
+    link.request_motors("driver")
+    assert link.gate.lease == 1
 
 
 def test_a_configuration_that_arrives_late_ends_the_lease_of_a_pioneer_that_must_not_be_driven():

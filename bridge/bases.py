@@ -99,10 +99,10 @@ def gate_limits(file: Path | None, description: RobotDescription | None) -> Limi
         value = getattr(given, name)
         if name in given.model_fields_set and value > most:
             raise UsageError(f"{file}: {name} is {value:g}, but {description.name} has {most:g} at most")
-    least = description.battery.min_v
-    if "battery_min_v" in given.model_fields_set and given.battery_min_v < least:
+    min_v = description.battery.min_v
+    if "battery_min_v" in given.model_fields_set and given.battery_min_v < min_v:
         raise UsageError(
-            f"{file}: battery_min_v is {given.battery_min_v:g}, but {description.name} has {least:g} at least"
+            f"{file}: battery_min_v is {given.battery_min_v:g}, but {description.name} has {min_v:g} at least"
         )
     return given.within(description)
 

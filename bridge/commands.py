@@ -87,9 +87,9 @@ def bridge(
         bool,
         typer.Option(
             "--measure-timeout",
-            help="Serve nobody: measure when a ROS 2 robot halts after its last command, and print the line "
-            "for its description. It drives forward at 0.1 m/s for up to 7 s: put it on blocks, or on the "
-            "floor with 1 m free ahead if sensors under it forbid blocks.",
+            help="Serve no driver: measure when a ROS 2 robot halts after its last command, and print the "
+            "line for its description. It drives forward at 0.1 m/s for up to 7 s: put it on blocks, or on "
+            "the floor with 1 m free ahead if sensors under it forbid blocks.",
         ),
     ] = False,
     json: Json = False,

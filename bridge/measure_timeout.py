@@ -1,4 +1,4 @@
-"""Measurement of a ROS 2 robot's own command timeout, before the bridge serves anybody.
+"""Measurement of a ROS 2 robot's own command timeout, before the bridge serves a driver.
 
 The robot is driven through the gate under a lease that no driver outside this process can get. Every end
 sends zeros.
@@ -130,10 +130,8 @@ class _Run:
     def _begin(self, now: float) -> None:
         secret = secrets.token_bytes(KEY_BYTES)
         verdict = self._node.judge(Enable(NAME, round(now * 1e9), secret), now)
-        if verdict.refusal is not None or verdict.lease is None:
-            reason = verdict.refusal or "lease"
-            raise SafetyStop(
-                str(reason), describe(verdict.refusal, self._node.gate) if verdict.refusal else ""
-            )
+        if verdict.refusal is not None:
+            raise SafetyStop(str(verdict.refusal), describe(verdict.refusal, self._node.gate))
+        assert verdict.lease is not None  # it was granted
         self._lease = verdict.lease.number
         self.measurement = TimeoutMeasurement(now, self._speed, self._mean_s)

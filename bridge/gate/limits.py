@@ -78,12 +78,12 @@ class Limits(StrictModel):
         A voltage and a time of mean speeds that are not set here are the robot's.
         """
         motion, given = robot.motion, self.model_fields_set
-        least_v = self.battery_min_v if "battery_min_v" in given else 0.0
+        battery_min_v = self.battery_min_v if "battery_min_v" in given else 0.0
         chosen = {
             "v_max": min(self.v_max, motion.v_max),
             "omega_max": min(self.omega_max, motion.omega_max),
             "brake": min(self.brake, motion.decel),
-            "battery_min_v": max(robot.battery.min_v, least_v),
+            "battery_min_v": max(robot.battery.min_v, battery_min_v),
             "speed_mean_s": self.speed_mean_s if "speed_mean_s" in given else robot.odometry.speed_mean_s,
         }
         return self.model_copy(update=chosen)

@@ -226,16 +226,10 @@ def describe(reason: Reason, state: GateState) -> str:
         return state.stop_reason or UNNAMED
     if reason is Reason.NO_BASE and state.lost:
         return f"{REASONS[reason]}: {state.lost}"[:DETAIL_LENGTH]
-    unknown = (
-        {}
-        if state.base is None
-        else {
-            Reason.HAZARD_UNKNOWN: state.base.hazard_unknown,
-            Reason.SONAR: state.base.room_unknown,
-        }
-    )
-    if unknown.get(reason):
-        return f"{REASONS[reason]}: {unknown[reason]}"[:DETAIL_LENGTH]
+    base = state.base or BaseReport()
+    unknown = {Reason.HAZARD_UNKNOWN: base.hazard_unknown, Reason.SONAR: base.room_unknown}
+    if detail := unknown.get(reason):
+        return f"{REASONS[reason]}: {detail}"[:DETAIL_LENGTH]
     if reason is Reason.ANOTHER_DRIVER and state.lease is not None:
         return f"{state.lease.name or 'a driver without a name'} holds the lease"
     return REASONS.get(reason, "")

@@ -28,7 +28,7 @@ from bridge.base import (
     Setpoint,
 )
 from bridge.inbox import RobotMessage
-from bridge.ros2.address import pose_type
+from bridge.ros2.address import hazard_topics, sensor_topics
 from bridge.ros2.announced import AnnouncedTopics
 from bridge.ros2.base_timeout import TimeoutRecord
 from bridge.ros2.discovery import Announced
@@ -44,13 +44,8 @@ from rover_ncp.robot.description import RobotDescription, Topics
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.header import header_of
 from rover_ncp.wire.messages import (
-    BATTERY_STATE,
-    BOOL,
     BUMP,
     CLIFF,
-    HAZARDS,
-    IMU,
-    LASER_SCAN,
     STALL,
     TWIST,
     TWIST_STAMPED,
@@ -146,12 +141,10 @@ class Ros2Base:
         self._hazards = Hazards(self._topics)
         self._unused = UnusedMessages(line.topic)
         topics = self._topics
-        inputs = {topics.imu: IMU, topics.battery_state: BATTERY_STATE, topics.scan: LASER_SCAN}
-        for hazard, ros_type in ((topics.stop, BOOL), (topics.hazards, HAZARDS)):
-            inputs[hazard.topic if hazard is not None else None] = ros_type
-        inputs[topics.pose] = pose_type(topics)
-        self._unheard = {topic: ros_type for topic, ros_type in inputs.items() if topic is not None}
-        """Topics besides odometry on which no message came, and their types."""
+        known = [*sensor_topics(topics), *((found.topic, kind) for found, kind in hazard_topics(topics))]
+        # Odometry has words of its own, and a dock may report seldom.
+        self._unheard = {name: kind for name, kind in known if name not in {topics.odom, topics.docked}}
+        """Topics on which no message came, and their types."""
         self._turns = GyroTurns()
         self._room = ScanRoom(description) if self._topics.scan is not None else None
         self._timeout = TimeoutRecord(description.measured_base_timeout_s, unsafe)

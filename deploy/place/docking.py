@@ -81,7 +81,7 @@ _NO_PROOF = {
         "the robot's topic said that it is docked only before the end of the approach",
     ),
 }
-"""Error and words of a rover that waited in vain, by proof and by what the newest report says."""
+"""Error and words of a docking without its proof, by proof and by what the newest report says."""
 
 
 class _TailEstimator(Estimator):

@@ -31,7 +31,7 @@ SURE = 6
 STAMP = "x-timestamp"
 """Header of a picture: its time in s by any clock, as mjpg-streamer and many other cameras send it."""
 MAX_STAMP_S = 1e10
-LEAST_PERIOD_S = 0.1
+MIN_PERIOD_S = 0.1
 """Time between two requests for single pictures."""
 JPEG, JPEG_END, PNG = b"\xff\xd8", b"\xff\xd9", b"\x89PNG"
 
@@ -70,7 +70,7 @@ class HttpCamera(ReadCamera):
                             return
                         data = _whole(first, read)
                         yield from self._picture(data, response.headers.get(STAMP), wall_ns)
-                    time.sleep(max(0.0, began_s + LEAST_PERIOD_S - time.monotonic()))
+                    time.sleep(max(0.0, began_s + MIN_PERIOD_S - time.monotonic()))
         except (requests.RequestException, HTTPError, LookupError) as error:  # a challenge without a realm
             raise ValueError(_reason(error)) from error
 

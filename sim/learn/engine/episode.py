@@ -223,17 +223,17 @@ def pass_commands(tasks: Tasks, trials: Trials, lanes: Lanes) -> None:
             continue
         trial = rows[lane]
         base = _base_errors(trials, trial)
-        least_v, least_omega = (
+        min_v, min_omega = (
             _clear_of(base.dead_band_v, STEP.v),
             _clear_of(base.dead_band_omega, STEP.omega),
         )
         v, omega = commands[0, lane], commands[1, lane]
         if not trials.exact and tick[lane] >= tasks.hold[lanes.task[lane]]:
-            hold = Velocity(max(HOLD.v, least_v), max(HOLD.omega, least_omega))
+            hold = Velocity(max(HOLD.v, min_v), max(HOLD.omega, min_omega))
             lanes.holds[lane] = _holds(v, omega, hold, lanes.near_goal[lane], lanes.holds[lane])
         if lanes.holds[lane]:
             v = omega = 0.0
-        v, omega = send_pulse(lanes, 0, lane, v, least_v), send_pulse(lanes, 1, lane, omega, least_omega)
+        v, omega = send_pulse(lanes, 0, lane, v, min_v), send_pulse(lanes, 1, lane, omega, min_omega)
         if not trials.lost[trial, np.uint64(tick[lane])]:
             held[0, lane] = _quantise(v, trials.step[0])
             held[1, lane] = _quantise(omega, trials.step[1])

@@ -17,7 +17,7 @@ class Signal(NamedTuple):
     name: str
     meaning: str
     c: str
-    """C expression of the value in ``export/templates/course.c``."""
+    """C expression of the value in ``export/templates/policy.c``."""
     from_reference: bool = False
     """Whether it needs the course's reference."""
 

@@ -43,9 +43,9 @@ def export(
 ) -> None:
     """Write a policy for other programs.
 
-    To c: NAME.h and NAME.c turn an observation into a command, without allocation or libraries beyond math.h;
-    NAME_course.h and NAME_course.c turn the rover's pose into an observation; NAME_check.c tests a build. All
-    are double unless ROVER_NCP_FLOAT is defined.
+    To c: NAME.h and NAME.c turn the rover's pose on a course into an observation, and an observation into a
+    command, without allocation or libraries beyond math.h; NAME_check.c tests a build. All are double unless
+    ROVER_NCP_FLOAT is defined.
 
         rover-ncp export course --to c --out firmware
         cc -std=c99 -O2 -ffp-contract=off -o check firmware/*.c -lm && ./check
@@ -55,7 +55,7 @@ def export(
     from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
     from rover_ncp.core.files import Kind, begins_with, require_writable, write_atomic
     from rover_ncp.course.course import load_course
-    from rover_ncp.export.vectors import c_files
+    from rover_ncp.export.c_sources import c_files
 
     if to is Target.YAML:
         reject("--to yaml needs no course", course=course)

@@ -9,7 +9,7 @@ from kit.c_policy import CPolicy, compile_c
 from deploy.drive import controller
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.course.course import load_course
-from rover_ncp.export.circuit_c import circuit_files
+from rover_ncp.export.c_sources import c_files
 from sim.learn.engine.driver import load_driver
 from sim.stack.trials import Stack, drive_all
 from sim.world.randomization import load_randomization
@@ -27,7 +27,7 @@ def drive_in_c(monkeypatch, tmp_path):
     """Drive trials with the exported policy as double or float."""
 
     def drive(count, real, *options):
-        files = circuit_files(load_policy("course"), "course", "test")
+        files = c_files(load_policy("course"), "course", load_course("parking"))
         library = compile_c(files, tmp_path / real.__name__, "p.so", "-shared", "-fPIC", *options)
         monkeypatch.setattr(controller, "Runner", lambda p: CPolicy(p, library, "course", real))
         return drive_all(stack(), count, 1)

@@ -23,11 +23,11 @@ from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import TICK_S, load_course
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.signals import SIGNALS, signals
-from rover_ncp.export.circuit_c import circuit_files
-from rover_ncp.export.vectors import c_files
+from rover_ncp.export.c_sources import c_files
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
 COURSE = load_policy("course")
+PARKING = load_course("parking")
 LIBRARY = "p.so", "-shared", "-fPIC"
 FLOAT = "-DROVER_NCP_FLOAT"
 
@@ -36,7 +36,7 @@ FLOAT = "-DROVER_NCP_FLOAT"
 def shipped(request, tmp_path_factory):
     """A shipped policy, its name, and the library of its sources for a course."""
     policy = load_policy(request.param)
-    files = c_files(policy, request.param, load_course("parking"))
+    files = c_files(policy, request.param, PARKING)
     return policy, request.param, compile_c(files, tmp_path_factory.mktemp(request.param), *LIBRARY)
 
 
@@ -60,7 +60,7 @@ def test_random_ticks_agree_with_the_solver_to_the_last_bit(shipped):
 @settings(max_examples=settings().max_examples // 5)
 @given(policy=wirings(), seed=st.integers(0, 2**32))
 def test_any_wiring_compiles_and_agrees_to_the_last_bit(policy, seed, tmp_path_factory):
-    files = circuit_files(policy, "any", "test")
+    files = c_files(policy, "any", PARKING)
     library = compile_c(files, tmp_path_factory.mktemp("any"), *LIBRARY)
     c, solver = CPolicy(policy, library, "any"), Runner(policy)
     for observation in random_observations(policy, 100, seed):
@@ -69,8 +69,9 @@ def test_any_wiring_compiles_and_agrees_to_the_last_bit(policy, seed, tmp_path_f
 
 def test_float_stays_near_the_solver(shipped, tmp_path):
     policy, name, _ = shipped
-    files = circuit_files(policy, name, "test")
-    library = compile_c(files, tmp_path, *LIBRARY, FLOAT, "-Wdouble-promotion")
+    files = c_files(policy, name, PARKING)
+    sources = {file: text for file, text in files.items() if not file.endswith("_check.c")}
+    library = compile_c(sources, tmp_path, *LIBRARY, FLOAT, "-Wdouble-promotion")
     c, solver = CPolicy(policy, library, name, ctypes.c_float), Runner(policy)
     observations = np.clip(random_observations(policy, 3000), -1e3, 1e3)
     found = np.array([(c.tick(row), solver.tick(row)) for row in observations])
@@ -115,7 +116,7 @@ def test_the_course_shows_what_a_policy_sees_in_the_simulator(name, course, firs
         c.advance()
 
 
-PROGRAM = """#include "{name}_course.h"
+PROGRAM = """#include "{name}.h"
 int main()
 {{
     {name}_state state;
@@ -139,16 +140,17 @@ def test_check_of_a_build_passes_and_finds_another_circuit(name, real, tmp_path)
     policy = load_policy(name)
     layout = policy.layout()
     other = policy.with_parameters(np.clip(policy.parameters() * 1.01, layout.lower, layout.upper))
-    files = c_files(policy, name, load_course("parking"))
-    for changed, code in (({}, 0), (circuit_files(other, name, "test"), 1)):
-        check = compile_c(files | changed, tmp_path / str(code), "check", *real)
+    files = c_files(policy, name, PARKING)
+    for circuit, code in ((policy, 0), (other, 1)):
+        changed = c_files(circuit, name, PARKING)[f"{name}.c"]
+        check = compile_c(files | {f"{name}.c": changed}, tmp_path / str(code), "check", *real)
         assert subprocess.run([check], capture_output=True, timeout=10, check=False).returncode == code
 
 
 @pytest.mark.parametrize(("name", "real"), BUILDS)
 @pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++")
 def test_build_has_no_static_memory_needs_only_libm_and_runs_in_a_cpp_program(name, real, tmp_path):
-    files = c_files(load_policy(name), name, load_course("parking"))
+    files = c_files(load_policy(name), name, PARKING)
     sources = {file: text for file, text in files.items() if not file.endswith("_check.c")}
     built = compile_c(sources, tmp_path, "policy.o", "-r", *real)
     done = subprocess.run(["nm", built], capture_output=True, text=True, timeout=10, check=True)
@@ -175,7 +177,7 @@ def test_the_command_writes_files_that_compile_and_names_them(stem, name, tmp_pa
     code, fields = run_json(f"export {path} --to c --out {tmp_path / 'new'}")
     assert code == 0
     files = {Path(file).name: Path(file).read_text() for file in fields["files"]}
-    endings = (".h", ".c", "_course.h", "_course.c", "_check.c")
+    endings = (".h", ".c", "_check.c")
     assert files.keys() == {f"{name}{ending}" for ending in endings}
     compile_c(files, tmp_path / "built", "check")
 

@@ -358,15 +358,12 @@ def identify(
             "needs --robot",
             fence=fence,
             record=record,
-            overwrite=overwrite,
             namespace=namespace,
             zenoh_config=zenoh_config,
         )
-        return identify_recording(recording, out, output, model=model)
-    if record is None:
-        reject("needs --record", overwrite=overwrite)
-    address = BridgeAddress(robot, namespace, zenoh_config)
+        return identify_recording(recording, out, output, model=model, overwrite=overwrite)
+    address, recorder = BridgeAddress(robot, namespace, zenoh_config), Recorder(record, overwrite=overwrite)
     described = load_description(model) if model else None
     return identify_robot(
-        address, Recorder(record, overwrite=overwrite), fence or FENCE_M, out, output, robot=described
+        address, recorder, fence or FENCE_M, out, output, robot=described, overwrite=overwrite
     )

@@ -23,7 +23,7 @@ from typing import Any
 from pydantic import BaseModel, Field
 
 from rover_ncp.core.errors import FileError
-from rover_ncp.core.files import RECORDING_KIND, require_creatable
+from rover_ncp.core.files import require_writable
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.recording.recording import Recorded, RecordingWriter
 
@@ -53,7 +53,7 @@ class Recorder(ClosedAtExit):
     def __init__(self, path: Path | None, *, overwrite: bool = False) -> None:
         """Raise FileError if a recording could not be made at ``path``."""
         if path is not None:
-            require_creatable(path, overwrite=overwrite, kind=RECORDING_KIND)
+            require_writable(path, overwrite=overwrite)
         self.path, self._overwrite = path, overwrite
         self._file = path
         """Where the file is: beside the one that it replaces until the drive has begun."""

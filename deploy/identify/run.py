@@ -19,14 +19,13 @@ from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml, name_from, read_yaml
 from rover_ncp.core.console import Output, reject
 from rover_ncp.core.errors import FileError
-from rover_ncp.core.files import Kind, require_writable, write_atomic
+from rover_ncp.core.files import require_writable, write_atomic
 from rover_ncp.core.process import Interrupts
 from rover_ncp.recording.recording import Recorded, Recording, read_recording
 from rover_ncp.robot.description import RobotDescription, load_description, recorded_robot
-from rover_ncp.robot.profile import RoverProfile, load_profile
+from rover_ncp.robot.profile import RoverProfile
 
 SETTINGS_FILE = "identify.yaml"
-_PROFILE = Kind("a robot profile", load_profile)
 
 _WORDS: dict[str, tuple[str, float, str]] = {
     "delay_v_s": ("delay of the speed", 1000.0, "ms"),
@@ -60,12 +59,14 @@ class IdentifyResult(RoverProfile):
     out: str = Field(description="the file")
 
 
-def identify_recording(path: Path, out: Path, output: Output, *, model: str | None = None) -> int:
+def identify_recording(
+    path: Path, out: Path, output: Output, *, model: str | None = None, overwrite: bool = False
+) -> int:
     """Write a profile from the recording of a drive, and return the exit code. Raises RoverNcpError.
 
     ``model`` is the description of a robot whose recording holds none: it tells how odometry reports speeds.
     """
-    require_writable(out, kind=_PROFILE)
+    require_writable(out, overwrite=overwrite)
     recording = read_recording(path)
     robot = _recorded_robot(recording)
     if robot is not None:
@@ -83,12 +84,13 @@ def identify_robot(
     output: Output,
     *,
     robot: RobotDescription | None = None,
+    overwrite: bool = False,
 ) -> int:
     """Drive a robot at speeds that its model reaches, write its profile, and return the exit code.
 
     Raises RoverNcpError or KeyboardInterrupt; the rover was stopped before.
     """
-    require_writable(out, kind=_PROFILE)
+    require_writable(out, overwrite=overwrite)
     received: list[Recorded] = []
 
     def record(message: Recorded) -> None:

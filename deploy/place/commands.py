@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from deploy.options import Namespace, Robot, ZenohConfig
-from rover_ncp.core.console import Json, Output, reject
+from rover_ncp.core.console import Json, Output, Overwrite, reject
 
 if TYPE_CHECKING:
     from deploy.place.survey import Survey
@@ -29,9 +29,7 @@ def place(
         Literal["forward", "backward"] | None,
         typer.Option(help="set: how the rover drives in.", show_default="forward"),
     ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="set: replace the pose of a place that exists.")
-    ] = False,
+    overwrite: Overwrite = False,
     namespace: Namespace = "",
     zenoh_config: ZenohConfig = None,
     json: Json = False,
@@ -55,13 +53,13 @@ def place(
     from deploy.place.survey import PlaceResult, blurred, complaint
     from deploy.zenoh_client import BridgeAddress
     from rover_ncp.core.config import dump_yaml, validated
-    from rover_ncp.core.files import require_creatable, write_atomic
+    from rover_ncp.core.files import require_writable, write_atomic
 
     path, checks = place_path(name), what == "check"
     if checks:
         reject("is for set", direction=direction, overwrite=overwrite)
     else:
-        require_creatable(path, overwrite=overwrite)
+        require_writable(path, overwrite=overwrite)
     stored = load_place(name) if checks or path.exists() else None
     seen = _look(BridgeAddress(robot, namespace, zenoh_config), seconds)
     pose, wrong = seen.pose, ""

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from deploy.options import Namespace, ZenohConfig
-from rover_ncp.core.console import Json, Output
+from rover_ncp.core.console import Json, Output, Overwrite, reject
 from rover_ncp.core.errors import UsageError
 
 tag = typer.Typer(
@@ -45,6 +45,7 @@ def print_tags(
     ] = False,
     page: Annotated[Literal["a4", "a3", "letter"], typer.Option(help="The paper.")] = "a4",
     out: Annotated[Path, typer.Option(help="The PDF to write.")] = Path("tags.pdf"),
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Write tags to print, as a PDF true to size: one on each page, with a ruler.
@@ -55,11 +56,11 @@ def print_tags(
     """
     from deploy.tag.localiser import TagPrintResult
     from deploy.tag.sheet import BOARD_TAG_M, board_page, tag_pages
-    from rover_ncp.core.files import PDF, begins_with, require_writable, write_atomic
+    from rover_ncp.core.files import require_writable, write_atomic
 
     if out.suffix.lower() != ".pdf":
         raise UsageError(f"--out {out}: expected a .pdf")
-    require_writable(out, kind=begins_with("a PDF", PDF))
+    require_writable(out, overwrite=overwrite)
     numbers = [] if board else parse_ids(ids)
     write_atomic(out, board_page(page) if board else tag_pages(numbers, size, page))
     result = TagPrintResult(out=str(out), ids=tuple(numbers), size=BOARD_TAG_M if board else size, page=page)
@@ -128,6 +129,7 @@ def run(
         Path | None,
         typer.Option(help="Write the newest picture, its tags outlined, to this JPEG once a second."),
     ] = None,
+    overwrite: Overwrite = False,
     namespace: Namespace = "",
     zenoh_config: ZenohConfig = None,
     json: Json = False,
@@ -145,6 +147,8 @@ def run(
     from deploy.tag.run import run_localiser
     from deploy.zenoh_client import BridgeAddress
 
+    if picture is None:
+        reject("needs --picture", overwrite=overwrite)
     address = BridgeAddress(robot, namespace, zenoh_config) if robot is not None else None
     return run_localiser(
         camera,
@@ -154,6 +158,7 @@ def run(
         decimate=decimate,
         seconds=seconds,
         picture=picture,
+        overwrite=overwrite,
         output=Output(json, controls=True),
     )
 

@@ -35,7 +35,7 @@ from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml, load_yaml
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.files import JPEG, begins_with, require_writable, write_atomic
+from rover_ncp.core.files import require_writable, write_atomic
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
 from rover_ncp.wire.address import ROS2
@@ -56,6 +56,7 @@ def run_localiser(
     decimate: float,
     seconds: float | None,
     picture: Path | None,
+    overwrite: bool,
     output: Output,
 ) -> int:
     """See ``commands.run``; return the exit code."""
@@ -68,7 +69,7 @@ def run_localiser(
     else:
         raise UsageError("--camera-file: expected the camera's file; only a camera of ROS may do without it")
     if picture is not None:
-        require_writable(picture, kind=begins_with("a picture (JPEG)", JPEG))
+        require_writable(picture, overwrite=overwrite)
     localiser, shown = Localiser(camera, tag_map, decimate), 0.0
     with Interrupts() as interrupts, contextlib.ExitStack() as stack:
         link = stack.enter_context(PoseLink(address)) if address is not None else None
@@ -115,7 +116,7 @@ def calibrate_intrinsics(
     output: Output,
 ) -> None:
     """Write a camera's intrinsics, from another program's file or pictures of the board; keep other keys."""
-    require_writable(camera_file)
+    require_writable(camera_file, overwrite=True)
     known = load_yaml(camera_file, CameraFile) if camera_file.exists() else None
     if camera_info is not None:
         intrinsics, rms, used = load_camera_info(camera_info), None, 0
@@ -161,7 +162,7 @@ def calibrate_yaw(source: str, camera_file: Path, map_file: Path, *, seconds: fl
     camera, tag_map = _mounted(camera_file), load_yaml(map_file, TagMap)
     if tag_map.tags_on == "rover":
         raise UsageError(f"{map_file}: tags_on: rover: the mount of a ceiling's camera is measured by hand")
-    require_writable(camera_file)
+    require_writable(camera_file, overwrite=True)
     detector, left_out = Detector(2.0), Counter[str]()  # as in `run`: the drive needs the processor
     seen: list[list[Detection]] = []
     with (

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from rover_ncp.core.console import Json, Output, reject
+from rover_ncp.core.console import Json, Output, Overwrite, reject
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
 
@@ -28,6 +28,7 @@ def course(
     model: Annotated[
         str | None, typer.Option(help="check: the robot's description.", show_default=DEFAULT_ROBOT)
     ] = None,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> int:
     """Make a course, or check whether one can be driven, with place and reason if not.
@@ -51,15 +52,17 @@ def course(
     output, pace = Output(json), ""
     if what == "new":
         reject("is for check", model=model)
-        made, found = _new(Path(source), out, name, output.say)
+        made, found = _new(Path(source), out, name, output.say, overwrite=overwrite)
     else:
         reject("is for new", name=name)
+        if out is None:
+            reject("needs --out", overwrite=overwrite)
         robot = load_description(model or DEFAULT_ROBOT)
         made, pace = slowed(load_course(source), robot)
         output.say(planning_notice(made))
         found = check_course(made, robot)
         if out is not None:
-            _draw(out, made, found, robot)
+            _draw(out, made, found, robot, overwrite=overwrite)
     result = CourseResult(
         course=made.name,
         drivable=found.drivable,
@@ -90,6 +93,7 @@ def report(
     source: Annotated[Path, typer.Argument(help="A recording (.mcap) of a drive.")],
     *,
     out: Annotated[Path | None, typer.Option(help="The page to write.", show_default="RUN.html")] = None,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Write a page about a drive: one HTML file, to be opened from disk.
@@ -103,35 +107,36 @@ def report(
     from deploy.view.page import write_report
     from rover_ncp.core.files import existing_file
 
-    found = write_report(source, out or existing_file(source).with_suffix(".html"))
+    page = out or existing_file(source).with_suffix(".html")
+    found = write_report(source, page, overwrite=overwrite)
     Output(json).result(found, f"report: {found.page}")
 
 
-def _new(source: Path, out: Path | None, name: str | None, say: Callable[[str], None]) -> Any:
-    from rover_ncp.core.config import load_yaml, name_from
-    from rover_ncp.core.files import Kind, require_writable, write_atomic
+def _new(
+    source: Path, out: Path | None, name: str | None, say: Callable[[str], None], *, overwrite: bool
+) -> Any:
+    from rover_ncp.core.config import name_from
+    from rover_ncp.core.files import require_writable, write_atomic
     from rover_ncp.course.builder import course_yaml, make_course, read_poses
-    from rover_ncp.course.course import Course
 
     if out is None or out.suffix.lower() not in {".yaml", ".yml"}:
         raise UsageError("--out: expected the new course's file, .yaml")
     name = name or re.sub(r"[^a-z0-9_-]+", "-", name_from(out, "course").lower()).strip("-_") or "course"
     if not re.fullmatch(r"[a-z0-9][a-z0-9_-]{0,63}", name):
         raise UsageError(f"--name {name}: expected small letters, digits, - and _, at most 64")
-    kind = Kind("a course", lambda path: load_yaml(path, Course))
-    require_writable(out, kind=kind, inputs=[source])
+    require_writable(out, overwrite=overwrite)
     made, found = make_course(name, source.name, read_poses(source), say)
     write_atomic(out, course_yaml(made))
     return made, found
 
 
-def _draw(out: Path, made: Any, found: Any, robot: Any) -> None:
+def _draw(out: Path, made: Any, found: Any, robot: Any, *, overwrite: bool) -> None:
     from deploy.view.pictures import course_picture, render
     from deploy.view.shapes import outline_of
-    from rover_ncp.core.files import PNG, SVG, begins_with, require_writable, write_atomic
+    from rover_ncp.core.files import require_writable, write_atomic
 
     form = out.suffix[1:].lower()
     if form not in {"png", "svg"}:
         raise UsageError(f"--out {out}: expected a picture, .png or .svg")
-    require_writable(out, kind=begins_with("a picture", PNG, SVG))
+    require_writable(out, overwrite=overwrite)
     write_atomic(out, render(course_picture(made, found, outline_of(robot)), form))

@@ -29,7 +29,7 @@ from deploy.view.recorded_drive import KINDS, Drive, read_drive, summarise
 from deploy.view.shapes import OUTLINE, FloatArray
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.config import ResultModel
-from rover_ncp.core.files import HTML, begins_with, require_writable, write_atomic
+from rover_ncp.core.files import require_writable, write_atomic
 from rover_ncp.course.course import Course
 
 
@@ -68,9 +68,9 @@ class Report(ResultModel):
     bytes: int = Field(description="its size")
 
 
-def write_report(recording: Path, page: Path) -> Report:
+def write_report(recording: Path, page: Path, *, overwrite: bool = False) -> Report:
     """Write the report of a recorded drive. Raises FileError and ConfigError."""
-    require_writable(page, kind=begins_with("a page (HTML)", HTML))
+    require_writable(page, overwrite=overwrite)
     write_atomic(page, drive_page(read_drive(recording)))
     return Report(page=str(page), bytes=page.stat().st_size)
 

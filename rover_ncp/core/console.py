@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; text goes to stderr.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace recordings that exist already.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist already.")]
 MAX_SEED = 2**63 - 1
 """Largest seed or trial number."""
 

@@ -6,25 +6,14 @@ import errno
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from importlib import resources
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO
 
-from rover_ncp.core.errors import FileError, UsageError
+from rover_ncp.core.errors import FileError
 
-_RECORDING = b"\x89MCAP0\r\n"
-"""First bytes of a recording, also of a damaged or unfinished one."""
 _DATA = resources.files("rover_ncp") / "data"
-
-
-class Kind(NamedTuple):
-    """A kind of file, such as that of a result which may replace an earlier one."""
-
-    what: str
-    """in messages, with its article"""
-    read: Callable[[Path], object]
-    """Raises UsageError for a file of another kind."""
 
 
 MAX_BYTES = 64 << 20
@@ -144,78 +133,16 @@ def create(path: Path, *, overwrite: bool = False) -> IO[bytes]:
         raise _not_created(path, error) from error
 
 
-def require_creatable(path: Path, *, overwrite: bool = False, kind: Kind | None = None) -> None:
-    """Raise the FileError that `create` would raise now; for use before work whose result goes there.
+def require_writable(path: Path, *, overwrite: bool = False) -> None:
+    """Raise FileError if no file can be written to ``path``, or if one exists, unless ``overwrite``.
 
-    With ``overwrite`` a file that is not of the ``kind`` that replaces it is a FileError, too.
+    For use before work whose result goes there. Leaves nothing behind: missing folders are not made.
     """
-    if _exists(path) and not overwrite:
-        raise _not_created(path, FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)))
-    _require_place(path)
-    _require_kind(path, kind)
-
-
-def require_writable(path: Path, *, kind: Kind | None = None, inputs: Iterable[Path] = ()) -> None:
-    """Raise the FileError that `write_atomic` would raise now; for use before work whose result goes there.
-
-    The result of work replaces neither a recording nor a file among the command's ``inputs`` nor one that is
-    not of its ``kind``: each is a FileError. Leaves nothing behind: missing folders are not made.
-    """
-    _require_place(path)
-    if any(_same(path, each) for each in inputs):
-        raise FileError(f"{path}: is the command's own input; choose another file for the result")
-    if _start(path, len(_RECORDING)) == _RECORDING:
-        raise FileError(f"{path}: is a recording; choose another file for the result")
-    _require_kind(path, kind)
-
-
-def begins_with(what: str, *starts: bytes) -> Kind:
-    """Return the kind of the files that begin with one of ``starts``, after white space."""
-
-    def read(path: Path) -> None:
-        if not _start(path, 64).lstrip().startswith(starts):
-            raise FileError(f"{path}: is not {what}")
-
-    return Kind(what, read)
-
-
-RECORDING_KIND = begins_with("a recording", _RECORDING)
-PNG, SVG, JPEG, PDF, HTML = b"\x89PNG", b"<?xml", b"\xff\xd8", b"%PDF", b"<!doctype html"
-"""First bytes of results that are no YAML."""
-
-
-def _same(path: Path, other: Path) -> bool:
-    """Whether two paths are one existing file; links are followed."""
-    try:
-        return path.samefile(other)
-    except OSError:  # there is none, or a file that may not be looked up, which is an error of its own
-        return False
-
-
-def _start(path: Path, count: int) -> bytes:
-    """Return the first bytes of a file; none of a file that may be replaced but not read."""
-    with contextlib.suppress(OSError), path.open("rb") as file:
-        return file.read(count)
-    return b""
-
-
-def _require_kind(path: Path, kind: Kind | None) -> None:
-    """Raise FileError if a file exists, is not empty and is not of a kind."""
-    if kind is None or not _start(path, 1):
-        return
-    try:
-        kind.read(path)
-    except UsageError as error:
-        raise FileError(
-            f"{path}: exists and is not {kind.what}; choose another file for the result, or move this one"
-        ) from error
-
-
-def _require_place(path: Path) -> None:
-    """Raise FileError where no file can be written."""
     try:
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if _exists(path) and not overwrite:
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
         folder = path.parent
         while not folder.exists():
             folder = folder.parent

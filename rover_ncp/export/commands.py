@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from pydantic import BaseModel, Field
 
-from rover_ncp.core.console import Json, Output, reject
+from rover_ncp.core.console import Json, Output, Overwrite, reject
 
 
 class Exported(BaseModel):
@@ -34,11 +34,12 @@ def export(
         Target,
         typer.Option(help="c: C99 sources. yaml: a policy file to edit."),
     ],
-    out: Annotated[Path, typer.Option(help="Folder for the files; those of the same names are replaced.")],
+    out: Annotated[Path, typer.Option(help="Folder for the files.")],
     course: Annotated[
         str | None,
         typer.Option(help="Course of the C sources, by name or YAML file.", show_default="parking"),
     ] = None,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Write a policy for other programs.
@@ -53,7 +54,7 @@ def export(
     To yaml: NAME.yaml, the policy file, to begin one of your own with (train --circuit NAME.yaml).
     """
     from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
-    from rover_ncp.core.files import Kind, begins_with, require_writable, write_atomic
+    from rover_ncp.core.files import require_writable, write_atomic
     from rover_ncp.course.course import load_course
     from rover_ncp.export.c_sources import c_files
 
@@ -63,12 +64,11 @@ def export(
     name = name if name[:1].isalpha() else f"policy_{name}".rstrip("_")
     loaded = load_policy(policy)
     if to is Target.YAML:
-        kind, files = Kind("a policy", load_policy), {f"{name}.yaml": policy_to_yaml(loaded)}
+        files = {f"{name}.yaml": policy_to_yaml(loaded)}
     else:
-        kind = begins_with("an exported C file", b"/*")
         files = c_files(loaded, name, load_course(course or "parking"))
     for file in files:
-        require_writable(out / file, kind=kind, inputs=[Path(policy)])
+        require_writable(out / file, overwrite=overwrite)
     for file, content in files.items():
         write_atomic(out / file, content)
     paths = [str(out / file) for file in files]

@@ -26,7 +26,7 @@ def recover(
 
         rover-ncp recover run.mcap
     """
-    from rover_ncp.core.files import RECORDING_KIND, require_creatable
+    from rover_ncp.core.files import require_writable
     from rover_ncp.recording.recording import recover as make_whole
     from rover_ncp.recording.recording import require_finished
 
@@ -35,8 +35,7 @@ def recover(
     target = out or run
     if target == run:
         require_finished(run)
-    kind = None if target == run else RECORDING_KIND
-    require_creatable(target, overwrite=overwrite or target == run, kind=kind)
+    require_writable(target, overwrite=overwrite or target == run)
     found = make_whole(run, target)
     said = f"is whole again ({run.name} was {found.damage})" if found.damage else "was whole already"
     Output(json).result(

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from rover_ncp.core.console import Json, Output, reject
+from rover_ncp.core.console import Json, Output, Overwrite, reject
 from rover_ncp.core.errors import UsageError
 
 
@@ -42,6 +42,7 @@ def explain(
         Path | None,
         typer.Option(help="Folder for the page (HTML) and all numbers (JSON)."),
     ] = None,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Explain how a circuit drives: the effect of each neuron, and the parts that the circuit needs.
@@ -67,9 +68,11 @@ def explain(
     from sim.explain.task import RUNS, explain_task
 
     output = Output(json)
-    if out is not None:
+    if out is None:
+        reject("needs --out", overwrite=overwrite)
+    else:
         for name in NAMES:
-            require_writable(out / name)
+            require_writable(out / name, overwrite=overwrite)
     if task is None or source is not None:
         reject("needs --task, without a policy", runs=runs)
     if task is not None:

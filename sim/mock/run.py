@@ -15,7 +15,7 @@ from bridge.ros2.discovery import Convention
 from bridge.ros2.rmw import domain_id
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.files import require_creatable
+from rover_ncp.core.files import require_writable
 from rover_ncp.core.process import Interrupts
 from rover_ncp.core.streams import Domain, integer_seed
 from rover_ncp.course.course import load_course
@@ -82,7 +82,7 @@ def run_mock(options: MockOptions) -> None:
     course = load_course(options.course) if options.course else None
     rover, trials = draw_rover(ranges, robot, course, seed=seed, number=trial)
     if truth is not None:
-        require_creatable(truth, overwrite=options.overwrite)
+        require_writable(truth, overwrite=options.overwrite)
     with Interrupts() as interrupts, contextlib.ExitStack() as stack:
         # First the camera, which starts for seconds: a client that connects meanwhile would get no answer.
         eye = None

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rover_ncp.core.console import Json, Output
+from rover_ncp.core.console import Json, Output, Overwrite
 from rover_ncp.core.errors import FileError, UsageError
 from sim.paper import BudgetName
 
@@ -98,7 +98,7 @@ def run_experiments(
 
     if left:
         for path in {store.path(name.task, budget) for name in left}:
-            require_writable(path)
+            require_writable(path, overwrite=True)
         make_runs(left, store, processes=processes, cluster=cluster, on_result=on_result)
     found = MadeResult(made=made, found=len(names) - len(left))
     output.result(found, f"{len(made)} runs made")
@@ -154,6 +154,7 @@ def report_experiments(
         Path | None,
         typer.Option(help="Write the published search's curves to this PNG.", show_default=False),
     ] = None,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Report the paper's claims, and whether the stored runs reproduce them.
@@ -163,14 +164,14 @@ def report_experiments(
         rover-ncp paper report
         rover-ncp paper report --curves curves.png
     """
-    from rover_ncp.core.files import PNG, begins_with, require_writable, write_atomic
+    from rover_ncp.core.files import require_writable, write_atomic
     from sim.paper.claims import judge_claims, load_claims
     from sim.paper.curves import curves_png
     from sim.paper.report import ReportResult, coverage, long_report, short_report
     from sim.paper.results import ResultStore
 
     if curves is not None:
-        require_writable(curves, kind=begins_with("a picture (PNG)", PNG))
+        require_writable(curves, overwrite=overwrite)
     if not results.is_dir():
         raise FileError(f"{results}: no such folder")
     store, file = ResultStore(results), load_claims()

@@ -14,7 +14,7 @@ from deploy.place.place import load_place
 from deploy.view.page import drive_page
 from deploy.view.recorded_drive import read_drive
 from rover_ncp.core.console import Output
-from rover_ncp.core.files import read_bytes, require_creatable, resolve, write_atomic
+from rover_ncp.core.files import read_bytes, require_writable, resolve, write_atomic
 from rover_ncp.core.geometry import Pose
 from rover_ncp.recording.recording import read_recording, rewrite
 from sim.live.live_run import LiveRun
@@ -44,11 +44,11 @@ class DockedResult(BaseModel):
 def run_dock(output: Output, out: Path, *, overwrite: bool) -> int:
     """Run ``park --dock`` and return its exit code. Raises RoverNcpError when a process fails."""
     for name in ("run.mcap", "view.jpg", "run.html", f"log/{TRUTH}"):
-        require_creatable(out / name, overwrite=overwrite)
+        require_writable(out / name, overwrite=overwrite)
     files = {name: out / f"{name}.yaml" for name in ("camera", "tags", "place")}
     for name, path in files.items():  # the files of an earlier, failed run are the same
         same = path.is_file() and read_bytes(path) == read_bytes(resolve("dock", name))
-        require_creatable(path, overwrite=overwrite or same)
+        require_writable(path, overwrite=overwrite or same)
     out.mkdir(parents=True, exist_ok=True)
     for name, path in files.items():
         shutil.copyfile(resolve("dock", name), path)
@@ -59,7 +59,8 @@ def run_dock(output: Output, out: Path, *, overwrite: bool) -> int:
     with LiveRun(out / "log", mock=[*seen, *overwriting]) as run:
         camera = run.mock.wait_for_line("camera at ")
         localise = ["run", "--camera", camera, "--camera-file", str(files["camera"])]
-        localise += ["--map", str(files["tags"]), "--robot", run.robot, "--picture", str(view), "--json"]
+        localise += ["--map", str(files["tags"]), "--robot", run.robot, "--json"]
+        localise += ["--picture", str(view), *overwriting]
         tags = run.start_process(lambda: Process("tag", localise, out / "log"))
         tags.wait_for_line("localising")
         output.say(

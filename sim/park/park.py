@@ -22,7 +22,7 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.console import Output, reject
 from rover_ncp.core.errors import FileError
-from rover_ncp.core.files import DEFAULT_ROBOT, require_creatable, write_atomic
+from rover_ncp.core.files import DEFAULT_ROBOT, require_writable, write_atomic
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.slowdown import slowed
 from rover_ncp.recording.recording import read_recording, rewrite
@@ -106,7 +106,7 @@ def run_park(
         policy = TRACKING_POLICY
     slow_course, pace = slowed(load_course(course), robot)
     for name in ("run.mcap", "trajectory.png", "run.html", f"log/{TRUTH}"):  # before a long training
-        require_creatable(out / name, overwrite=overwrite)
+        require_writable(out / name, overwrite=overwrite)
     training: ParkTraining | None = None
     if policy is None:
         folder = out / "train"

@@ -7,11 +7,9 @@ import subprocess
 import sys
 
 import pytest
-from kit.bnn_text import circuit_to_bnn
 from kit.paths import DATA, ROOT
 from kit.recorded_drives import write_drive
 
-from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.cli import _app, get_command, run
 from rover_ncp.wire.zenoh import CLIENT
 
@@ -78,156 +76,92 @@ def rows():
 
 
 FILES = sorted({*rows(), "train --resume --out {}", "course new {}.csv --out new.yaml"})
+OUTPUTS = [
+    f"deploy {ROBOT} --record drive.mcap",
+    f"identify {ROBOT} --out poses.yaml",
+    "identify drive.mcap --out poses.yaml",
+    "recover drive.mcap --out file",
+    "report drive.mcap --out notes",
+    "mock --truth file",
+    "course new poses.csv --out poses.yaml",
+    "course check parking --out notes.png",
+    "tag print --out notes.pdf",
+    "export FORWARD --to yaml --out written",
+    "explain parking --out written",
+    "park --dock --out written",
+    "park --policy parking --out done",
+    "park --out done",
+    "park --out trained",
+]
+"""Commands whose result would replace a file."""
+OPTIONS = [
+    "train --agens 3",
+    "train --resume",
+    "train --cluster tcp://127.0.0.1:9 --processes 2",
+    "train --randomize full --agents 3",
+    "train --rollouts 3",
+    "eval course --processes 2",
+    "identify",
+    f"identify drive.mcap {ROBOT}",
+    f"identify drive.mcap {ROBOT} --fence 0.5",
+    "identify drive.mcap --fence 0.5",
+    f"check {ROBOT}",
+    "mock --namespace bot1",
+    "mock --ros2 --model turtlebot4 --gyro",
+    "mock --overwrite",
+    f"deploy {ROBOT} --overwrite",
+    "recover drive.mcap --overwrite",
+    "course new poses.csv --out new.yaml --model p3dx",
+    "course check parking --name mine",
+    "course new poses.csv",
+    "course new poses.csv --out x.yaml --name 'Big Bay'",
+    "course check parking --out x.pdf",
+    "export parking --to yaml --out new --course bay",
+    f"bridge {BASE} --no-base-watchdog",
+    f"deploy {ROBOT} --duration nan",
+    f"deploy {ROBOT} --duration inf",
+    "deploy --robot 192.168.1.20",
+]
+"""Commands whose options are unknown, wrong, without effect, or do not go together."""
 TABLE = [
     *((line.format(LONG), "File name too long") for line in FILES),
     *((line.format("file/x"), "file/x") for line in FILES),
-    # recordings and runs that exist
-    (f"deploy {ROBOT} --record drive.mcap", "drive.mcap: exists already"),
-    (f"identify {ROBOT} --record drive.mcap", "drive.mcap: exists already"),
-    ("recover drive.mcap --out file", "file: exists already"),
-    ("report drive.mcap --out drive.mcap", "drive.mcap: is a recording; choose another file"),
-    ("identify drive.mcap --out drive.mcap", "drive.mcap: is a recording; choose another file"),
-    ("mock --truth file", "file: exists already"),
-    # hand-written files that a result would replace
-    (
-        "identify drive.mcap --out robot.yaml",
-        "robot.yaml: exists and is not a robot profile; choose another file",
-    ),
-    (f"identify {ROBOT} --out poses.yaml", "poses.yaml: exists and is not a robot profile"),
-    ("course new poses.yaml --out poses.yaml", "poses.yaml: is the command's own input; choose another file"),
-    ("course new poses.yaml --out robot.yaml", "robot.yaml: exists and is not a course"),
-    ("course check parking --out notes.png", "notes.png: exists and is not a picture"),
-    ("report drive.mcap --out robot.yaml", "robot.yaml: exists and is not a page (HTML)"),
-    ("tag print --out notes.pdf", "notes.pdf: exists and is not a PDF"),
-    ("export ./forward.yaml --to yaml --out .", "forward.yaml: is the command's own input"),
-    ("export FORWARD --to yaml --out written", "written/forward.yaml: exists and is not a policy"),
-    (f"deploy {ROBOT} --record robot.yaml --overwrite", "robot.yaml: exists and is not a recording"),
-    ("recover drive.mcap --out robot.yaml --overwrite", "robot.yaml: exists and is not a recording"),
-    ("park --dock --out docked", "docked/tags.yaml: exists already; choose another file, or use --overwrite"),
-    ("park --policy parking --out done", "done/run.mcap: exists already"),
-    ("park --out done", "done/run.mcap: exists already"),
-    ("park --policy task.yaml --out none", "policy wall"),
+    *((line, ": exists already; choose another") for line in OUTPUTS),
+    *((line, "--") for line in OPTIONS),
+    # the last file of several cannot be written: none is
     ("park --policy parking --out last", "last/trajectory.png: cannot be written"),
-    ("park --dock --out last", "last/view.jpg: cannot be written"),
     ("explain parking --out last", "last/explanation.json: cannot be written: Is a directory"),
     ("export parking --to c --out last", "last/parking_check.c: cannot be written: Is a directory"),
-    ("park --out trained", "trained/train: exists already"),
+    # files that hold something else
     ("train --resume --out done", "done: holds no training run to resume"),
-    # YAML and courses
-    ("course check deep.yaml", "more than 100 lists or mappings in each other"),
-    (f"bridge {BASE} --limits deep.yaml", "more than 100 lists or mappings in each other"),
-    ("course check long.yaml", "expected 1048576 at most"),
-    ("course check many.yaml", "at most 1000 items"),
-    ("course check far.yaml", "$.checkpoints[0].x: input should be less than or equal to 1000, got 1e+300"),
-    ("course new far.csv --out new.yaml", "$.poses[1].x: input should be less than or equal to 1000"),
-    ("course new slow.csv --out new.yaml", "$.horizon_s: input should be less than or equal to 3600"),
-    ("course check /dev/zero", "/dev/zero: is a device or pipe, expected a file"),
-    ("train --course blocked.yaml", "an obstacle stands where the rover starts"),
-    ("eval course --course blocked.yaml", "an obstacle stands where the rover starts"),
-    ("eval course --course typo.yaml", "$.horizon: unknown key"),
-    ("course check poses.yaml", "$.checkpoints: this key is missing; $.poses: unknown key"),
-    # circuits and policies
-    ("eval small.bnn", "small.bnn: to drive a rover it needs at least 12 neurons"),
-    ("eval damaged.bnn", "damaged.bnn"),
-    ("eval nan.bnn", "nan.bnn"),
-    ("eval empty.bnn", "empty.bnn: the file is empty"),
-    ("eval typo.yaml", "typo.yaml: $.format: this key is missing; $.circuit: this key is missing"),
-    ("eval parking.bnn --task mountain-car", "'REV'"),
-    ("train --randomize full --circuit parking", "no neuron 'REV'"),
-    ("train --randomize full --circuit parking --refine", "parking is an untrained circuit"),
-    ("train --circuit smell.yaml", "policy forward: unknown signals: smell (expected some of x, "),
-    ("train --task CartPole-v1 --circuit parking", "a task needs a policy file"),
-    ("eval kanayama --task mountain-car", "kanayama follows a course"),
-    ("eval task.yaml --task Nowhere-v0", "no task Nowhere-v0: it is none of pendulum"),
-    ("eval task.yaml --task CartPole-v1", "rover-ncp: environment CartPole-v1: its observation has 4"),
-    # other files
     ("train --out done", "is not empty"),
-    ("train --randomize full --out done", "is not empty"),
     ("train --out /proc/nowhere", "/proc/nowhere: cannot be used as a folder"),
-    ("recover empty.mcap", "the file is empty"),
     ("replay file", "not an MCAP recording"),
     ("explain noise.mcap", "not an MCAP recording"),
-    (f"bridge {BASE} --zenoh-config zenoh.json5", "zenoh.json5: not a Zenoh configuration: "),
+    ("recover empty.mcap", "the file is empty"),
+    ("course check /dev/zero", "/dev/zero: is a device or pipe, expected a file"),
+    (f"bridge {BASE} --limits deep.yaml", "more than 100 lists or mappings in each other"),
+    ("course check many.yaml", "at most 1000 items"),
+    ("course check far.yaml", "$.checkpoints[0].x: input should be less than or equal to 1000, got 1e+300"),
+    ("course new slow.csv --out new.yaml", "$.horizon_s: input should be less than or equal to 3600"),
+    ("eval course --course blocked.yaml", "an obstacle stands where the rover starts"),
+    ("eval course --course typo.yaml", "$.horizon: unknown key"),
+    ("eval typo.yaml", "typo.yaml: $.format: this key is missing; $.circuit: this key is missing"),
+    ("train --circuit smell.yaml", "policy forward: unknown signals: smell (expected some of x, "),
     (f"deploy {ROBOT} --zenoh-config deep.json5", "deep.json5: not a Zenoh configuration: more than 100"),
-    (f"deploy {ROBOT} --zenoh-config zenoh.json5", "zenoh.json5: not a Zenoh configuration: "),
-    (f"bridge {BASE} --limits fast.yaml", "$.v_max: input should be less than or equal to 1.2, got 3.0"),
-    (f"bridge {BASE} --limits unknown.yaml", "$.speed: unknown key"),
+    (f"bridge {BASE} --zenoh-config zenoh.json5", "zenoh.json5: not a Zenoh configuration: "),
     (f"bridge {BASE} --zenoh-config listen.json5 --insecure", "tcp/192.0.2.1:9: cannot listen there"),
-    ("eval course --randomize ranges.yaml", "less than 1, got 1.5; $.start: unknown key"),
+    (f"bridge {BASE} --limits fast.yaml", "$.v_max: input should be less than or equal to 1.2, got 3.0"),
     ("eval course --profile profile.yaml", "less than 5, got 99; $.delay: unknown key"),
-    # names
-    ("fly", "No such command 'fly'"),
+    # names and addresses
     ("evla", "Did you mean 'eval'"),
-    ("train --agens 3", "--agens"),
-    ("train --course prking", "prking: no such file, and none of the shipped courses ("),
-    ("train --circuit tap_withdrawal", "RGT"),
-    ("train --randomize wild", "none of the shipped randomizations"),
-    ("eval missing", "missing: no such file, and none of the shipped policies"),
-    ("eval course --course nowhere", "nowhere: no such file, and none of the shipped courses"),
-    ("eval small.bnn --task car", "no task"),
-    ("paper run --task cart", "no task 'cart'"),
-    (f"deploy {ROBOT} --policy unheard-of", "unheard-of: no such file, and none of the shipped"),
-    (f"bridge {BASE} --model hal", "hal: no such file, and none of the shipped robots"),
-    # options that do not go together
-    ("train --resume", "--resume needs --out"),
-    ("train --cluster tcp://127.0.0.1:9 --processes 2", "do not go together"),
-    ("paper run --cluster tcp://127.0.0.1:9 --processes 2", "--cluster cannot be combined with --processes"),
-    ("train --randomize full --agents 3", "--randomize and --agents do not go together"),
-    ("train --randomize full --rollouts 3 --worst 4", "the worst 4 of 3 rollouts"),
-    ("eval course --trials 2 --stack --randomize varied", "mujoco, expected one for pymunk"),
-    ("eval course --trials 2 --stack --body mujoco --randomize full", "pymunk, expected one for mujoco"),
-    ("eval course --model nogyro.yaml --stack --body mujoco", "four wheels; nogyro has two"),
-    ("eval course --model nogyro.yaml --stack --sensors gyro", "nogyro has no gyro"),
-    ("eval small.bnn --task parking", "without --task"),
-    ("eval small.bnn --task mountain-car --course bay", "alone"),
-    ("identify", "expected either --robot"),
-    (f"identify drive.mcap {ROBOT}", "expected either --robot"),
-    (f"check {ROBOT}", "put the robot on blocks"),
-    # options without an effect
-    ("mock --namespace bot1", "--namespace: needs --ros2"),
-    ("mock --ros rmw-zenoh", "--ros: needs --ros2"),
-    ("mock --ros2 --model turtlebot4 --gyro", "--gyro"),
-    ("mock --overwrite", "--overwrite: needs --truth"),
-    ("train --rollouts 3", "--rollouts needs --randomize or --task"),
-    ("eval course --range a=1", "--range: needs --task"),
-    ("eval course --trials 2 --body mujoco", "needs --stack"),
-    ("eval course --trials 2 --sensors gyro", "--sensors needs --stack"),
-    ("eval course --trials 2 --identify", "--identify needs --stack"),
-    ("eval course --processes 2", "--processes needs --stack"),
-    ("eval mine.bnn --task mountain-car --stack", "--stack: --task goes with"),
-    ("eval mine.bnn --task mountain-car --body mujoco", "--body: --task goes with"),
-    ("eval mine.bnn --task mountain-car --model p3dx --processes 2", "--model, --processes: --task"),
-    ("paper report --seed 0", "No such option: --seed"),
-    ("explain parking --runs new", "--runs: needs --task"),
-    ("explain parking --task mountain-car --runs new", "--runs: needs --task, without a policy"),
-    (f"deploy {ROBOT} --overwrite", "--overwrite: needs --record"),
-    (f"teleop {ROBOT} --overwrite", "--overwrite: needs --record"),
-    (f"identify {ROBOT} --overwrite", "--overwrite: needs --record"),
-    ("identify drive.mcap --fence 0.5 --namespace a", "--fence, --namespace: needs --robot"),
-    ("recover drive.mcap --overwrite", "--overwrite: needs --out"),
-    ("course new poses.csv --out new.yaml --model p3dx", "--model: is for check"),
-    ("course check parking --name mine", "--name: is for new"),
-    ("course new poses.csv", "--out: expected the new course's file"),
-    ("course new poses.csv --out course.png", "--out: expected the new course's file"),
-    ("course new poses.csv --out x.yaml --name 'Big Bay'", "--name Big Bay"),
-    ("course check parking --out x.pdf", "expected a picture"),
-    ("course look parking", "look"),
-    ("export parking --to yaml --out new --course bay", "--course: --to yaml needs no course"),
-    (f"bridge {BASE} --no-base-watchdog", "--no-base-watchdog: is for a ROS 2 robot"),
-    # values
     ("eval", "Missing argument"),
     ("eval course --randomize ''", "an empty name"),
-    ("eval small.bnn --task mountain-car --range speed=1", "senses position, velocity"),
-    ("eval small.bnn --task mountain-car --range position=x", "NAME=LIMIT"),
-    ("eval small.bnn --task mountain-car --range position=-1", "above 0"),
-    (f"deploy {ROBOT} --duration nan", "'--duration'"),
-    (f"deploy {ROBOT} --duration inf", "--duration inf: expected seconds"),
+    ("eval missing", "missing: no such file, and none of the shipped policies"),
     (f"deploy {ROBOT} --namespace 'a b'", "namespace 'a b'"),
-    (f"bridge {BASE} --namespace 'a*'", "namespace 'a*'"),
-    ("deploy --robot 192.168.1.20", "--robot 192.168.1.20: expected PROTOCOL/HOST[:PORT]"),
+    ("deploy --robot tcp/127.0.0.1:99999", "expected a port from 1 to 65535"),
     ("bridge --base ftp/x", "base ftp/x: expected tcp/HOST"),
     (f"bridge {BASE} --listen garbage", "expected PROTOCOL/HOST:PORT, like tcp/127.0.0.1:7447"),
-    (f"bridge {BASE} --listen tcp/127.0.0.1", "tcp/127.0.0.1: cannot listen there: invalid socket address"),
     *(
         (f"bridge {BASE} {options}", ": any client that reaches it could drive the rover")
         for options in (
@@ -235,9 +169,6 @@ TABLE = [
             *("--listen tls/0.0.0.0:0", "--listen tcp/127.0.0.1:0 --zenoh-config connect.json5"),
         )
     ),
-    ("deploy --robot tcp/127.0.0.1:99999", "expected a port from 1 to 65535"),
-    ("deploy --robot tcp/127.0.0.1:0", "expected a port from 1 to 65535"),
-    ("bridge --base tcp/127.0.0.1:99999 --listen tcp/127.0.0.1:0", "99999"),
 ]
 
 
@@ -248,50 +179,36 @@ def folder(tmp_path_factory):
     for name in ("file", "noise.mcap"):
         (folder / name).write_text("not a recording")
     write_drive(folder / "drive.mcap", course=SHORT)
-    for made in ("done/run.mcap", "trained/train/settings.yaml", "docked/tags.yaml", "written/forward.yaml"):
+    for made in ("done/run.mcap", "trained/train/settings.yaml"):
         (folder / made).parent.mkdir(parents=True)
         (folder / made).write_text("x")
-    for name in ("trajectory.png", "view.jpg", "explanation.json", "parking_check.c"):
+    for name in ("trajectory.png", "explanation.json", "parking_check.c"):
         (folder / "last" / name).mkdir(parents=True)
     row = "- {{t: {}, x: {}, y: 0, theta: 0}}\n"
     head = "name: a\nstart_signal_s: 0\nhorizon_s: 3600\ncheckpoints:\n"
-    short, parking = SHORT.read_text(), circuit_to_bnn(load_circuit("parking"))
-    forward = (ROOT / "docs/examples/policy.yaml").read_text()
-    tutorial = (ROOT / "docs/tutorials/own_task.md").read_text()
+    short, forward = SHORT.read_text(), (ROOT / "docs/examples/policy.yaml").read_text()
     written = {
         "deep.yaml": "a: " + "[" * 100_000 + "]" * 100_000,
-        "long.yaml": head + "".join(row.format(0.01 * k, 0) for k in range(100_000)),
         "many.yaml": head + "".join(row.format(k, 0) for k in range(1001)),
         "far.yaml": head + row.format(1, "1.0e+300"),
         "blocked.yaml": short + "obstacles: [{x: 0.2, y: 0, length: 0.1, width: 0.1}]\n",
         "typo.yaml": short.replace("horizon_s", "horizon"),
         "poses.yaml": "poses:\n- {x: 0, y: 0, theta: 0}\n- {x: 1, y: 0, theta: 0}\n",
-        "robot.yaml": "name: mine\nbased_on: turtlebot4\n",
-        "notes.png": "by hand",
-        "notes.pdf": "by hand",
-        "forward.yaml": forward,
+        **dict.fromkeys(("notes", "notes.png", "notes.pdf"), "by hand"),
         "FORWARD": forward,
         "poses.csv": "x,y,theta\n0,0,0\n1,0,0\n",
-        "far.csv": "x,y,theta\n0,0,0\n1e300,0,0\n",
         "slow.csv": "x,y,theta\n0,0,0\n900,0,0\n",
-        "parking.bnn": parking,
-        "small.bnn": circuit_to_bnn(load_circuit("tap_withdrawal")),
-        "damaged.bnn": parking.replace("size 12", "size twelve"),
-        "nan.bnn": parking + "cm 3 nan\n",
-        "empty.bnn": "",
         "empty.mcap": "",
         "smell.yaml": re.sub("(inputs: .|name: )x([],])", r"\1smell\2", forward),
-        "task.yaml": re.search(r'title="wall.yaml"\n(.*?)```', tutorial, re.DOTALL)[1],
-        "nogyro.yaml": "name: nogyro\nbased_on: turtlebot4\ngyro: null\n",
-        "ranges.yaml": "name: bad\nlost: 1.5\nstart: 3\n",
         "profile.yaml": "name: x\ngain_v: 99\ndelay: 1\n",
         "zenoh.json5": '{ mode: "client", no_such_key: 1 }',
         "deep.json5": "{a: " + "[" * 200_000 + "]" * 200_000 + "}",
         "listen.json5": '{ listen: { endpoints: ["tcp/192.0.2.1:9"] } }',
         "connect.json5": '{ connect: { endpoints: ["tcp/0.0.0.0:0"] } }',
         "fast.yaml": "v_max: 3.0",
-        "unknown.yaml": "speed: 1",
+        **dict.fromkeys(("written/forward.yaml", "written/explanation.html", "written/tags.yaml"), "by hand"),
     }
+    (folder / "written").mkdir()
     for name, text in written.items():
         (folder / name).write_text(text)
     return folder

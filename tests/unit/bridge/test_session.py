@@ -83,6 +83,17 @@ def test_a_base_with_a_gyro_for_its_client_is_asked_to_send_it():
     assert turned.rate == pytest.approx(math.radians(11 * 5 / 1023 * 120 * 1.626))
 
 
+@pytest.mark.parametrize("has_gyro", [0, 1, 2])
+def test_a_gyro_that_the_configuration_promises_is_silent_until_its_first_packet(has_gyro):
+    bench = Bench().go_to(SessionState.CONFIGURING)
+    assert (bench.session.gyro_silent, bench.session.watchdog_s) == (False, None)
+    bench.hear(frame(ConfigPac(has_gyro=has_gyro, watchdog=1500).encode()) + sip())
+    assert bench.session.gyro_silent is (has_gyro == 1)
+    assert bench.session.watchdog_s == 1.5
+    bench.hear(frame(GyroPac(((502, 30),)).encode()))
+    assert not bench.session.gyro_silent
+
+
 def test_chosen_model_has_precedence_over_the_reported_one():
     bench = Bench("p3dx").go_to(SessionState.SYNC2)
     bench.hear(STRANGER + CONFIG + sip())

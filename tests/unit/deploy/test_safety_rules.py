@@ -41,6 +41,7 @@ class Drive:
             newest=self.newest,
             odometry=lambda wait_s: None if wait_s else self.newest,
             complaints={},
+            doubtful={"odom": 0},
         )
         self.monitor = SafetyMonitor(self.link, self.measurements, lambda: self.signal, clock=self)
 
@@ -102,6 +103,35 @@ def test_what_is_missing_before_the_start_is_named_after_its_wait(missing, error
         drive.monitor.wait()
     assert wait_s < drive.monotonic() - BEGIN_NS / NS_PER_S < wait_s + 0.01
     assert max(drive.sleeps) < 0.01
+
+
+def test_a_missing_bridge_is_looked_for_in_other_namespaces():
+    drive = Drive()
+    drive.link.bridge_alive, drive.link.bridges = False, lambda: ["", "lab"]
+    with pytest.raises(NoBridge, match="announced in: no namespace, lab"):
+        drive.monitor.wait()
+    drive.link.bridges = list
+    with pytest.raises(NoBridge, match=r"within 5 s$"):
+        drive.monitor.wait()
+
+
+@pytest.mark.parametrize(
+    ("base", "complaint", "doubtful", "words"),
+    [
+        (None, "", 0, "does not answer on rover/base"),
+        (None, "7 bytes are too few", 0, "cannot be read: 7 bytes are too few"),
+        (SimpleNamespace(problem="the line is cut", model=""), "", 3, "reports that the line is cut"),
+        (SimpleNamespace(problem="", model="p3at-sh"), "", 3, "stamps of 3 messages do not fit"),
+        (SimpleNamespace(problem="", model="p3at-sh"), "", 0, "reports the base p3at-sh"),
+        (SimpleNamespace(problem="", model=""), "", 0, "not connected yet"),
+    ],
+)
+def test_odometry_that_cannot_be_used_has_its_nearest_cause(base, complaint, doubtful, words):
+    drive = Drive()
+    drive.link.about_base = lambda: base
+    drive.measurements.complaints = {"odom": complaint} if complaint else {}
+    drive.measurements.doubtful = {"odom": doubtful}
+    assert words in drive.monitor.why_no_odometry()
 
 
 @pytest.mark.parametrize("drives", [True, False])
@@ -220,6 +250,10 @@ def test_the_first_contact_since_the_grant_is_kept():
     drive.link.gate = GateStatus(lease=7, held="stall")
     drive.check()
     assert drive.monitor.contact == "a bumper is pressed"
+    front = Drive().granted(lease=7)
+    front.link.bumpers = Bumpers(times=(1, 0))
+    front.check()
+    assert front.monitor.contact == "a bumper is pressed"
     stalled = Drive().granted(lease=7, held="stall")
     stalled.check()
     assert stalled.monitor.contact == "a motor is stalled"

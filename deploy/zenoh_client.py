@@ -14,7 +14,8 @@ import zenoh
 
 from rover_ncp.core.errors import NoBridge, NotAuthorised, UnreachableError
 from rover_ncp.core.process import ClosedAtExit
-from rover_ncp.wire.key_table import BRIDGE, KEYS, KeySpec, Kind, key, spec
+from rover_ncp.wire.bridge_filter import BridgeFilter
+from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, key, spec
 from rover_ncp.wire.messages import with_covariance
 from rover_ncp.wire.probe import Listener, listener_at
 from rover_ncp.wire.zenoh import client_config
@@ -61,14 +62,11 @@ class ZenohClient(ClosedAtExit):
         self._receive = receive
         self.complaints: dict[str, str] = {}
         """Why the first message of a topic that was not used could not be."""
-        self._connected: Collection[zenoh.ZenohId] = ()
-        """The process at the address, as far as it is known."""
-        self._is_bridge = False
-        """Whether that process has sent a message that only a bridge sends."""
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
             raise _refused(self.robot) from error
+        self._filter = BridgeFilter(self._session.info.routers_zid)
         try:
             self._declare()
             for row in KEYS:
@@ -152,20 +150,13 @@ class ZenohClient(ClosedAtExit):
             if len(data) > row.max_bytes:
                 self._complain(row, f"{len(data)} bytes, expected at most {row.max_bytes}")
                 return
-            if row.senders == BRIDGE and not row.latched and not self._is_of_bridge(sample):
+            source = None if sample.source_info is None else sample.source_info.source_id.zid
+            if not self._filter.accepts(row, source):
                 self._complain(row, f"another peer than the bridge at {self.robot} sent it")
                 return
             self._receive(row, with_covariance(data) if row.name == "pose" else data)
 
         return receive
-
-    def _is_of_bridge(self, sample: zenoh.Sample) -> bool:
-        source = None if sample.source_info is None else sample.source_info.source_id.zid
-        if source is not None and source not in self._connected:
-            self._connected = self._session.info.routers_zid()
-        if source in self._connected:
-            self._is_bridge = True
-        return source in self._connected or not self._is_bridge
 
     def _complain(self, row: KeySpec, why: str) -> None:
         if row.name not in self.complaints:

@@ -1,6 +1,8 @@
 """A LaserScan as the room before and behind a robot, in place of sonars. Pure."""
 
 import math
+from collections import deque
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,8 +17,11 @@ from rover_ncp.wire.messages import LASER_SCAN
 
 VALID_S = 1.0
 """How long a scan counts from its stamp on, as a sonar's range does."""
+ROUND_S = 0.3
+"""The nearest thing in scans of so long counts, as in a round of sonars: two lasers may share a topic."""
 MARGIN_M = 0.05
 """The way that must be clear is wider than the robot by this on each side."""
+MAX_SCANS = 64
 BEAMS_APART = 1.5
 """A direction was scanned if a beam lies within this many steps of it."""
 LOOKS_RAD = math.radians(20.0)
@@ -24,13 +29,15 @@ LOOKS_RAD = math.radians(20.0)
 
 
 class ScanRoom:
-    """The newest scan of a robot that has one."""
+    """The newest scans of a robot that has a laser."""
 
     def __init__(self, description: RobotDescription) -> None:
         assert description.scan is not None
         self._robot, self._mount = description, description.scan
         self._clock = StampClock()
         self._at_s, self._room = -math.inf, (math.nan, math.nan)
+        self._rooms: deque[tuple[float, tuple[float, float]]] = deque(maxlen=MAX_SCANS)
+        """When the last scans were measured, and their room ahead and behind."""
 
     def take(self, payload: bytes, now: float) -> None:
         """Take a LaserScan. Raises FormatError."""
@@ -63,6 +70,7 @@ class ScanRoom:
         ahead = _least(x[other & (x > 0.0)] - front) if _scanned(angles, sees, 0.0, step) else math.nan
         behind = _least(-x[other & (x < 0.0)] - rear) if _scanned(angles, sees, math.pi, step) else math.nan
         self._at_s, self._room = measured_ns * 1e-9, (ahead, behind)
+        self._rooms.append((self._at_s, self._room))
 
     def unknown(self, now: float) -> str:
         """Return why the room ahead or behind is not known; "" if it is."""
@@ -76,7 +84,16 @@ class ScanRoom:
 
     def clear(self, now: float) -> tuple[float, float]:
         """Return the room in m from the outline to the nearest thing ahead and behind; NaN = not known."""
-        return self._room if now - self._at_s <= VALID_S else (math.nan, math.nan)
+        if now - self._at_s > VALID_S:
+            return math.nan, math.nan
+        recent = [room for at_s, room in self._rooms if self._at_s - at_s <= ROUND_S]
+        ahead, behind = (_nearest(side) for side in zip(*recent, strict=True))
+        return ahead, behind
+
+
+def _nearest(side: Sequence[float]) -> float:
+    """Return the least room of some scans on one side; NaN if the newest of them does not know it."""
+    return side[-1] if math.isnan(side[-1]) else min(room for room in side if not math.isnan(room))
 
 
 def _check(message: Any, beams: int) -> None:

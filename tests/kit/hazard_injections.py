@@ -1,4 +1,4 @@
-"""Injections of the hazard table: changed messages of a robot, reports of a Pioneer, commands and poses.
+"""Injections of the hazard table: changed messages of a robot, and reports of a Pioneer.
 
 Each is a function of the drive (`Cell` of ``tests/unit/test_hazards.py``) that it changes. It acts while the
 drive is ``active``.
@@ -9,10 +9,9 @@ from collections import deque
 from dataclasses import replace
 
 from bridge.base import BaseReport
-from kit.virtual_drive import LOST
+from kit.driver_injections import DRIVER_INJECTIONS
 from rover_ncp.wire import messages as ros
 from rover_ncp.wire.cdr import decode, encode
-from rover_ncp.wire.protocol import CommandTag, Signed, StopRequest, dump_json
 from sim.base.faults import Fault
 
 NS = 10**9
@@ -112,12 +111,22 @@ def pressed(value):
     return lambda drive, payload: [encode(ros.BOOL, data=value)]
 
 
-def press_and_release(drive, payload):
-    return [encode(ros.BOOL, data=value) for value in (True, False)]
-
-
 def contacts(*kinds):
     return lambda drive, payload: [ros.hazards(kinds, drive.bridge.time_ns())]
+
+
+def blocked(drive):
+    """Let the wheels stand although the motors turn, and no bumper or stall be reported."""
+    on_topic("hazard_detection", contacts())(drive)
+    fault("stall")(drive)
+
+
+def two_lasers(drive, payload):
+    """Let a second laser, which sees nothing, report after the one that sees a wall."""
+    message = decode(ros.LASER_SCAN, payload)
+    stamp_ns = message.header.stamp.sec * NS + message.header.stamp.nanosec
+    free = ros.laser_scan([math.inf] * len(message.ranges), (0.15, 12.0), stamp_ns)
+    return [*wall(drive, payload), free]
 
 
 def on_report(**fields):
@@ -141,6 +150,27 @@ def on_report(**fields):
     return inject
 
 
+def late_packets(seconds):
+    """Let all that a Pioneer sends arrive so much later."""
+
+    def inject(drive):
+        connection = drive.bridge.connection
+        collect, held = connection._collect, deque()
+
+        def collected():
+            before = len(connection.arrivals)
+            collect()
+            now_s = connection._now
+            held.extend((now_s, arrival) for arrival in connection.arrivals[before:])
+            del connection.arrivals[before:]
+            while held and (not drive.active or held[0][0] <= now_s - seconds):
+                connection.arrivals.append(held.popleft()[1])
+
+        connection._collect = collected
+
+    return inject
+
+
 def fault(name, value=0.0):
     """Inject a fault of the mock."""
 
@@ -148,89 +178,6 @@ def fault(name, value=0.0):
         drive.then = lambda: drive.base.inject(Fault(name, value))
 
     return inject
-
-
-def on_command(tag):
-    """Change the tags of the driver's commands: ``tag(drive, payload, sequence)``."""
-
-    def inject(drive):
-        drive.link.tag = lambda data, sequence: tag(drive, data, sequence) if drive.active else None
-
-    return inject
-
-
-def resigned(lease=0, age_s=0, number=None):
-    def tag(drive, data, sequence):
-        link = drive.link
-        found = CommandTag(link.lease.number + lease, number or sequence, link.bridge.now_ns - age_s * NS)
-        return found.sign(link.lease._secret, Signed.COMMAND, "cmd_vel", data)
-
-    return tag
-
-
-def lost_once(drive, data, sequence):
-    drive.times += 1
-    return LOST if drive.times == 1 else None
-
-
-def forged(drive, data, sequence):
-    drive.bridge.command(data, CommandTag(drive.link.lease.number, sequence + 5, drive.bridge.now_ns).pack())
-
-
-def taken(drive):
-    """Let another driver hold the lease."""
-    request = b'{"version": 2, "enable": true, "name": "other"}'
-    drive.link.request_motors = lambda name, ask=drive.link.request_motors: (
-        drive.bridge.query("rover/motors", request),
-        ask(name),
-    )[1]
-
-
-def stop_and_release(drive):
-    def both():
-        for request in (StopRequest(reason="x"), StopRequest(release=True)):
-            drive.bridge.query("rover/stop", dump_json(request))
-
-    drive.then = both
-
-
-def poses(see):
-    """Let a localiser send ``see(drive, true pose)``, None for nothing, eight times a second."""
-
-    def inject(drive):
-        drive.localiser = see
-
-    return inject
-
-
-def far(drive, pose):
-    return pose._replace(y=pose.y + 1.0)
-
-
-def far_once(drive, pose):
-    drive.times += 1
-    return far(drive, pose) if drive.times == 1 else pose
-
-
-def late(seconds):
-    """Let the localiser's poses arrive so much later, with the stamps of their pictures."""
-
-    def inject(drive):
-        localise = drive.link.localise
-
-        def later(data, arrival_ns):
-            drive.held.append((arrival_ns, data))
-            while drive.held and (not drive.active or drive.held[0][0] <= arrival_ns - seconds * NS):
-                localise(drive.held.popleft()[1], arrival_ns)
-
-        drive.link.localise = later
-
-    return inject
-
-
-def same(drive, pose):
-    drive.held = drive.held or deque([pose])
-    return drive.held[0]
 
 
 TOPICS = ("odom", "imu", "stop", "hazard_detection", "scan", "battery_state")
@@ -243,6 +190,7 @@ INJECTIONS = {
     "delay stop 1.0": on_topic("stop", delay(1.0)),
     "delay hazard_detection 1.0": on_topic("hazard_detection", delay(1.0)),
     "delay scan 2.0": on_topic("scan", delay(2.0)),
+    "delay battery_state 10": on_topic("battery_state", delay(10.0)),
     "freeze pose": fault("freeze-odometry"),
     "pose jumps once": on_topic("odom", once(as_pose(lambda pose: pose._replace(x=pose.x + 0.5)))),
     "pose NaN once": on_topic("odom", once(as_pose(lambda pose: pose._replace(x=math.nan)))),
@@ -261,7 +209,9 @@ INJECTIONS = {
     "contact": on_topic("hazard_detection", contacts(ros.BUMP)),
     "contact once": on_topic("hazard_detection", once(contacts(ros.BUMP))),
     "wheels dropped": on_topic("hazard_detection", contacts(ros.WHEEL_DROP)),
+    "wheels blocked without contact": blocked,
     "wall by the scan alone": on_topic("scan", wall),
+    "another laser does not see the wall": on_topic("scan", two_lasers),
     "stamps 0": on_topic("odom", as_stamped(lambda own, first: 0)),
     "stamps stand still": on_topic("odom", as_stamped(lambda own, first: first)),
     "slow clock": on_topic("odom", as_stamped(lambda own, first: (first + own) // 2)),
@@ -270,23 +220,12 @@ INJECTIONS = {
     "no echoes": on_report(clear_ahead_m=math.nan, clear_behind_m=math.nan),
     "near echo": on_report(clear_ahead_m=0.1),
     "near echo once": on_report(clear_ahead_m=0.1, once=1),
-    "near echo behind": on_report(clear_behind_m=0.1),
+    "packets 0.6 s late": late_packets(0.6),
+    "pressed bumper before no echo": on_report(clear_ahead_m=5.0, bumpers=(1, 0)),
     "no voltage": on_report(battery_v=0.0),
     "low voltage": on_report(battery_v=10.0),
     "low voltage once": on_report(battery_v=10.0, once=1),
+    "low voltage while it charges": on_report(battery_v=10.0, charging=True),
     "voltage NaN": on_report(battery_v=math.nan),
-    "no poses": poses(lambda drive, pose: None),
-    "late poses": late(1.5),
-    "far pose once": poses(far_once),
-    "far poses": poses(far),
-    "poses of another heading": poses(lambda drive, pose: pose._replace(x=-pose.x, y=-pose.y)),
-    "same pose": poses(same),
-    "another driver": taken,
-    "no commands arrive": on_command(lambda *_: LOST),
-    "commands of 1 s ago": on_command(resigned(age_s=1)),
-    "commands of another lease": on_command(resigned(lease=1)),
-    "the same command again": on_command(resigned(number=1)),
-    "one command is lost": on_command(lost_once),
-    "forged commands": on_command(forged),
-    "stop and release": stop_and_release,
+    **DRIVER_INJECTIONS,
 }

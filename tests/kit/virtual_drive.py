@@ -18,6 +18,7 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.geometry import ORIGIN, STANDSTILL, compose, relative
 from rover_ncp.course.course import TICK_S, Course, load_course
 from rover_ncp.recording.recording import Recorded, RecordingWriter
+from rover_ncp.wire.bridge_filter import BridgeFilter
 from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import odometry, read_odometry, read_text, text, twist_stamped
 from rover_ncp.wire.protocol import (
@@ -88,6 +89,7 @@ class ChangedLink(VirtualLink):
         super().__init__(bridge, ORIGIN, record)
         self.bridge, self.change = bridge, {}
         self.tag = lambda data, sequence: None
+        self._filter = BridgeFilter(lambda: [BRIDGE])
         self.sent, self.sent_ns, self.statuses = [], [], []
         self.after, self.harm = 6, lambda: None
         self.released_ns, self.requests = None, 0
@@ -100,6 +102,11 @@ class ChangedLink(VirtualLink):
         wall_ns = self.bridge.time_ns()
         self._record(Recorded(name, spec(name).type, data, wall_ns, wall_ns))
         self.receive(name, Arrival(data, self.bridge.now_ns))
+
+    def put_from(self, peer, name, data):
+        """Deliver a message of a peer if the driver's filter takes it."""
+        if self._filter.accepts(spec(name), peer):
+            self.put(name, data)
 
     def put_with_odometry(self, name, messages, change=lambda data: data):
         """Deliver before each sample of odometry what ``messages`` returns for it; ``change`` is its own."""
@@ -162,9 +169,10 @@ class ChangedLink(VirtualLink):
     def _receive(self, name, data):
         data = self.change.get(name, lambda data: data)(data)
         if data is not None:
-            self.put(name, data)
+            self.put_from(BRIDGE, name, data)
 
 
+BRIDGE = "bridge"
 LOST = object()
 """A tag of `ChangedLink.tag`: the command does not arrive."""
 

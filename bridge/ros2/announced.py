@@ -29,9 +29,15 @@ class AnnouncedTopics:
         """Return whether a token is that of another's publisher of a topic."""
         return token.published and token.zid != self._zid and token.topic == self._name(topic)
 
-    def publishers(self, topic: str) -> list[str]:
-        """Return the names of a topic's publishers."""
+    def publisher_names(self, topic: str) -> list[str]:
+        """Return the names of a topic's publishers, of whatever type."""
         return sorted({found.who for found in self._tokens if self.publishes(found, topic)})
+
+    def publishers(self, topic: str, ros_type: str) -> list[Announced]:
+        """Return a topic's publishers of a type."""
+        return [
+            found for found in self._tokens if self.publishes(found, topic) and found.ros_type == ros_type
+        ]
 
     def other_type(self, topic: str, wanted: str) -> str:
         """Return the types that a topic's subscribers take, if ``wanted`` is none of them."""

@@ -168,9 +168,9 @@ class Ros2Base:
                     changes.append(Notice(words))
             case TokenSeen(token, there):
                 self._announced.update(token, there)
-                for topic in self._hazards.topics:
-                    if not there and self._announced.publishes(token, topic):
-                        self._hazards.lose_publisher(topic)
+                for found, kind in hazard_topics(self._topics):
+                    if not there and token.ros_type == kind and self._announced.publishes(token, found.topic):
+                        self._hazards.lose_publisher(found.topic, token.source)
             case LoopSeen(there):
                 self._loop = there
         changes += self._watch(now)
@@ -256,7 +256,7 @@ class Ros2Base:
         elif topic == self._topics.scan and self._room is not None:
             self._room.take(message.payload, now)
         elif topic in self._hazards.topics:
-            self._hazards.take(topic, message.payload, now)
+            self._hazards.take(topic, message.payload, now, message.source)
         elif topic == self._topics.docked:
             return [docked_passed_on(message.payload, self._topics.docked_field)]
         elif topic == self._topics.pose:
@@ -282,8 +282,9 @@ class Ros2Base:
         x, y, theta = moved.pose
         ahead, behind = self._room.clear(now) if self._room is not None else (math.nan, math.nan)
         stop_pressed, hazards = self._hazards.since_last()
+        kinds = {found.topic: kind for found, kind in hazard_topics(self._topics)}
         unknown = self._hazards.unknown(
-            now, self._line.topic, lambda each: bool(self._announced.publishers(each))
+            now, self._line.topic, lambda topic: self._announced.publishers(topic, kinds[topic])
         )
         battery, age_s = self._battery.state(now)
         report = BaseReport(
@@ -317,7 +318,9 @@ class Ros2Base:
                 f"the bridge's own commands on {where} come back to it, or another bridge drives this robot"
             ] = now
             return
-        who = " or ".join(self._announced.publishers(self._topics.cmd_vel)) or "a publisher without a name"
+        who = (
+            " or ".join(self._announced.publisher_names(self._topics.cmd_vel)) or "a publisher without a name"
+        )
         self._contradictions[f"{who} publishes {where} too"] = now
         self._odometer.counters["foreign"] += 1
 
@@ -350,7 +353,7 @@ class Ros2Base:
             return _LOOP
         where = self._line.topic(self._topics.odom)
         if self._odometer.publishers(now) > 1:
-            who = self._announced.publishers(self._topics.odom)
+            who = self._announced.publisher_names(self._topics.odom)
             named = f": {' and '.join(who)}" if len(who) > 1 else ""
             self._contradictions[f"two publishers on {where}{named}"] = now
         recent = {reason: at for reason, at in self._contradictions.items() if now - at < CLEAR_S}

@@ -49,6 +49,8 @@ class Announced(NamedTuple):
     topic: str
     ros_type: str
     who: str
+    source: bytes | None = None
+    """The publisher's identity in its messages, where the form has one."""
 
 
 def read_topic_token(token: str) -> Announced | None:

@@ -116,10 +116,11 @@ def read_token(token: str) -> Announced | None:
         case ["@ros2_lv", _, zid, _, _, "MP" | "MS" as kind, _, namespace, node, topic, dds_type, *_]:
             if "::" not in dds_type:
                 return None
-            *folders, _, name = dds_type.split("::")
-            ros_type = "/".join([*folders, name.removesuffix("_")])
+            *folders, _, last = dds_type.split("::")
+            ros_type = "/".join([*folders, last.removesuffix("_")])
             who = f"{namespace}/{node}".replace("%", "/").replace("//", "/")
-            return Announced(zid, kind == "MP", topic.removeprefix("%").replace("%", "/"), ros_type, who)
+            name = topic.removeprefix("%").replace("%", "/")
+            return Announced(zid, kind == "MP", name, ros_type, who, gid(token))
     return None
 
 

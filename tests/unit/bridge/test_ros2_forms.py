@@ -22,10 +22,10 @@ def test_tokens_are_read_as_they_are_written():
         "abc", True, "bot1/cmd_vel", "geometry_msgs/msg/Twist", "zenoh-bridge-ros2dds abc"
     )
     graph = Graph(3, "abc", "bot1", "teleop")
-    found = read_token(
-        graph.topic_token(5, Topic("bot1/cmd_vel", "geometry_msgs/msg/TwistStamped"), published=False)
+    token = graph.topic_token(5, Topic("bot1/cmd_vel", "geometry_msgs/msg/TwistStamped"), published=False)
+    assert read_token(token) == Announced(
+        "abc", False, "bot1/cmd_vel", "geometry_msgs/msg/TwistStamped", "/bot1/teleop", gid(token)
     )
-    assert found == Announced("abc", False, "bot1/cmd_vel", "geometry_msgs/msg/TwistStamped", "/bot1/teleop")
     assert read_token(graph.node_token()) is None
     assert read_topic_token("@/abc/@ros2_lv") is None
 

@@ -34,8 +34,8 @@ def unknown(world, seconds=0.1):
     return world.reports[-1].hazard_unknown
 
 
-def publisher(there, zid="estop"):
-    return TokenSeen(Announced(zid, True, "stop", BOOL, "/estop"), there)
+def publisher(there, zid="estop", ros_type=BOOL, source=None):
+    return TokenSeen(Announced(zid, True, "stop", ros_type, "/estop", source), there)
 
 
 @pytest.mark.parametrize("pressed", [True, False])
@@ -59,9 +59,10 @@ def test_a_stop_and_a_contact_that_end_before_the_next_odometry_are_passed_on_on
         world.hear("hazard_detection", hazards(kinds, 0))
     before = len(world.reports)
     world.run(0.5)
-    found = [(report.stop_pressed, report.bumpers, report.stalled) for report in world.reports[before:]]
-    assert found[0] == (True, (1, 0), (True, True))
-    assert set(found[1:]) == {(False, (0, 0), (False, False))}
+    found = [(report.bumpers, report.stalled) for report in world.reports[before:]]
+    assert found[0] == ((1, 0), (True, True))
+    assert set(found[1:]) == {((0, 0), (False, False))}
+    assert world.reports[before].stop_pressed
 
 
 def test_each_topic_must_be_heard_and_readable():
@@ -100,6 +101,52 @@ def test_a_latched_stop_counts_while_its_publisher_is_announced():
     world.tell(publisher(True))  # it began again, and may be pressed now
     assert "no message has come" in unknown(world)
     press(world, False)
+    assert unknown(world) == ""
+
+
+def test_a_released_stop_counts_after_three_periods_without_a_press():
+    world = world_of(stop="stop")
+    for _ in range(20):  # a second publisher behind the same bridge of ROS 2, which nothing tells apart
+        press(world, True)
+        world.run(0.2)
+        press(world, False)
+        world.run(0.8)
+        assert world.reports[-1].stop_pressed
+    for _ in range(4):
+        press(world, False)
+        world.run(1.0)
+    assert not world.reports[-1].stop_pressed
+    assert unknown(world) == ""
+
+
+@pytest.mark.parametrize("stop", ["stop", LATCHED])
+def test_with_two_publishers_of_a_stop_nothing_is_known(stop):
+    world = world_of(stop=stop)
+    world.tell(publisher(True, "a", source=b"a"))
+    world.hear("stop", encode(BOOL, data=False), b"a")
+    assert unknown(world) == ""
+    world.tell(publisher(True, "b", source=b"b"))
+    two = "stop: it has 2 publishers (/estop), expected one"
+    assert unknown(world) == two
+    world.hear("stop", encode(BOOL, data=False), b"b")
+    world.tell(publisher(False, "a", source=b"a"))
+    assert unknown(world) == ("" if stop == LATCHED else two)
+    for _ in range(4):
+        world.run(1.0)
+        world.hear("stop", encode(BOOL, data=False), b"b")
+    assert unknown(world) == ""
+    world.hear("stop", encode(BOOL, data=False), b"stranger")  # without a token
+    assert unknown(world) == two
+
+
+def test_a_publisher_of_another_type_is_none_of_a_latched_stop():
+    world = world_of(stop=LATCHED)
+    other = {"zid": "b", "ros_type": IMU, "source": b"b"}
+    world.tell(publisher(True, **other))
+    assert "no publisher is announced" in unknown(world)
+    world.tell(publisher(True, "a"))
+    press(world, False)
+    world.tell(publisher(False, **other))
     assert unknown(world) == ""
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from deploy.drive.config import DriveConfig
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
+from deploy.drive.mission import CourseMission, Mission
 from deploy.drive.records import TICKS_TOPIC, attachments
 from deploy.drive.result import result_of
 from deploy.drive.tick_messages import Publisher
@@ -55,13 +56,14 @@ def run(
     ``staging`` drives to the staging pose, if the settings name a place. Raises
     RoverNcpError if the drive could not begin.
     """
-    controller: Controller | Docking
+    mission: Mission
     if staging is None:
         if needs_reference(policy.sensing.inputs):
             output.say(planning_notice(course))
         controller = Controller(policy, course, config.estimator, config.rover, config.described)
+        mission = CourseMission(controller, config)
     else:
-        controller = Docking(config, staging, policy)
+        mission = Docking(config, staging, policy)
     files = attachments(policy, course, config, staging)
 
     def record(message: Recorded) -> None:
@@ -71,9 +73,9 @@ def run(
 
     prepare_for_real_time()
     with Interrupts() as interrupts, recorder, ZenohLink(address, recorder.put) as link:
-        publisher = Publisher(link, record, policy.circuit.neurons, frame=config.pose_frame)
+        publisher = Publisher(link, record, policy.circuit.neurons, frame=mission.frame)
         drive = Drive(
-            link, controller, publisher, config, lambda: interrupts.raised, period_s=period_s, id=uuid4().hex
+            link, mission, publisher, config, lambda: interrupts.raised, period_s=period_s, id=uuid4().hex
         )
         drive.wait()
         output.say(link.other_model(config.described))

@@ -28,6 +28,7 @@ from deploy.app import prepare_for_real_time
 from deploy.drive.config import PoseUse, config_for
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
+from deploy.drive.mission import CourseMission
 from deploy.drive.tick_messages import Publisher
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.zenoh_client import BridgeAddress
@@ -192,7 +193,7 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
         prepare_for_real_time()
         with ZenohLink(self._address, _not_recorded) as link:
             publisher = Publisher(link, _not_recorded, ())
-            drive = Drive(link, controller, publisher, config, closing.is_set)
+            drive = Drive(link, CourseMission(controller, config), publisher, config, closing.is_set)
             handover.drive, handover.controller = drive, controller
             drive.wait()
             drive.run({})

@@ -14,6 +14,7 @@ from pydantic import BaseModel, Field
 
 from deploy.drive.controller import Controller, Tick
 from deploy.drive.measurements import Sample, SampleRef, readers
+from deploy.drive.mission import CourseMission, Mission
 from deploy.drive.records import (
     STAGING_FILE,
     START_TOPIC,
@@ -78,15 +79,14 @@ def replay(path: Path) -> Comparison:
     policy, course, config = attached(recording)
     start, ticks = _records(recording)
     if config.place is None:
-        controller: Controller | Docking = Controller(
-            policy, course, config.estimator, config.rover, config.described
-        )
+        controller = Controller(policy, course, config.estimator, config.rover, config.described)
+        mission: Mission = CourseMission(controller, config)
     else:
-        controller = Docking(config, attached_policy(recording, STAGING_FILE), policy)
+        mission = Docking(config, attached_policy(recording, STAGING_FILE), policy)
     ticks_done, difference = 0, None
-    samples = _samples(recording, config.pose_frame)
+    samples = _samples(recording, mission.frame)
     for record, difference in _compared(
-        recording, samples, controller, start, ticks, names=policy.circuit.neurons
+        recording, samples, mission, start, ticks, names=policy.circuit.neurons
     ):
         if difference is not None:
             break
@@ -113,7 +113,7 @@ def _records(recording: Recording) -> tuple[StartRecord, list[TickRecord]]:
 def _compared(
     recording: Recording,
     samples: dict[tuple[str, int, int], Sample],
-    controller: Controller | Docking,
+    mission: Mission,
     start: StartRecord,
     records: list[TickRecord],
     *,
@@ -136,13 +136,11 @@ def _compared(
                 began = samples[_key(wanted.pop(0))]
                 if not isinstance(began, OdometrySample):
                     raise ValueError("it does not start with odometry")
-                controller.start(began.pose, 0.0, Pose(*start.pose), start.covariance_matrix)
+                mission.start(began.pose, 0.0, Pose(*start.pose), start.covariance_matrix)
             for ref in wanted:
-                controller.take(samples[_key(ref)], start.sample.seconds_to(ref.measured_ns))
-            if isinstance(controller, Docking) and record.evidence is not None:
-                controller.note(record.evidence)
-            tick = controller.tick(record.index, now) if record.command is not None else None
-            estimate = tick.estimate if tick else controller.record_estimate(record.index, now)
+                mission.take(samples[_key(ref)], start.sample.seconds_to(ref.measured_ns))
+            tick = mission.tick(record.index, now, record.evidence) if record.command is not None else None
+            estimate = tick.estimate if tick else mission.record_estimate(record.index, now)
         except ValueError as error:  # such as a start that is not finite
             raise FileError(f"{recording.path}: tick {record.index} cannot be recomputed: {error}") from error
         yield record, next(_differences(record, tick, estimate, names, messages), None)

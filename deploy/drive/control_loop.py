@@ -10,16 +10,15 @@ Rules of this file:
 """
 
 import logging
-import math
 import time
 from collections.abc import Callable, Sequence
 from enum import Enum
 from typing import Any
 
 from deploy.drive.config import DriveConfig
-from deploy.drive.controller import Controller
 from deploy.drive.link import Link
 from deploy.drive.measurements import Measurement, Measurements, SampleRef
+from deploy.drive.mission import Mission
 from deploy.drive.rate_keeper import RateKeeper
 from deploy.drive.records import StartRecord, TickRecord, numbers
 from deploy.drive.safety_monitor import SafetyMonitor
@@ -27,12 +26,11 @@ from deploy.drive.start import StartDetector
 from deploy.drive.tick_messages import Publisher
 from deploy.estimator.estimator import Estimate
 from deploy.estimator.measurements import Outcome
-from deploy.place.docking import Docking
 from deploy.place.outcome import Evidence
 from deploy.place.place import Proof
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import SafetyStop, UnreachableError
-from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
+from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import Clock
 from rover_ncp.course.course import TICK_S
 from rover_ncp.course.scoring import Parked, Verdict
@@ -76,7 +74,7 @@ class Drive:
     def __init__(
         self,
         link: Link,
-        controller: Controller | Docking,
+        mission: Mission,
         publisher: Publisher,
         config: DriveConfig,
         interrupted: Callable[[], bool],
@@ -87,14 +85,13 @@ class Drive:
     ) -> None:
         self._id = id
         self._period_ns = round(period_s * NS_PER_S)
-        self._link, self.controller, self._publisher = link, controller, publisher
+        self._link, self.mission, self._publisher = link, mission, publisher
         self.config, self._clock = config, clock
-        self._docking = controller if isinstance(controller, Docking) else None
         self._touched = False
-        """Whether contact revoked the lease since the last tick of a docking."""
+        """Whether contact revoked the lease since the last tick, and the mission continues."""
         self._used: list[SampleRef] = []
         """Samples that the estimator got since the last tick."""
-        self.measurements = Measurements(link, config.pose_frame)
+        self.measurements = Measurements(link, mission.frame)
         self.monitor = SafetyMonitor(link, self.measurements, interrupted, config, clock)
         self.placed = False
         """Whether external poses gave the start pose."""
@@ -139,28 +136,22 @@ class Drive:
         except KeyboardInterrupt:
             self._enter(Phase.ENDED, "interrupted")
         else:
-            self.verdict = self.controller.verdict()
-            if self._docking is None:
-                self.verdict = self.verdict.with_contact(self.monitor.contact)
+            self.verdict = self.mission.verdict(self.monitor.contact)
             ends = {Parked.YES: Phase.PARKED, Parked.UNCERTAIN: Phase.UNCERTAIN, Parked.NO: Phase.ENDED}
             words = self.verdict.words
             reason = self._why_uncertain() if words is Parked.UNCERTAIN else self.verdict.reason
             self._enter(ends[words], reason)
-        if self._docking is not None:
-            self._publisher.dock(self._docking.result(self.reason))
+        if (docked := self.mission.result(self.reason)) is not None:
+            self._publisher.dock(docked)
         self._publisher.finish()
 
     def _arm(self, attachments: dict[str, int]) -> None:
         detector = StartDetector(self._link, self.measurements, self.config, self._clock)
         start = detector.wait(self.monitor)
         self._enter(Phase.ARMED)
-        pose, covariance = detector.pose()
+        seen, covariance = detector.pose()
         self.placed = covariance is not None
-        if self._docking is None:
-            self._check_start(pose)
-        elif covariance is None:
-            self._check_no_pose()
-            pose = self._docking.place.goal
+        pose = self.mission.start_pose(seen, self._pose_complaint())
         self._start = start.ref
         """The controller's time is in seconds from this sample."""
         record = StartRecord(
@@ -169,31 +160,18 @@ class Drive:
             covariance=None if covariance is None else tuple(covariance.ravel().tolist()),
             attachments=attachments,
         )
-        self.controller.start(start.sample.pose, 0.0, pose, covariance)
+        self.mission.start(start.sample.pose, 0.0, pose, covariance)
         self._publisher.start(record, start.sample.pose)
         if not self.config.dry_run:
             self._request_motors()
         self._enter(Phase.DRIVING)
 
-    def _check_start(self, pose: Pose) -> None:
-        """Raise SafetyStop if the rover is where no rate of parking is known."""
-        (x, y, theta), config = pose, self.config
-        far = round(max(abs(x), abs(y)), 3) > config.start_m
-        if far or abs(wrap_angle(theta)) > config.start_rad:
-            found = f"x {x:.2f} m, y {y:.2f} m and {math.degrees(theta):.0f}°"
-            limits = f"±{config.start_m:g} m and ±{math.degrees(config.start_rad):.0f}°"
-            raise SafetyStop(
-                "start-pose",
-                f"external poses show the rover at {found} from the course's start (limit {limits}); "
-                "place it nearer, or give a course that starts there",
-            )
-
-    def _check_no_pose(self) -> None:
-        """Raise SafetyStop if external poses arrive of which none can be used."""
-        heard = self.measurements
-        if heard.taken["pose"] or "pose" in heard.complaints:
-            why = heard.complaints.get("pose", "too seldom, or without a valid covariance")
-            raise SafetyStop("start-pose", f"external poses arrive, but none can be used: {why}")
+    def _pose_complaint(self) -> str:
+        """Return why external poses that arrived cannot be used; "" if none arrived."""
+        measurements = self.measurements
+        if not measurements.taken["pose"] and "pose" not in measurements.complaints:
+            return ""
+        return measurements.complaints.get("pose", "too seldom, or without a valid covariance")
 
     def _why_uncertain(self) -> str:
         verdict, estimate = self.verdict, self.estimate
@@ -227,32 +205,30 @@ class Drive:
                 keeper.skip_missed(now_ns, self.config.ticks)
             fresh = newest.ref.measured_ns >= keeper.opens_ns
             if fresh or now_ns >= keeper.deadline_ns:
-                last = keeper.index >= self.config.ticks or self.controller.over
+                last = keeper.index >= self.config.ticks or self.mission.over
                 self._tick(newest, now_ns, predicted=not fresh, last=last)
                 if last:
                     return
             newest = self._take((keeper.deadline_ns - self._clock.monotonic_ns()) / NS_PER_S) or newest
-            if not self.controller.over:  # nothing takes back what is decided
+            if not self.mission.over:  # nothing takes back what is decided
                 self._check()
 
     def _tick(self, newest: Measurement[OdometrySample], now_ns: int, predicted: bool, last: bool) -> None:
-        controller, t = self.controller, self._start.seconds_to(now_ns)
-        index = (
-            self.keeper.index if self.controller.over else self.config.ticks if last else self.keeper.index
-        )
-        evidence = None if self._docking is None or last else self._evidence(self._docking, now_ns)
-        tick = None if last else controller.tick(index, t)
-        estimate = self.estimate = tick.estimate if tick else controller.record_estimate(index, t)
+        mission, t = self.mission, self._start.seconds_to(now_ns)
+        index = self.config.ticks if last and not mission.over else self.keeper.index
+        evidence = None if last else self._evidence(now_ns)
+        tick = None if last else mission.tick(index, t, evidence)
+        estimate = self.estimate = tick.estimate if tick else mission.record_estimate(index, t)
         sequence = None
         if tick is not None and not self.config.dry_run:
             self.monitor.check_command(tick.command, estimate.velocity)
             self._check_poses(estimate.velocity, now_ns)
-            if self._touched and not controller.over:
+            if self._touched and not mission.over:
                 try:
                     self._request_motors()
                 except UnreachableError as error:  # the drive has begun, so it ends as one
                     raise SafetyStop("lease", str(error)) from error
-            if not (self._touched and controller.over):
+            if not (self._touched and mission.over):
                 sequence = self._link.command(tick.command)
         if not predicted:
             self.latencies_ns.append(self._clock.monotonic_ns() - newest.arrival_ns)
@@ -292,7 +268,7 @@ class Drive:
     def _apply(self, measured: Sequence[Measurement[Any]]) -> None:
         """Give measurements to the estimator, in this order."""
         for sample, ref, _ in measured:
-            self.controller.take(sample, self._start.seconds_to(ref.measured_ns))
+            self.mission.take(sample, self._start.seconds_to(ref.measured_ns))
             self._used.append(ref)
 
     def _check(self) -> None:
@@ -300,31 +276,28 @@ class Drive:
         try:
             self.monitor.check()
         except SafetyStop as stop:
-            # The gate has stopped the rover. A docking decides in its next tick what that contact was, unless
-            # the other end was touched: no dock is there.
-            docking = self._docking
-            if stop.rule not in CONTACTS or docking is None or not docking.expects_contact:
-                raise
-            if self.monitor.bumped(1 - docking.leading_end):
+            # The gate has stopped the rover. A docking decides in its next tick what that contact was.
+            other_end = self.monitor.bumped(1 - self.mission.leading_end)
+            if stop.rule not in CONTACTS or not self.mission.on_contact(other_end=other_end):
                 raise
             self._touched = True
-        estimator = self.controller.estimator
+        estimator = self.mission.estimator
         if estimator.fault:
             raise SafetyStop(estimator.fault_rule, estimator.fault)
 
-    def _evidence(self, docking: Docking, now_ns: int) -> Evidence:
-        """Give a docking what the base reports beside its motion, and return it for the record."""
+    def _evidence(self, now_ns: int) -> Evidence | None:
+        """Return what the base reports beside its motion, for a mission that needs a proof."""
+        proof, charge = self.mission.proof, self._link.charge
+        if proof is None:
+            return None
         # What is pressed when the lease is granted does not end it.
-        touched = self._touched or (self.estimate is None and self._link.bumpers.pressed[docking.leading_end])
-        charge, topic = self._link.charge, self._link.docked
-        found = topic if docking.place.proof is Proof.TOPIC else (charge.at(now_ns), charge.reports)
-        evidence = Evidence(touched, *found)
-        docking.note(evidence)
-        return evidence
+        pressed = self.estimate is None and self._link.bumpers.pressed[self.mission.leading_end]
+        found = self._link.docked if proof is Proof.TOPIC else (charge.at(now_ns), charge.reports)
+        return Evidence(self._touched or pressed, *found)
 
     def _check_poses(self, velocity: Velocity, now_ns: int) -> None:
         """Raise SafetyStop if external poses are required and none is used while the rover moves."""
-        used, config = self.controller.estimator.poses[Outcome.ACCEPTED], self.config
+        used, config = self.mission.estimator.poses[Outcome.ACCEPTED], self.config
         stands = abs(velocity.v) < STANDING.v and abs(velocity.omega) < STANDING.omega
         if used != self._poses_used:
             self._poses_used, self._blind_ns = used, 0
@@ -341,11 +314,10 @@ class Drive:
 
     def _publish_status(self) -> None:
         keeper = self.keeper
-        driving = self.phase is Phase.DRIVING
-        stage = self._docking.words if self._docking is not None and driving else None
+        stage = self.mission.words if self.phase is Phase.DRIVING else ""
         self._publisher.status(
             DriverStatus(
-                state=self.phase.value if stage is None else stage,
+                state=stage or self.phase.value,
                 drive=self._id,
                 reason=self.reason,
                 policy=self.config.policy,

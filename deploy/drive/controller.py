@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from deploy.drive.dead_zone import DeadZone
 from deploy.drive.hold import HOLD, hold_from_s, holds
 from deploy.estimator.estimator import Estimate, Estimator
-from deploy.estimator.measurements import Outcome
 from deploy.estimator.settings import TURN_GAINS, EstimatorSettings
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
@@ -32,7 +31,6 @@ from rover_ncp.course.reference import Reference, plan_reference
 from rover_ncp.course.scoring import Verdict, judge
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import RoverProfile
-from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
 
 
 @dataclass(frozen=True)
@@ -68,9 +66,6 @@ class Controller:
     if their dead band is known of the ``rover`` or ``described``. With a ``runner``, the names of its signals
     take the place of the policy. A ``reference`` takes the place of the one that is planned for the course.
     """
-
-    over = False
-    """Whether the drive ends before its last tick."""
 
     def __init__(
         self,
@@ -126,10 +121,6 @@ class Controller:
         self._times, self._estimates, self._holds, self._rests = [], [], False, False
         self._runner.reset()
         self._runner.tick(self._observation(pose, 0, 0.0))
-
-    def take(self, sample: OdometrySample | TurnSample | PoseSample, t: float) -> Outcome | None:
-        """Give the estimator a sample, as `take`."""
-        return take(self.estimator, sample, t)
 
     def tick(self, index: int, t: float) -> Tick:
         """Run tick ``index`` of the course at time ``t``."""
@@ -198,18 +189,6 @@ class Controller:
     def _observation(self, pose: Pose, index: int, start: float) -> list[float]:
         reference = self._reference.tick(index) if self._reference else None
         return self._interface.observe(pose, start, reference)
-
-
-def take(estimator: Estimator, sample: OdometrySample | TurnSample | PoseSample, t: float) -> Outcome | None:
-    """Give the estimator a sample that was measured at time ``t``; None for a gyro reading."""
-    match sample:
-        case OdometrySample(_, pose, velocity):
-            return estimator.odometry(pose, velocity, t)
-        case PoseSample(_, _, pose, covariance):
-            return estimator.external(pose, covariance, t)
-        case TurnSample(_, rate):
-            estimator.gyro(rate, t)
-            return None
 
 
 def _slower(command: Velocity, limit: Velocity) -> bool:

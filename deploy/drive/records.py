@@ -51,7 +51,7 @@ class TickRecord(StrictModel):
     ``now_ns`` is the tick's moment on the driver's monotonic clock, ``wall_ns`` the same by the wall clock
     (it stamps the messages). ``estimate`` is x, y, theta, v, omega. ``command`` is v, omega, or None for the
     last look at the horizon, when the circuit does not run. ``sequence`` is that of the command on the wire,
-    None if none was sent. ``evidence`` is what a docking was told of the base, None for other drives.
+    None if none was sent. ``evidence`` is what the base reported to a docking; None for a course.
     """
 
     index: int

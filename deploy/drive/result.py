@@ -8,7 +8,6 @@ from pydantic import BaseModel, Field
 
 from deploy.drive.control_loop import Drive
 from deploy.estimator.measurements import Outcome
-from deploy.place.docking import Docking
 from deploy.place.outcome import DockResult
 from deploy.recorder import RecordingResult
 from rover_ncp.core.console import printable
@@ -136,7 +135,7 @@ def result_of(drive: Drive, recording: Mapping[str, Any]) -> DriveResult:
         fails = {Parked.NO, Parked.UNCERTAIN} if config.require_certainty else {Parked.NO}
         code = 1 if verdict.words in fails and not config.dry_run else 0
     p50, p99 = (np.percentile(drive.latencies_ns or [0], [50, 99]) / 1e6).tolist()
-    estimator, outcomes = drive.controller.estimator, drive.controller.estimator.poses
+    estimator, outcomes = drive.mission.estimator, drive.mission.estimator.poses
     odometry, gyro, pose = (
         {name: getattr(drive.measurements, name)[topic] for name in ("taken", "unreadable", "doubtful")}
         for topic in ("odom", "imu", "pose")
@@ -162,7 +161,7 @@ def result_of(drive: Drive, recording: Mapping[str, Any]) -> DriveResult:
             dropped=outcomes[Outcome.DROPPED],
             nis=Nis(**estimator.nis),
         ),
-        dock=drive.controller.result(drive.reason) if isinstance(drive.controller, Docking) else None,
+        dock=drive.mission.result(drive.reason),
         policy=config.policy,
         course=config.course,
         dry_run=config.dry_run,

@@ -16,7 +16,7 @@ from deploy.estimator.estimator import completed
 from deploy.estimator.measurements import still_limits
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import AnotherDriver, NoPose, SafetyStop
-from rover_ncp.core.geometry import ORIGIN, Pose, near, wrap_angle
+from rover_ncp.core.geometry import Pose, near, wrap_angle
 from rover_ncp.core.process import Clock
 from rover_ncp.wire.messages import OdometrySample, PoseSample
 
@@ -55,10 +55,10 @@ class StartDetector:
         assert self._measurements.newest is not None  # it stands, so there was a sample
         return self._measurements.newest
 
-    def pose(self) -> tuple[Pose, NDArray[np.float64] | None]:
-        """Return the start pose on the course with its covariance: the origin and None without poses."""
+    def pose(self) -> tuple[Pose, NDArray[np.float64]] | tuple[None, None]:
+        """Return the start pose by external poses with its covariance, if there are any."""
         if not self._poses:
-            return ORIGIN, None
+            return None, None
         # The covariance of the last one: errors of these poses are not independent.
         return median_pose([seen.sample.pose for seen in self._poses]), self._poses[-1].sample.covariance
 

@@ -1,11 +1,11 @@
-"""The controller of a docking: its stages, tick by tick. No I/O, no clock.
+"""A docking: its stages, tick by tick. No I/O, no clock.
 
 Rules of this file:
 
 1. One estimator, in the frame of the external poses, goes through all stages. Where poses are lost, odometry
    carries on.
-2. The gate stops a rover that touches something, and revokes the lease, as always. This controller alone
-   declares the rover *docked*.
+2. The gate stops a rover that touches something, and revokes the lease, as always. `judge` alone declares
+   the rover *docked*.
 3. A rover that is not docked after its last try stands at the staging pose. After a safety rule's stop it
    stands where it is.
 """
@@ -19,69 +19,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.drive.config import DriveConfig
-from deploy.drive.controller import Controller, Tick, take
-from deploy.drive.start import median_pose
+from deploy.drive.controller import Controller, Tick
+from deploy.drive.measurements import Sample
+from deploy.drive.mission import take
 from deploy.estimator.estimator import Estimate, Estimator
-from deploy.estimator.measurements import Outcome
-from deploy.place.outcome import DockError, DockResult, Evidence, PoseErrors, Stage
-from deploy.place.place import AT_PLACE_M, Proof
+from deploy.place.judge import (
+    STAGED_M,
+    STAGED_RAD,
+    Approached,
+    Judgement,
+    approached,
+    judge_approach,
+    judge_drive,
+    judge_report,
+)
+from deploy.place.outcome import DockError, DockResult, Evidence, Stage
+from deploy.place.place import AT_PLACE_M
 from deploy.place.plan import FAR_M, Way, approach, in_the_way, retreat, tail, to_staging
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import ConfigError, SafetyStop
-from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, near, wrap_angle
+from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, near
 from rover_ncp.course.course import TICK_S
-from rover_ncp.course.scoring import (
-    Failure,
-    Parked,
-    Verdict,
-    pose_error,
-    probability_within,
-)
+from rover_ncp.course.scoring import Verdict
 from rover_ncp.course.slowdown import slowdown
-from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
+from rover_ncp.wire.messages import PoseSample
 
-STAGED_M, STAGED_RAD = 0.10, math.radians(10.0)
-"""How far from the staging pose an approach may begin: the policy's training."""
 UNSEEN = 0.1, 0.1, math.radians(10.0)
 """Standard deviations of the place of a rover that is to be undocked and that no external pose shows."""
-DOCK_M, DOCK_RAD = 0.10, math.radians(10.0)
-"""How far from the place a report counts: farther away it is of another dock."""
 CONTACT_S = 0.5
 """External poses of so long before contact count for its place; the rover has moved 2 cm meanwhile."""
 BOUNCE_S = 2.0
 """How long a bumper may open and close as the rover begins to back out; it can only drive away."""
-REPORT_S = 25.0
-"""How long a rover waits for the report that proves a docking; some robots send it each 10 s or later."""
-LATE_S = 35.0
-"""How much longer where the last report, which is older, says that it is docked."""
-MIN_POSES = 3
-"""External poses that a median needs."""
 KEPT_POSES = 300
 MAX_STAGINGS = 5
 """Ways to the staging pose in one drive."""
-
-
-_NO_PROOF = {
-    (Proof.CHARGING, None): (
-        DockError.FAILED_TO_CHARGE,
-        "battery_state does not tell whether the battery charges: unknown, or full",
-    ),
-    (Proof.CHARGING, False): (DockError.FAILED_TO_CHARGE, f"no charge within {REPORT_S:g} s"),
-    (Proof.CHARGING, True): (DockError.FAILED_TO_CHARGE, "no new battery_state"),
-    (Proof.TOPIC, None): (
-        DockError.FAILED_TO_CONTROL,
-        "no message on 'docked': the bridge's description must name topics.docked, and the robot send it",
-    ),
-    (Proof.TOPIC, False): (
-        DockError.FAILED_TO_CONTROL,
-        f"within {REPORT_S:g} s the robot's topic did not say that it is docked",
-    ),
-    (Proof.TOPIC, True): (
-        DockError.FAILED_TO_CONTROL,
-        "the robot's topic said that it is docked only before the end of the approach",
-    ),
-}
-"""Error and words of a docking without its proof, by proof and by what the newest report says."""
 
 
 class _TailEstimator(Estimator):
@@ -101,18 +72,18 @@ class _TailEstimator(Estimator):
 
 
 class Docking:
-    """Drives into a place or out of it, by the drive's settings: `Controller` does so for a course.
+    """The mission to drive into a place or out of it, by the drive's settings.
 
     ``staging`` drives to the staging pose, ``dock`` from there; they must have the same neurons.
     """
-
-    plans = False
 
     def __init__(self, config: DriveConfig, staging: Policy, dock: Policy) -> None:
         assert config.place is not None
         if staging.circuit.neurons != dock.circuit.neurons:
             raise ConfigError("the two policies of the drive", ["they have different neurons"])
         self.place, self._undock, self._config = config.place, config.undock, config
+        self.frame, self.proof = config.pose_frame, self.place.proof
+        self.leading_end = int(self.place.backward)
         self._slower = 1.0 if config.described is None else max(1.0, slowdown(config.described))
         self._staging, self._dock = staging, dock
         self.estimator = Estimator(config.estimator)
@@ -125,20 +96,24 @@ class Docking:
         """Tick of the present leg's begin, and the present tick."""
         self.stage, self.over = Stage.NONE, False
         self._tries = self._stagings = 0
-        self._gives_up = False
-        """Whether no further try can succeed."""
-        self._evidence, self._wait_until, self._known_reports = Evidence(), math.inf, 0
+        self._waits_since, self._known_reports = math.inf, 0
         self._poses: deque[tuple[float, Pose]] = deque(maxlen=KEPT_POSES)
         """Times and values of the newest external poses."""
         self._potentials = self._approach.controller.potentials
-        self._error, self._why = DockError.UNKNOWN, ""
+        self._judgement = Judgement(DockError.UNKNOWN)
         self._estimate: Estimate | None = None
-        self._judged = _Judged()
+        self._approached = Approached()
+
+    def start_pose(self, seen: Pose | None, complaint: str) -> Pose:
+        """Return the start pose: the place itself without external poses, of which none may be unusable."""
+        if seen is None and complaint:
+            raise SafetyStop("start-pose", f"external poses arrive, but none can be used: {complaint}")
+        return self.place.goal if seen is None else seen
 
     def start(
         self, odometry: Pose, t: float, pose: Pose, covariance: NDArray[np.float64] | None = None
     ) -> None:
-        """Begin as `Controller.start`. Raises SafetyStop if there is no way from that pose."""
+        """Begin at ``pose``. Raises SafetyStop if there is no way from there."""
         unseen = np.diag(np.square(UNSEEN)) if covariance is None else covariance
         self.estimator.start(pose, t, odometry, unseen)
         off, out_m = self.place.errors(pose), self.place.out_m(pose)
@@ -162,40 +137,32 @@ class Docking:
         else:
             self._drive_to_staging(0, pose)
         if self.over:
-            raise SafetyStop("start-pose", self._why)
+            raise SafetyStop("start-pose", self._judgement.why)
 
-    def take(self, sample: OdometrySample | TurnSample | PoseSample, t: float) -> Outcome | None:
-        """Give the estimator a sample, as `Controller.take`."""
+    def take(self, sample: Sample, t: float) -> None:
+        """Give the estimator a sample, and keep external poses for the judge."""
         if isinstance(sample, PoseSample) and all(map(math.isfinite, sample.pose)):
             self._poses.append((t, sample.pose))
-        return take(self.estimator, sample, t)
+        take(self.estimator, sample, t)
 
-    def note(self, evidence: Evidence) -> None:
-        """Note what the base reports, before the tick that it is for."""
-        self._evidence = evidence
-
-    @property
-    def expects_contact(self) -> bool:
-        """Whether contact ends a try, and not the drive."""
+    def on_contact(self, *, other_end: bool) -> bool:
+        """Return whether contact ends a try, and not the drive: no dock is at the other end."""
+        if other_end:
+            return False
         if self._undock or self.stage is Stage.RETRY:
             return self._index - self._began <= BOUNCE_S / TICK_S
         # In the dock a bumper may open and close again.
         return self.stage in {Stage.CONTROLLING, Stage.WAIT_FOR_CHARGE}
 
     @property
-    def leading_end(self) -> int:
-        """The end of the rover that touches the dock: 0 is the front, 1 the rear."""
-        return int(self.place.backward)
-
-    @property
     def words(self) -> str:
         """The stage for people."""
         return f"{self.stage}, try {max(self._tries, 1)} of {self.place.retries + 1}"
 
-    def tick(self, index: int, t: float) -> Tick:
+    def tick(self, index: int, t: float, evidence: Evidence | None = None) -> Tick:
         """Run tick ``index`` of the drive at time ``t``."""
         estimate = self.record_estimate(index, t)
-        self._advance(index, t, estimate)
+        self._advance(index, t, estimate, evidence or Evidence())
         if self.over or self.stage is Stage.WAIT_FOR_CHARGE:
             return Tick(index, index * TICK_S, estimate, STANDSTILL, self._potentials)
         tick = self._now.controller.tick(index - self._began, t)
@@ -208,10 +175,8 @@ class Docking:
         self._index, self._estimate = index, self.estimator.at(t)
         return self._estimate
 
-    def _advance(self, index: int, t: float, estimate: Estimate) -> None:
+    def _advance(self, index: int, t: float, estimate: Estimate, evidence: Evidence) -> None:
         """Go on to the next stage if the present one is over."""
-        contact, docked, reports = self._evidence
-        is_new = reports > self._known_reports
         ended = index - self._began >= self._now.way.course.ticks
         if self._config.dry_run and ended and self._began >= 0:
             way = self._now.way.course
@@ -225,52 +190,39 @@ class Docking:
                 self._end(DockError.NONE)
             case Stage.CONTROLLING if self._undock and ended:
                 self._end(DockError.FAILED_TO_CONTROL, "the rover is not at the staging pose")
-            case Stage.CONTROLLING if not self._undock and (contact or ended):
-                self._judge(index, t, contact)
-            case Stage.WAIT_FOR_CHARGE if docked and is_new:
-                self._end(DockError.NONE)
-            case Stage.WAIT_FOR_CHARGE if t >= self._wait_until + (LATE_S if docked else 0.0):
-                self._gives_up = docked is None
-                self._missed(index, estimate.pose, *_NO_PROOF[self.place.proof, docked])
-            case Stage.RETRY if ended and (self._gives_up or self._tries > self.place.retries):
+            case Stage.CONTROLLING if not self._undock and (evidence.contact or ended):
+                self._judge_approach(index, t, evidence)
+            case Stage.WAIT_FOR_CHARGE:
+                found = judge_report(self.place.proof, evidence, self._known_reports, t, self._waits_since)
+                self._decide(index, estimate.pose, found)
+            case Stage.RETRY if ended and (self._judgement.gives_up or self._tries > self.place.retries):
                 self.over = True
             case Stage.RETRY if ended:
                 self._staged(index, estimate.pose)
 
-    def _judge(self, index: int, t: float, contact: bool) -> None:
-        """Judge the end of an approach."""
-        leg, estimate = self._approach.controller, self.estimator.at(t)
+    def _judge_approach(self, index: int, t: float, evidence: Evidence) -> None:
+        """Judge the end of an approach, or begin to wait for a report."""
+        leg, pose, contact = self._approach.controller, self.estimator.at(t).pose, evidence.contact
         leg.record_estimate(index - self._began, t)
-        pose, proof = estimate.pose, self.place.proof
         verdict = leg.verdict()
-        off = self.place.errors(pose)
-        by_poses = self._by_poses(t, contact)
-        self._judged = _Judged(verdict.probability, off, by_poses)
-        where = f"{off} of the place by the estimate"
-        far = not near(pose, self.place.goal, DOCK_M, DOCK_RAD)
-        why = ""
-        if contact and (proof is Proof.POSE or far):
-            why = f"contact {where}"
-        elif proof is not Proof.POSE and far:
-            why = f"too far for the place's dock, {where}"
-        elif proof is not Proof.POSE:
-            # An earlier report may be of another place.
-            self._wait_until, self._known_reports = t + REPORT_S, self._evidence.reports
+        since = t - (CONTACT_S if contact else self._approach.way.course.parked.still_s)
+        newest = [seen for measured, seen in self._poses if measured >= since]
+        self._approached = end = approached(self.place, pose, verdict.probability, newest)
+        found = judge_approach(self.place, pose, verdict, end, contact)
+        if found is None:
+            self._waits_since, self._known_reports = t, evidence.reports
             self.stage = Stage.WAIT_FOR_CHARGE
-            return
-        elif by_poses is not None and not self.place.allows(by_poses):
-            why = f"{by_poses} of the place by the external poses alone, {where}"
-        elif verdict.words is not Parked.YES:
-            why = verdict.reason or f"within the tolerances with a probability of {verdict.probability:.0%}"
-        if why:
-            self._missed(index, pose, DockError.FAILED_TO_CONTROL, why)
-        else:
-            self._end(DockError.NONE)
+        self._decide(index, pose, found)
 
-    def _missed(self, index: int, pose: Pose, error: DockError, why: str) -> None:
-        """Go back to the staging pose."""
-        self._error, self._why = error, why
-        self._begin(Stage.RETRY, self._way_out(self.place.out_m(pose)), index, pose)
+    def _decide(self, index: int, pose: Pose, judgement: Judgement | None) -> None:
+        """End a docking that is judged as docked; after a miss, go back to the staging pose."""
+        if judgement is None:
+            return
+        self._judgement = judgement
+        if judgement.error is DockError.NONE:
+            self.over = True
+        else:
+            self._begin(Stage.RETRY, self._way_out(self.place.out_m(pose)), index, pose)
 
     def _staged(self, index: int, pose: Pose) -> None:
         """Begin an approach, or drive to the staging pose anew if the rover is too far from it."""
@@ -301,7 +253,7 @@ class Docking:
         self._begin(Stage.NAV_TO_STAGING_POSE, self._leg(self._staging, way), index, pose)
 
     def _end(self, error: DockError, why: str = "") -> None:
-        self.over, self._error, self._why = True, error, why
+        self.over, self._judgement = True, Judgement(error, why)
 
     def _begin(self, stage: Stage, leg: "_Leg", index: int, pose: Pose) -> None:
         self.stage, self._now, self._began = stage, leg, index
@@ -323,31 +275,18 @@ class Docking:
     def _stands_at_staging(self, pose: Pose) -> bool:
         return near(pose, self.place.staging, STAGED_M, STAGED_RAD)
 
-    def _by_poses(self, t: float, contact: bool) -> PoseErrors | None:
-        """Return the median errors by the newest external poses; None without enough of them."""
-        since = t - (CONTACT_S if contact else self._approach.way.course.parked.still_s)
-        poses = [pose for seen, pose in self._poses if seen >= since]
-        return self.place.errors(median_pose(poses)) if len(poses) >= MIN_POSES else None
-
-    def verdict(self) -> Verdict:
-        """Return the verdict: parked means docked, or undocked and at the staging pose."""
+    def verdict(self, contact: str) -> Verdict:
+        """Return the verdict. A contact ended a try, or backing out of the place; it is no failure."""
         assert self._estimate is not None  # the drive had a tick
-        goal, pose = self.place.staging if self._undock else self.place.goal, self._estimate.pose
-        error_m, error_rad = distance(pose, goal), abs(wrap_angle(pose.theta - goal.theta))
-        code, why = self._ending()
-        failure, sure = Failure.NONE if code is DockError.NONE else Failure.FAR, None
-        if self._undock:
-            error, covariance = pose_error(pose, goal), self._estimate.covariance[:3, :3]
-            sure = probability_within(error, covariance, STAGED_M, STAGED_RAD)
-        return Verdict(failure is Failure.NONE, error_m, error_rad, why, failure, sure)
+        return judge_drive(self.place, self._undock, self._estimate, self._ending())
 
-    def _ending(self) -> tuple[DockError, str]:
-        """Return how the docking ended and why; an earlier miss is not why a drive was stopped."""
-        return (self._error, self._why) if self.over else (DockError.UNKNOWN, "")
+    def _ending(self) -> Judgement:
+        """Return how the docking ended; an earlier miss is not why a drive was stopped."""
+        return self._judgement if self.over else Judgement(DockError.UNKNOWN)
 
-    def result(self, ending: str = "") -> DockResult:
-        """Return the result; ``ending`` is why a drive ended that did not come to a judgement."""
-        code, why = self._ending()
+    def result(self, reason: str) -> DockResult:
+        """Return the result; ``reason`` is why a drive ended that did not come to a judgement."""
+        code, why, _ = self._ending()
         success, at = code is DockError.NONE, "elsewhere"
         if success and not self._undock:
             at = "place"
@@ -358,12 +297,12 @@ class Docking:
             undock=self._undock,
             success=success,
             error_code=code,
-            error_msg="" if success else why or ending or "the time is over",
+            error_msg="" if success else why or reason or "the time is over",
             num_retries=max(self._tries - 1, 0),
             stage=self.stage,
             at=at,
             proof=self.place.proof.value,
-            **self._judged._asdict(),
+            **self._approached._asdict(),
         )
 
 
@@ -372,11 +311,3 @@ class _Leg(NamedTuple):
 
     way: Way
     controller: Controller
-
-
-class _Judged(NamedTuple):
-    """The end of the last approach, as in `DockResult`."""
-
-    probability: float | None = None
-    by_estimate: PoseErrors | None = None
-    by_proof: PoseErrors | None = None

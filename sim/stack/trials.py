@@ -18,6 +18,7 @@ from deploy.drive.config import DriveConfig, config_for
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
 from deploy.drive.measurements import Measurements
+from deploy.drive.mission import CourseMission
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.identify.excitation import FENCE_M, excite
 from deploy.identify.fit import identify
@@ -169,7 +170,8 @@ class Stack:
         changed = config.estimator.model_copy(update=dict(self.estimator))
         config = config.model_copy(update={"estimator": changed})
         publisher = TicklessPublisher(link, lambda message: None, self.driver.neurons, bridge)
-        drive = Drive(link, self._controller(number, config), publisher, config, lambda: False, clock=bridge)
+        mission = CourseMission(self._controller(number, config), config)
+        drive = Drive(link, mission, publisher, config, lambda: False, clock=bridge)
         drive_whole(drive)
         report = drive.keeper.report()
         verdict = truth.judge(course, link.first_command_ns)

@@ -40,7 +40,7 @@ class VirtualDocking(VirtualDrive):
         self.link._start = None
         self.base.observe = self._localise
 
-    def controller(self):
+    def mission(self):
         return Docking(self.config, self.staging, self.policy)
 
     def _localise(self, now):

@@ -8,6 +8,7 @@ from deploy.drive.config import DriveConfig
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
 from deploy.drive.link import Arrival
+from deploy.drive.mission import CourseMission
 from deploy.drive.records import TICKS_TOPIC, attachments
 from deploy.drive.result import result_of
 from deploy.drive.tick_messages import Publisher
@@ -197,9 +198,10 @@ class VirtualDrive:
         self.link = ChangedLink(self.bridge, self.recorded.append)
         self.interrupted = lambda: False
 
-    def controller(self):
+    def mission(self):
         config = self.config
-        return Controller(self.policy, self.course, config.estimator, config.rover, config.described)
+        controller = Controller(self.policy, self.course, config.estimator, config.rover, config.described)
+        return CourseMission(controller, config)
 
     def run(self):
         """Drive; return the result as JSON has it."""
@@ -211,9 +213,7 @@ class VirtualDrive:
             self.bridge,
             frame=self.config.pose_frame,
         )
-        drive = Drive(
-            self.link, self.controller(), publisher, self.config, self.interrupted, clock=self.bridge
-        )
+        drive = Drive(self.link, self.mission(), publisher, self.config, self.interrupted, clock=self.bridge)
         try:
             drive.wait()
             drive.run({name: zlib.crc32(content) for name, content in files.items()})

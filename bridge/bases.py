@@ -94,7 +94,12 @@ def gate_limits(file: Path | None, description: RobotDescription | None) -> Limi
     if description is None:
         return given
     motion = description.motion
-    own = {"v_max": motion.v_max, "omega_max": motion.omega_max, "brake": motion.decel}
+    own = {
+        "v_max": motion.v_max,
+        "omega_max": motion.omega_max,
+        "brake": motion.decel,
+        "speed_mean_s": description.odometry.speed_mean_s,
+    }
     for name, most in own.items():
         value = getattr(given, name)
         if name in given.model_fields_set and value > most:

@@ -189,7 +189,9 @@ def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateStat
         if driven or state.now - min(pose_s, state.halted_s) > limits.speed_mean_s:
             frozen_m += _sustained_speed(before.v, base.v) * elapsed
             frozen_rad += _sustained_speed(before.omega, base.omega) * elapsed
-    if 0.0 < base.battery_v < limits.battery_min_v:
+    if not base.battery_v > 0.0:  # not known: a voltage that was low is taken to be low still
+        low_since_s = state.low_since_s
+    elif base.battery_v < limits.battery_min_v:
         low_since_s = state.now if state.low_since_s is None else state.low_since_s
     return replace(
         state,

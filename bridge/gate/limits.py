@@ -79,11 +79,12 @@ class Limits(StrictModel):
         """
         motion, given = robot.motion, self.model_fields_set
         battery_min_v = self.battery_min_v if "battery_min_v" in given else 0.0
+        mean_s = robot.odometry.speed_mean_s
         chosen = {
             "v_max": min(self.v_max, motion.v_max),
             "omega_max": min(self.omega_max, motion.omega_max),
             "brake": min(self.brake, motion.decel),
             "battery_min_v": max(robot.battery.min_v, battery_min_v),
-            "speed_mean_s": self.speed_mean_s if "speed_mean_s" in given else robot.odometry.speed_mean_s,
+            "speed_mean_s": min(mean_s, self.speed_mean_s) if "speed_mean_s" in given else mean_s,
         }
         return self.model_copy(update=chosen)

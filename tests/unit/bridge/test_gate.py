@@ -1,5 +1,6 @@
 """The gate: timelines of events and verdicts (tests/data/gate_timelines.txt), and other cases."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -74,10 +75,21 @@ def test_a_robots_own_limits_count_where_they_are_tighter_or_nothing_else_is_set
     found = Limits().within(burger)
     assert (found.v_max, found.omega_max, found.brake) == (0.22, 0.6, 0.3)
     assert (found.battery_min_v, found.speed_mean_s) == (burger.battery.min_v, burger.odometry.speed_mean_s)
-    assert Limits(v_max=0.1, battery_min_v=12.0, speed_mean_s=0.5).within(burger).model_dump() == (
-        Limits(v_max=0.1, battery_min_v=12.0, speed_mean_s=0.5).model_dump()
-    )
+    assert Limits(v_max=0.1, battery_min_v=12.0).within(burger) == Limits(v_max=0.1, battery_min_v=12.0)
     assert found.within(burger) == found
+    husky = load_description("husky-a200")
+    means = [Limits(speed_mean_s=mean_s).within(husky).speed_mean_s for mean_s in (0.5, 1.0, 5.0)]
+    assert means == [0.5, 1.0, 1.0]  # a longer mean would excuse frozen odometry for longer
+
+
+@pytest.mark.parametrize("unknown", [0.0, math.nan])
+def test_a_low_battery_that_is_not_known_in_between_is_low_still(unknown):
+    gate = Gate()
+    for tick in range(40):
+        gate.at(0.1 * tick, BaseReport(battery_v=unknown if tick % 2 else 9.0))
+    assert gate.enable(4.0).refusal is Reason.LOW_BATTERY
+    gate.at(4.1, BaseReport(battery_v=12.5))
+    assert gate.enable(4.1).refusal is None
 
 
 def test_the_key_is_in_no_text_about_the_gate():

@@ -21,6 +21,7 @@ def test_the_gates_limits_are_those_of_the_robot(tmp_path):
     assert (limits.v_max, limits.omega_max, limits.battery_min_v) == (0.22, 0.6, 10.5)
     for text, words in (
         ("v_max: 0.25", "v_max is 0.25, but turtlebot3-burger has 0.22 at most"),
+        ("speed_mean_s: 1", "speed_mean_s is 1, but turtlebot3-burger has 0 at most"),
         ("battery_min_v: 10", "battery_min_v is 10, but turtlebot3-burger has 10.5 at least"),
     ):
         with pytest.raises(UsageError, match=words):

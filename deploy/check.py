@@ -13,7 +13,6 @@ from deploy import comparisons
 from deploy.check_inputs import NO_REPLY, Battery, InputSteps
 from deploy.check_moves import Moves
 from deploy.comparisons import Answer, Samples
-from deploy.drive.dead_zone import STEP, DeadZone, clear_of
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.zenoh_link import ZenohLink
@@ -24,6 +23,7 @@ from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import RoverNcpError, SafetyStop
 from rover_ncp.core.geometry import Velocity, relative
 from rover_ncp.core.process import Clock, Interrupts
+from rover_ncp.robot.dead_zone import STEP, DeadZone, clear_of
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.protocol import BaseReply, GateStatus, TimeoutState
 

@@ -21,7 +21,6 @@ from typing import Self
 
 from pydantic import Field
 
-from deploy.drive.dead_zone import DeadZone
 from deploy.drive.link import Link
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
@@ -36,6 +35,7 @@ from rover_ncp.core.geometry import STANDSTILL
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Clock, Interrupts
 from rover_ncp.course.course import TICK_S
+from rover_ncp.robot.dead_zone import DeadZone
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.protocol import in_words
 

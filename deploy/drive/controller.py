@@ -18,8 +18,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.drive.dead_zone import DeadZone
-from deploy.drive.hold import HOLD, hold_from_s, holds
 from deploy.estimator.estimator import Estimate, Estimator
 from deploy.estimator.settings import TURN_GAINS, EstimatorSettings
 from rover_ncp.circuit.policy import Policy
@@ -27,8 +25,10 @@ from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, Velocity, compose, near
 from rover_ncp.course.course import TICK_S, Course
+from rover_ncp.course.hold import HOLD, hold_from_s, holds
 from rover_ncp.course.reference import Reference, plan_reference
 from rover_ncp.course.scoring import Verdict, judge
+from rover_ncp.robot.dead_zone import DeadZone
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import RoverProfile
 

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from deploy.drive.dead_zone import STEP, Pulse, clear_of, pulsed
-from deploy.drive.hold import HOLD, holds
 from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.course.hold import HOLD, holds
 from rover_ncp.course.signals import signals
 from rover_ncp.kernels.jit import inlined_kernel, kernel, without_refcounts
+from rover_ncp.robot.dead_zone import STEP, Pulse, clear_of, pulsed
 from sim.learn.engine.lanes import IDLE, WARMING_UP, FloatArray, IntArray, Lanes, Queue, Tasks
 from sim.world.fleet import (
     FleetArrays,

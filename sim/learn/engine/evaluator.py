@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deploy.drive.hold import hold_from_s
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.course.course import TICK_S, Course
+from rover_ncp.course.hold import hold_from_s
 from rover_ncp.course.reference import Reference, plan_reference
 from rover_ncp.course.scoring import due_checkpoints
 from rover_ncp.course.signals import SIGNALS

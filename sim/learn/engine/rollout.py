@@ -16,15 +16,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.drive.dead_zone import STEP, Pulse, clear_of, pulsed
-from deploy.drive.hold import HOLD, hold_from_s, holds
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import FunctionRunner, RoverInterface
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.geometry import Pose, Velocity, distance, near, wrap_angle
 from rover_ncp.course.course import TICK_S, Course
+from rover_ncp.course.hold import HOLD, hold_from_s, holds
 from rover_ncp.course.reference import Reference, plan_reference
 from rover_ncp.course.scoring import Verdict, due_checkpoints, judge, reward
+from rover_ncp.robot.dead_zone import STEP, Pulse, clear_of, pulsed
 from sim.learn.engine.lane_runner import OneLaneRunner
 from sim.world.described import default_rover
 from sim.world.motion_errors import (

@@ -5,8 +5,8 @@ import random
 import pytest
 from kit.described import described
 
-from deploy.drive.dead_zone import PULSE_TICKS, DeadZone, Pulse, pulsed
 from rover_ncp.core.geometry import Velocity
+from rover_ncp.robot.dead_zone import PULSE_TICKS, DeadZone, Pulse, pulsed
 from rover_ncp.robot.description import DeadBand, load_description
 from rover_ncp.robot.profile import RoverProfile
 

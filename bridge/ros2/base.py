@@ -35,7 +35,7 @@ from bridge.ros2.discovery import Announced
 from bridge.ros2.gyro import GyroTurns
 from bridge.ros2.hazards import Hazards
 from bridge.ros2.inputs import RosBattery, docked_passed_on, pose_passed_on
-from bridge.ros2.odometry import CLOCK_BACK_S, LOSS_S, MIN_IN_RATE, RATE_S, Moved, RosOdometer
+from bridge.ros2.odometry import LOSS_S, MIN_IN_RATE, RATE_S, Moved, RosOdometer
 from bridge.ros2.scan import ScanRoom
 from bridge.ros2.unused import UnusedMessages
 from rover_ncp.core.errors import FormatError
@@ -124,11 +124,11 @@ class Ros2Base:
     def __init__(self, line: Connection, description: RobotDescription, unsafe: bool) -> None:
         assert description.topics is not None
         self._line, self._description, self._topics = line, description, description.topics
-        self._odometer = RosOdometer(self._topics, description.motion)
+        self._odometer = RosOdometer(self._topics, description.motion, line.topic(self._topics.odom))
         self._announced = AnnouncedTopics(line.topic, line.zid)
         self._contradictions: dict[str, float] = {}
         """Reasons against being ready, and when each was last seen."""
-        self._loop = self._ready = self._was_ready = self._named = False
+        self._loop = self._ready = self._was_ready = False
         self._known_restarts = self._known_jumps = 0
         self._began_s: float | None = None
         self._sent: deque[tuple[float, bytes]] = deque(maxlen=256)
@@ -156,16 +156,8 @@ class Ros2Base:
         match arrival:
             case RobotMessage():
                 events = self._message(arrival)
-                back_s = self._odometer.set_back_s if arrival.topic == self._topics.odom else 0.0
-                if 0.0 < back_s <= CLOCK_BACK_S:  # beyond it, it is a restart
-                    topic = self._line.topic(arrival.topic)
-                    changes.append(Notice(f"the clock that stamps {topic} was set back by {back_s:.2f} s"))
-                if self._odometer.unnamed and not self._named:
-                    self._named = True
-                    topic = self._line.topic(self._topics.odom)
-                    frames = f"{self._topics.odom_frame or 'odom'} → {self._topics.base_frame or 'base_link'}"
-                    words = f"odometry on {topic} leaves a frame empty: it is taken for {frames}"
-                    changes.append(Notice(words))
+                if arrival.topic == self._topics.odom:
+                    changes += map(Notice, self._odometer.notices)
             case TokenSeen(token, there):
                 self._announced.update(token, there)
                 for found, kind in hazard_topics(self._topics):

@@ -6,9 +6,11 @@ constant, and may be set (`rover_ncp.core.clock_offset`).
 
 import math
 from collections import deque
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
-from rover_ncp.core.clock_offset import StampClock
+from rover_ncp.core.clock_offset import StampClock, update_clock_offset
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import (
     STANDSTILL,
@@ -35,8 +37,10 @@ JUMP_M, JUMP_RAD = 0.05, 0.1
 """A pose farther from the last one than the robot can drive, and this, has jumped."""
 MAX_NAME = 60
 """Longest frame name in a message."""
-MIN_RATE_S, OTHER_RATE = 1.0, 0.03
-"""A clock's rate is compared over so long; clocks of computers differ by far less."""
+OTHER_RATE = 0.02
+"""Clocks of computers differ by far less than this in a second."""
+LATE_SECONDS, NOTICE_SECONDS = 2, 5
+"""A clock's rate is named if it is another in each of so many seconds: when odometry is late, or alone."""
 ALTERNATIONS = 2
 CONFLICT_S = 1.0
 
@@ -50,21 +54,24 @@ class Moved(NamedTuple):
 
 
 class RosOdometer:
-    """Reads one robot's odometry; ``problem`` is what was wrong with the last message if it did not count."""
+    """Reads one robot's odometry; ``problem`` is what was wrong with the last message if it did not count.
 
-    def __init__(self, topics: Topics, motion: Motion) -> None:
-        self._topics, self._motion = topics, motion
+    ``where`` is the topic's full name.
+    """
+
+    def __init__(self, topics: Topics, motion: Motion, where: str) -> None:
+        self._topics, self._motion, self._where = topics, motion, where
         self.counters = dict.fromkeys(("messages", "stale", "repeated", "foreign"), 0)
         self.problem = ""
-        self.unnamed = False
-        """Whether the last message that counts leaves a frame empty."""
+        self.notices: list[str] = []
+        """Lines for the log that the last message gave cause for."""
+        self._unnamed = self._other_rate = False
+        """Whether the log names an empty frame, and a clock that runs at another rate."""
         self.restarts = 0
         """How often the origin was set anew, because the robot began again, and why the last time."""
         self.restart_reason = ""
         self.jumps = 0
         """How often the pose went on elsewhere than it was."""
-        self.set_back_s = 0.0
-        """By how much the robot's clock was set back, as the last message shows; else 0."""
         self._good_s = -math.inf
         self._spread: deque[float] = deque(maxlen=MIN_IN_RATE)
         """When messages that count arrived, without those of a burst."""
@@ -73,8 +80,8 @@ class RosOdometer:
         """The last two, the newest last, and when each last published."""
         self._clock = StampClock()
         self._stamp_ns = 0
-        self._stamps: deque[tuple[float, int]] = deque(maxlen=64)
-        """When messages arrived, without those of a burst, and their stamps."""
+        self._offsets: tuple[tuple[int, float], ...] = ()
+        """Seconds of arrival, and the smallest (arrival − stamp) in each, whether it counts or not."""
         self._seen: deque[tuple[float, Pose]] = deque(maxlen=2)
         self._velocity, self._jumped = STANDSTILL, False
         self._alternations: deque[float] = deque(maxlen=ALTERNATIONS)
@@ -87,7 +94,7 @@ class RosOdometer:
     def take(self, payload: bytes, arrived_s: float, source: bytes | None = None) -> Moved | None:
         """Return the motion that a message reports; None if it does not count."""
         self.counters["messages"] += 1
-        self.set_back_s = 0.0
+        self.notices = []
         self._arrivals.append(arrived_s)
         try:
             sample = read_odometry(payload)
@@ -107,7 +114,10 @@ class RosOdometer:
                 "set topics.odom_frame and topics.base_frame in the description"
             )
             return None
-        self.unnamed = not (sample.frame and sample.child)
+        if not (sample.frame and sample.child) and not self._unnamed:
+            self._unnamed = True
+            frames = f"{expected[0] or 'odom'} → {expected[1] or 'base_link'}"
+            self.notices.append(f"odometry on {self._where} leaves a frame empty: it is taken for {frames}")
         if not all(map(math.isfinite, (*sample.pose, *sample.velocity))):
             self.problem = "odometry is not finite"
             self._spread.clear()
@@ -152,14 +162,21 @@ class RosOdometer:
         if stamp_ns == 0:  # a publisher without a clock
             return True
         arrived_ns = round(arrived_s * 1e9)
-        if not self._stamps or arrived_s - self._stamps[-1][0] >= BURST_S:
-            self._stamps.append((arrived_s, stamp_ns))
+        self._offsets = update_clock_offset(self._offsets, arrived_s, stamp_ns)
+        seconds = self._offsets[-NOTICE_SECONDS - 2 : -1]  # the second of now is not over
+        rate = _clock_rate(seconds) if len(seconds) > NOTICE_SECONDS else ""
+        if rate and not self._other_rate:
+            self._other_rate = True
+            speeds = "it then drives at other speeds than it is sent"
+            self.notices.append(f"odometry on {self._where}: {rate}; {speeds}")
         measured_ns = self._clock.measured_ns(stamp_ns, arrived_ns)
-        self.set_back_s = self._clock.set_back_s
-        if self.set_back_s:
+        back_s = self._clock.set_back_s
+        if back_s:
             self._stamp_ns = 0
-        if self.set_back_s > CLOCK_BACK_S:
-            self._restart(f"its clock was set back by {self.set_back_s:.2f} s")
+        if back_s > CLOCK_BACK_S:
+            self._restart(f"its clock was set back by {back_s:.2f} s")
+        elif back_s:
+            self.notices.append(f"the clock that stamps {self._where} was set back by {back_s:.2f} s")
         if self._clock.doubt_s > CLOCK_BACK_S:
             self._clock_jumps.append(arrived_s)
         if measured_ns is None:
@@ -174,17 +191,10 @@ class RosOdometer:
         self._age_s = (arrived_ns - measured_ns) * 1e-9
         if self._age_s > STALE_S:
             self.counters["stale"] += 1
-            self.problem = f"odometry arrives {self._age_s:.1f} s late{self._clock_rate()}"
+            rate = _clock_rate(self._offsets[-LATE_SECONDS - 1 :])
+            self.problem = f"odometry arrives {self._age_s:.1f} s late" + (f": {rate}" if rate else "")
             return False
         return True
-
-    def _clock_rate(self) -> str:
-        """Return in words if the robot's clock runs at another rate; "" if not, or not known."""
-        (began_s, began_ns), (now_s, now_ns) = self._stamps[0], self._stamps[-1]
-        rate = (now_ns - began_ns) * 1e-9 / (now_s - began_s) if now_s - began_s >= MIN_RATE_S else 1.0
-        if abs(rate - 1.0) < OTHER_RATE:
-            return ""
-        return f": its stamps advance by {rate:.2f} s in a second of this computer, as in a slow simulation"
 
     def _moved(self, sample: OdometrySample, arrived_s: float, source: bytes | None) -> Moved:
         if self._seen and (reason := self._restarted(sample.pose, arrived_s, source)):
@@ -241,3 +251,17 @@ class RosOdometer:
         self._origin = None
         self._spread.clear()
         self._seen.clear()
+
+
+def _clock_rate(offsets: Sequence[tuple[int, float]]) -> str:
+    """Return in words if a clock ran at another rate in each second, by its offsets; "" if not.
+
+    A clock that is set differs in one second only.
+    """
+    rates = [1.0 - (after - before) / (to - since) for (since, before), (to, after) in pairwise(offsets)]
+    fast, slow = (rate > 1.0 + OTHER_RATE for rate in rates), (rate < 1.0 - OTHER_RATE for rate in rates)
+    if not rates or not (all(fast) or all(slow)):
+        return ""
+    mean = math.fsum(rates) / len(rates)
+    simulated = f"as in a simulation that is {'faster' if mean > 1.0 else 'slower'} than real time"
+    return f"its stamps advance by {mean:.2f} s in a second of this computer, {simulated}"

@@ -3,7 +3,7 @@
 import gc
 import math
 import tracemalloc
-from itertools import pairwise
+from itertools import cycle, pairwise
 
 import pytest
 from kit.ros2_world import BURGER, EPOCH_S, announced, odometry
@@ -21,15 +21,40 @@ def test_jitter_does_not_lose_it(ready):
     assert [type(event) for event in ready.events] == [Ready]
 
 
+def at_rate(world, rate, seconds):
+    """Let a robot's clock run at a rate, while messages are up to 80 ms on their way."""
+    began_s, late = world.now, cycle((0.0, 0.06, 0.01, 0.08, 0.03))
+
+    def send():
+        if round(world.now * 100) % 5 == 0:
+            world.hear("odom", odometry(EPOCH_S + began_s + rate * (world.now - began_s) - next(late)))
+
+    world.run(seconds, odom=False, each=send)
+
+
 def test_clock_that_runs_slower_is_named(ready):
-    began_s = ready.now
-
-    def slow():
-        ready.hear("odom", odometry(EPOCH_S + began_s + 0.9 * (ready.now - began_s)))
-
-    ready.run(5.0, odom=False, each=slow)
+    at_rate(ready, 0.9, 5.0)
     (lost,) = [event for event in ready.events if isinstance(event, Lost)][:1]
-    assert "its stamps advance by 0.9" in lost.reason
+    assert "its stamps advance by 0." in lost.reason
+
+
+@pytest.mark.parametrize("rate", [1.03, 1.5, 2.0])
+def test_clock_that_runs_faster_is_named_once(ready, rate):
+    """Its stamps never look old, and the robot drives faster than by its own speeds."""
+    at_rate(ready, rate, 20.0)
+    notices = [event.text for event in ready.events if isinstance(event, Notice)]
+    assert len(notices) == 1
+    named = float(notices[0].split("advance by ")[1].split()[0])
+    assert named == pytest.approx(rate, abs=0.03)
+
+
+@pytest.mark.parametrize("set_s", [-1.0, 0.4, 3600.0])
+def test_clock_that_is_set_has_no_other_rate(ready, set_s):
+    for _ in range(3):
+        at_rate(ready, 1.0, 4.0)
+        ready.clock_s += set_s
+        ready.run(4.0)
+    assert not [event for event in ready.events if isinstance(event, Notice) and "advance" in event.text]
 
 
 def test_bursts_of_old_odometry_do_not_count(ready):
@@ -71,7 +96,7 @@ def test_two_nodes_that_publish_odometry_are_named(ready):
 
 def test_publishers_with_ever_new_identities_take_no_memory():
     """Any peer of the robot's network may choose the 16 bytes of its identity."""
-    odometer, payload = RosOdometer(BURGER.topics, BURGER.motion), odometry(EPOCH_S)
+    odometer, payload = RosOdometer(BURGER.topics, BURGER.motion, "odom"), odometry(EPOCH_S)
     held = []
     tracemalloc.start()
     for k in range(600):

@@ -14,7 +14,6 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from deploy.view.findings import analyse
 from deploy.view.page import findings_data, findings_html, fragment
 from deploy.view.page_data import columns, event_rows
 from deploy.view.recorded_drive import KINDS, facts
@@ -23,6 +22,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import FormatError
 from rover_ncp.course.course import Course
 from rover_ncp.course.scoring import Parked, Verdict
+from rover_ncp.neurons.findings import analyse
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.key_table import TAG_VIEW

@@ -15,8 +15,6 @@ from jinja2 import Environment, PackageLoader
 from markupsafe import Markup, escape
 from pydantic import Field
 
-from deploy.view.findings import Findings, analyse, number
-from deploy.view.interpretation import SYMBOLS
 from deploy.view.page_data import (
     circuit_data,
     columns,
@@ -26,11 +24,13 @@ from deploy.view.page_data import (
     trace_columns,
 )
 from deploy.view.recorded_drive import KINDS, Drive, read_drive, summarise
-from deploy.view.shapes import OUTLINE, FloatArray
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.config import ResultModel
 from rover_ncp.core.files import require_writable, write_atomic
 from rover_ncp.course.course import Course
+from rover_ncp.course.shapes import OUTLINE, FloatArray
+from rover_ncp.neurons.findings import Findings, analyse, number
+from rover_ncp.neurons.interpretation import SYMBOLS
 
 
 def _bar(loss: float, most: float) -> int:

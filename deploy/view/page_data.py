@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deploy.view.findings import Findings
-from deploy.view.layout import HEIGHT, RADIUS, WIDTH, label_lines, labels, lay_out, name_lines
-from deploy.view.shapes import OUTLINE, FloatArray, at_places, rectangle
 from deploy.view.timeline import Command, Moved, Tick, Timeline
-from deploy.view.trace import Trace, synapse_currents
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.course import Course
 from rover_ncp.course.reference import plan_reference
+from rover_ncp.course.shapes import OUTLINE, FloatArray, at_places, rectangle
+from rover_ncp.neurons.findings import Findings
+from rover_ncp.neurons.layout import HEIGHT, RADIUS, WIDTH, label_lines, labels, lay_out, name_lines
+from rover_ncp.neurons.trace import Trace, synapse_currents
 
 REFERENCE_EVERY = 5
 """Ticks between points of the reference."""

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from deploy.place.outcome import DockResult, PoseErrors
-from deploy.view.shapes import OUTLINE, FloatArray, outline_of
 from deploy.view.timeline import TOPICS, Moved, Tick, Timeline
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml
@@ -16,6 +15,7 @@ from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import relative
 from rover_ncp.course.course import Course
 from rover_ncp.course.scoring import Parked, Verdict
+from rover_ncp.course.shapes import OUTLINE, FloatArray, outline_of
 from rover_ncp.recording.recorded import steady
 from rover_ncp.recording.recording import Recording, read_recording
 from rover_ncp.robot.description import RobotDescription, recorded_robot

@@ -36,7 +36,6 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 
 from deploy.view.feed import Cursor, Feed
 from deploy.view.page import watch_page
-from deploy.view.shapes import outline_of
 from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.config import ResultModel
@@ -45,6 +44,7 @@ from rover_ncp.core.errors import FormatError, NoBridge, NotAuthorised, PortInUs
 from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
 from rover_ncp.course.course import load_course
+from rover_ncp.course.shapes import outline_of
 from rover_ncp.course.slowdown import slowed
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import load_description

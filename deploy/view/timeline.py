@@ -15,12 +15,12 @@ import numpy as np
 from pydantic import BaseModel
 
 from deploy.place.outcome import DOCK_TOPIC, DockResult, Stage
-from deploy.view.trace import FloatArray, Trace, motor_outputs
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, compose, inverse
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.scoring import Parked, Verdict, judge
+from rover_ncp.neurons.trace import FloatArray, Trace, motor_outputs
 from rover_ncp.recording.recorded import TICKS_TOPIC
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire.cdr import decode

@@ -13,17 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from deploy.view.findings import Findings, analyse, number
-from deploy.view.interpretation import Contribution, TimeConstant
-from deploy.view.phases import ExplainedPhase
 from deploy.view.recorded_drive import read_drive
-from deploy.view.trace import Trace
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.config import ResultModel
 from rover_ncp.core.errors import UsageError
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.scoring import Parked, Verdict
+from rover_ncp.neurons.findings import Findings, analyse, number
+from rover_ncp.neurons.interpretation import Contribution, TimeConstant
+from rover_ncp.neurons.phases import ExplainedPhase
+from rover_ncp.neurons.trace import Trace
 from rover_ncp.robot.description import RobotDescription
 from sim.explain.what_if import Knockout, Outcome, Sensitivity, knock_outs, sensitivities
 from sim.learn.engine.evaluator import Evaluator

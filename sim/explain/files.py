@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from deploy.view.findings import number
 from rover_ncp.core.files import write_atomic
+from rover_ncp.neurons.findings import number
 from sim.explain.explain import Explanation
 from sim.explain.what_if import STEP, Knockout, Sensitivity
 
@@ -29,7 +29,7 @@ def page(found: Explanation) -> str:
     """Return an explanation as a page."""
     from deploy.view.page import Table, run_page
     from deploy.view.recorded_drive import KINDS
-    from deploy.view.shapes import OUTLINE, outline_of
+    from rover_ncp.course.shapes import OUTLINE, outline_of
 
     verdict = found.verdict
     if verdict is None:

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy.view.trace import Trace
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.streams import Domain, episode_seeds
 from rover_ncp.course.course import load_course
+from rover_ncp.neurons.trace import Trace
 from sim.evaluate.benchmark import benchmark_policy
 from sim.explain.explain import (
     Explanation,

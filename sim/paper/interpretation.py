@@ -12,9 +12,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.view.interpretation import STILL_MV, Sign, sign_of, time_constant_ranges
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.course.course import load_course
+from rover_ncp.neurons.interpretation import STILL_MV, Sign, sign_of, time_constant_ranges
 from sim.learn.engine.rollout import Rollout, rollout
 from sim.paper.agents import build_agent
 from sim.paper.results import Result, ResultStore

@@ -14,9 +14,7 @@ from pathlib import Path
 from pydantic import BaseModel, Field
 
 from deploy.view.page import drive_page
-from deploy.view.pictures import drive_picture, render
 from deploy.view.recorded_drive import read_drive
-from deploy.view.shapes import outline_of
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.rover_interface import RoverInterface
@@ -24,6 +22,8 @@ from rover_ncp.core.console import Output, reject
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import DEFAULT_ROBOT, require_writable, write_atomic
 from rover_ncp.course.course import Course, load_course
+from rover_ncp.course.pictures import drive_picture, render
+from rover_ncp.course.shapes import outline_of
 from rover_ncp.course.slowdown import slowed
 from rover_ncp.recording.recording import read_recording, rewrite
 from rover_ncp.robot.description import load_description

@@ -8,12 +8,12 @@ from kit.paths import DATA
 
 from deploy.drive.controller import Controller
 from deploy.estimator.settings import EstimatorSettings
-from deploy.view.trace import motor_outputs
 from rover_ncp import api
 from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose
+from rover_ncp.neurons.trace import motor_outputs
 from sim import api as sim_api
 
 SHORT = str(DATA / "short_course.yaml")

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from kit.recorded_drives import write_drive
 
-from deploy.view.shapes import outline_of
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
 from rover_ncp.course.scoring import Verdict
+from rover_ncp.course.shapes import outline_of
 from rover_ncp.robot.description import load_description
 from sim.explain.explain import explain
 from sim.explain.files import page

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from kit.paper_runs import result
 
-from deploy.view.interpretation import Sign, sign_of
+from rover_ncp.neurons.interpretation import Sign, sign_of
 from sim.paper import BudgetName, claims
 from sim.paper.agents import build_agent
 from sim.paper.claims import Claim, Verdict, judge_claims, load_claims

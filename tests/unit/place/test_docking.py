@@ -9,13 +9,13 @@ from kit.virtual_docking import BEFORE_STAGING, STAGING, VirtualDocking, chargin
 from deploy.drive.tick_messages import FRAMES_TOPIC, PATH_TOPIC, POSE_TOPIC
 from deploy.place.outcome import DockError
 from deploy.replay import replay
-from deploy.view.findings import analyse
 from deploy.view.page_data import columns
 from deploy.view.recorded_drive import read_drive, summarise
-from deploy.view.trace import synapse_currents
 from rover_ncp.core.errors import NoBridge
 from rover_ncp.core.geometry import Pose, distance
 from rover_ncp.course.course import Obstacle
+from rover_ncp.neurons.findings import analyse
+from rover_ncp.neurons.trace import synapse_currents
 from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.messages import (
     battery_state,

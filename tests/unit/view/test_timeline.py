@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 from kit.recorded_drives import BEGAN_NS, TICK_NS, state, write_drive
 
-from deploy.view.findings import analyse
 from deploy.view.recorded_drive import read_drive
 from deploy.view.timeline import Timeline
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.geometry import Pose
+from rover_ncp.neurons.findings import analyse
 from rover_ncp.recording.recording import Recorded, RecordingWriter, read_recording
 from rover_ncp.wire import messages
 from rover_ncp.wire.protocol import DriverStatus, GateStatus

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from deploy.view.trace import FloatArray
 from rover_ncp.circuit.circuit import Circuit, time_constants
 from rover_ncp.core.config import ResultModel
+from rover_ncp.neurons.trace import FloatArray
 
 BINS = 10
 """Bins of a histogram of Omega over -pi/2..pi/2 (supplement, figure of the slopes)."""

@@ -15,11 +15,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from matplotlib.patheffects import withStroke
 
-from deploy.view.shapes import OUTLINE, FloatArray, at_places, placed, rectangle
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.feasibility import Drivability
 from rover_ncp.course.reference import Reference, plan_reference
+from rover_ncp.course.shapes import OUTLINE, FloatArray, at_places, placed, rectangle
 
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
 INK, GREY = "#1B1F24", "#6B7280"

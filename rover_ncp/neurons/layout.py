@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.view.trace import FloatArray
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.neurons.trace import FloatArray
 
 WIDTH, HEIGHT, ROW = 560.0, 600.0, 160.0
 RADIUS = 30.0

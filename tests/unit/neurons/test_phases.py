@@ -3,15 +3,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from deploy.view.findings import analyse
-from deploy.view.phases import Mean, explain, phases
-from deploy.view.trace import Trace, motor_outputs, motor_shares
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy, course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.sensing import Channel, Sensing
 from rover_ncp.course.course import load_course
+from rover_ncp.neurons.findings import analyse
+from rover_ncp.neurons.phases import Mean, explain, phases
+from rover_ncp.neurons.trace import Trace, motor_outputs, motor_shares
 from sim.explain.explain import traced
 from sim.learn.engine.rollout import rollout
 from sim.learn.random_circuit import build_circuit

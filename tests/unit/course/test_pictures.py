@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from deploy.view.pictures import course_picture, drive_picture
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import load_course
 from rover_ncp.course.feasibility import check_course
+from rover_ncp.course.pictures import course_picture, drive_picture
 from rover_ncp.course.reference import plan_reference
 
 

@@ -4,7 +4,7 @@ Ticks are grouped by the signs of their commands; below a tenth of the circuit's
 Phases shorter than half a second are merged with their longer neighbour. A phase is named for its net motion,
 less of which counts if its commands ask for it. A phase is explained backwards from its output: the
 motor neuron with the largest share in it, the neuron whose synapse pulls most on that motor neuron, and the
-synapses that pull most on that neuron. Pulls are means over the phase in mV (`deploy.view.trace`). In a
+synapses that pull most on that neuron. Pulls are means over the phase in mV (`rover_ncp.neurons.trace`). In a
 task that is no drive, the commands are the policy's outputs.
 """
 
@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from deploy.view.trace import Currents, FloatArray, Trace, motor_shares, synapse_currents
 from rover_ncp.circuit.circuit import MIDPOINT_MV
 from rover_ncp.core.config import ResultModel
 from rover_ncp.core.geometry import Velocity, wrap_angle
+from rover_ncp.neurons.trace import Currents, FloatArray, Trace, motor_shares, synapse_currents
 
 V, OMEGA = 0, 1
 IDLE = 0.1

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.view.interpretation import Contribution, TimeConstant, contributions, time_constant_ranges
-from deploy.view.layout import labels, layers
-from deploy.view.phases import STILL, ExplainedPhase, Mean, Phase, explain
-from deploy.view.trace import Trace
+from rover_ncp.neurons.interpretation import Contribution, TimeConstant, contributions, time_constant_ranges
+from rover_ncp.neurons.layout import labels, layers
+from rover_ncp.neurons.phases import STILL, ExplainedPhase, Mean, Phase, explain
+from rover_ncp.neurons.trace import Trace
 
 WEAK_MV, WEAK_SHARE = 1.0, 0.15
 """A sentence omits pulls below either limit; the second is a share of the strongest pull."""

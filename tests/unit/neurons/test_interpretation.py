@@ -5,15 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.view.interpretation import (
+from rover_ncp.circuit.circuit import SynapseKind
+from rover_ncp.circuit.policy_file import load_circuit
+from rover_ncp.neurons.interpretation import (
     Sign,
     contributions,
     slopes,
     time_constant_ranges,
 )
-from deploy.view.trace import synapse_currents
-from rover_ncp.circuit.circuit import SynapseKind
-from rover_ncp.circuit.policy_file import load_circuit
+from rover_ncp.neurons.trace import synapse_currents
 from sim.learn.random_circuit import build_circuit
 
 POTENTIAL = st.integers(-9000, 0).map(lambda hundredths: hundredths / 100)

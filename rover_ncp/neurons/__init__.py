@@ -1,0 +1,1 @@
+"""What the neurons of a policy do: currents, phases of a manoeuvre, findings, and how a circuit is drawn."""

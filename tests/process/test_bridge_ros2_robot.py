@@ -22,6 +22,7 @@ from bridge.ros2.address import parse_ros_address
 from bridge.ros2.base import command
 from bridge.ros2.connection import RosConnection
 from bridge.ros2.discovery import Announced, Convention
+from bridge.ros2.rmw import gid
 from bridge.ros2.ros_node import RosNode
 from rover_ncp import cli
 from rover_ncp.core.errors import NoRobot
@@ -146,8 +147,10 @@ def test_what_goes_over_the_wire_is_in_the_published_form(form):
 def test_a_second_publisher_of_commands_arrives_with_its_name():
     with RobotNetwork(RMW_ZENOH) as network, connected(network.base) as (_, look):
         topic = f"%cmd_vel/geometry_msgs::msg::dds_::TwistStamped_/{STAMPED_HASH}/::,10:,:,:,,"
-        token = network.session.liveliness().declare_token(f"@ros2_lv/0/joy/0/1/MP/%/%/joystick/{topic}")
-        wait_for(lambda: Announced("joy", True, "cmd_vel", TWIST_STAMPED, "/joystick") in look()[1])
+        key = f"@ros2_lv/0/joy/0/1/MP/%/%/joystick/{topic}"
+        token = network.session.liveliness().declare_token(key)
+        announced = Announced("joy", True, "cmd_vel", TWIST_STAMPED, "/joystick", gid(key))
+        wait_for(lambda: announced in look()[1])
         attachment = struct.pack("<qqB16s", 1, time.time_ns(), 16, b"j" * 16)
         network.session.put(network.cmd_key, encode(TWIST_STAMPED), attachment=attachment)
         assert wait_for(lambda: look()[0].get("cmd_vel")).source == b"j" * 16

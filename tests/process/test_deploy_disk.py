@@ -4,7 +4,6 @@ import json
 import resource
 import subprocess
 import sys
-import time
 
 import pytest
 from kit.bridge_bench import wait_for
@@ -28,6 +27,7 @@ recorder.begin()
 while not recorder.failure:
     now_ns = time.time_ns()
     recorder.put(Recorded("rover/status", "std_msgs/msg/String", text(os.urandom(500).hex()), now_ns, now_ns))
+    print(now_ns, flush=True)
     time.sleep(0.01)
 recorder.close()
 print(json.dumps(recorder.fields))
@@ -72,12 +72,11 @@ def test_a_killed_process_loses_half_a_second_and_its_recording_is_made_whole(re
     assert cli.run(["recover", str(path)]) == 2
     assert f"{path}: another process is writing it" in capsys.readouterr().err
 
-    killed_ns = time.time_ns()
     process.kill()
-    process.wait()
+    put_ns = int(process.communicate()[0].split()[-1])  # a busy machine may have stalled the process since
     before = read_recording(path)
     assert not before.complete
-    assert killed_ns - before.messages[-1].log_ns < LOST_S * 1e9
+    assert put_ns - before.messages[-1].log_ns < LOST_S * 1e9
     code, said = run_json(f"recover {path}")
     assert (code, said["was_complete"], said["messages"]) == (0, False, len(before.messages))
     assert len(messages_of(path)) == len(before.messages)
@@ -92,7 +91,7 @@ def test_a_killed_process_loses_half_a_second_and_its_recording_is_made_whole(re
 
 def test_a_full_disk_ends_the_recording_and_is_reported(record, tmp_path):
     process, path = record(SMALL_BYTES)
-    result = json.loads(process.communicate(timeout=60)[0])
+    result = json.loads(process.communicate(timeout=60)[0].splitlines()[-1])
     assert "File too large" in result["recording_failure"]
     assert path.stat().st_size <= SMALL_BYTES
     assert cli.run(["recover", str(path), "--out", str(tmp_path / "whole.mcap")]) == 0

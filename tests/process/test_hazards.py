@@ -4,9 +4,11 @@ The stop button and the laser are a ROS node of their own, which may end.
 """
 
 import threading
+import time
 from contextlib import closing
 from functools import partial
 
+import numpy as np
 import pytest
 from kit.bridge_bench import PERIOD_S, Driver, wait_for
 from kit.deploy_bench import driver
@@ -16,6 +18,7 @@ from bridge.ros2.discovery import Convention
 from bridge.ros2.ros_node import RosNode
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity
+from rover_ncp.recording.recording import read_recording
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import BOOL, LASER_SCAN, laser_scan, odometry, text, twist_stamped
 from rover_ncp.wire.protocol import CommandTag, GateStatus, dump_json
@@ -26,7 +29,8 @@ from sim.live.peers import Peer
 MOCK = "name: mine\nbased_on: turtlebot4\ntopics: {scan: null}\n"
 ROBOT = "name: mine\nbased_on: turtlebot4\ntopics: {stop: {topic: stop, latched: true}}\n"
 """As the bridge and the driver know the robot."""
-FAULT_S = 4.0
+FAULT_S = {"low-battery=9": 3.5}
+"""How long the mock has a fault, where it is not 2 s."""
 OF_PEER = "of a false peer"
 
 
@@ -81,7 +85,7 @@ class Watcher(Driver):
             self.statuses.append(self.gate)
 
     def ready(self):
-        """Wait until nothing holds the robot, also no fault of a test before this one."""
+        """Wait until nothing holds the robot."""
         wait_for(lambda: self.statuses and not self.gate.held)
         self.statuses.clear()
 
@@ -94,14 +98,15 @@ class Robot(LiveRun):
         mock.write_text(MOCK)
         model.write_text(ROBOT)
         limits.write_text("sonar_stop_m: 0.3\n")
-        self.model, self.sensors, self.peer = model, None, None
+        self.model, self.sensors, self.peer, self.faulty_until_s = model, None, None, 0.0
         bridge = ["--model", str(model), "--limits", str(limits), "--no-base-watchdog"]
         super().__init__(
             folder / "run", mock=["--ros2", "--model", str(mock)], bridge=bridge, base_form=ROS2DDS
         )
 
     def sense(self):
-        """Have sensors without a fault, and no false peer."""
+        """Have sensors, and no fault any more."""
+        time.sleep(max(0.0, self.faulty_until_s - time.monotonic()))
         self.lose_sensors()
         self.sensors = Sensors(self.base).start()
 
@@ -129,7 +134,9 @@ def robot(tmp_path_factory):
 
 
 def mock(robot, fault):
-    robot.mock.tell(f"{fault}@0-{FAULT_S}")
+    seconds = FAULT_S.get(fault, 2.0)
+    robot.mock.tell(f"{fault}@0-{seconds}")
+    robot.faulty_until_s = time.monotonic() + seconds
 
 
 FAULTS = {
@@ -148,34 +155,57 @@ CELLS = cells_with_processes()
 STALE, FORGED = (CELLS.pop(name) for name in ("stale commands", "forged commands"))
 
 
+STALL_S = 0.2
+"""Shorter than any limit for commands and odometry: beyond it a hazard of its own may be seen."""
+
+
+def judge(run, expected):
+    """Assert that ``run`` finds what is expected; again if this computer stalled it for too long.
+
+    ``run`` returns what it found, and the longest time between two commands or two samples of odometry.
+    """
+    for _ in range(3):
+        found, stalled_s = run()
+        if found == expected or stalled_s < STALL_S:
+            break
+    assert found == expected
+
+
+def longest_gap_s(path):
+    """Return the longest time between two commands, or two samples of odometry, of a recording."""
+    recording = read_recording(path)
+    times = [[message.log_ns for message in recording.topic(topic)] for topic in ("cmd_vel", "odom")]
+    return max(np.diff(ns).max(initial=0) for ns in times) * 1e-9
+
+
 @pytest.mark.parametrize("cell", CELLS.values())
 def test_gate_driver_and_page_do_as_the_table_says(robot, cell, tmp_path, capsys, monkeypatch):
+    course, path = tmp_path / "wide.yaml", tmp_path / "run.mcap"
+    course.write_text(dump_yaml(COURSE.model_dump(mode="json")))
+    drive = driver(robot, tmp_path, capsys, monkeypatch)
     fault = cell["process"]
-    with closing(Watcher(robot.robot)) as watcher:
-        if fault == "no sensors":
-            robot.lose_sensors()
-        else:
-            robot.sense()
-            watcher.ready()
 
-            def inject():
-                wait_for(lambda: watcher.gate.sequence > 8)
-                FAULTS.get(fault, partial(mock, fault=fault))(robot)
+    def run():
+        with closing(Watcher(robot.robot)) as watcher:
+            if fault == "no sensors":
+                robot.lose_sensors()
+            else:
+                robot.sense()
+                watcher.ready()
 
-            threading.Thread(target=inject, daemon=True).start()
-        course = tmp_path / "wide.yaml"
-        course.write_text(dump_yaml(COURSE.model_dump(mode="json")))
-        drive = driver(robot, tmp_path, capsys, monkeypatch)
-        code, result = drive(model=str(robot.model), pose="none", course=str(course))
-        rule = result["stopped_by"]
-        leased = any(status.lease for status in watcher.statuses)
-        gate = gate_words(watcher.statuses) if leased else f"refuses {rule}"
-    page = page_words(tmp_path / "run.mcap")
-    assert (gate, f"stops {rule}" if code == 4 else "drives", page) == (
-        cell["gate"],
-        cell["driver"],
-        cell["page"],
-    )
+                def inject():
+                    wait_for(lambda: watcher.gate.sequence > 8)
+                    FAULTS.get(fault, partial(mock, fault=fault))(robot)
+
+                threading.Thread(target=inject, daemon=True).start()
+            code, result = drive(model=str(robot.model), pose="none", course=str(course))
+            rule = result["stopped_by"]
+            leased = any(status.lease for status in watcher.statuses)
+            gate = gate_words(watcher.statuses) if leased else f"refuses {rule}"
+        found = gate, f"stops {rule}" if code == 4 else "drives", page_words(path)
+        return found, longest_gap_s(path) if leased else 0.0
+
+    judge(run, (cell["gate"], cell["driver"], cell["page"]))
 
 
 @pytest.mark.parametrize("cell", [STALE])
@@ -186,31 +216,33 @@ def test_gate_holds_at_stale_commands(robot, cell):
         driver.ready()
         driver.start(v=0.1).drive(0.5, v=0.1)
 
-        def send_until(condition):
-            def sent():
-                driver.send(0.1, age_s=1.0)
-                return condition()
+        def stop():
+            driver.send(0.1, age_s=1.0)
+            stops = (each for each in driver.statuses if each.held and each.sequence >= 5)
+            return next(stops, None)  # the lease ends, too, a second after the last command
 
-            wait_for(sent, 5.0)
-
-        send_until(lambda: driver.gate.held or driver.gate.ended)
-        # A second later the lease ends, too.
-        assert gate_words(driver.statuses) == cell["gate"]
-        send_until(lambda: driver.odom.velocity.v == 0.0)
+        assert f"holds {wait_for(stop).held}" == cell["gate"]
+        wait_for(lambda: driver.send(0.1, age_s=1.0) and driver.odom.velocity.v == 0.0)
 
 
 @pytest.mark.parametrize("cell", [FORGED])
 def test_forged_commands_change_nothing(robot, cell):
     robot.sense()
     with closing(Watcher(robot.robot)) as driver:
-        driver.ready()
-        driver.start(v=0.1).drive(0.5, v=0.1)
-        for _ in range(15):
-            driver.send(0.1)
-            payload = twist_stamped(Velocity(-0.1, 0.5), driver.time_ns())
-            tag = CommandTag(driver.lease.number, driver.gate.sequence + 5, driver.now_ns)
-            driver.command(payload, tag.pack())
-            driver.sleep(PERIOD_S)
-        assert gate_words(driver.statuses) == cell["gate"]
-        assert driver.odom.velocity == pytest.approx((0.1, 0.0), abs=0.02)
-        driver.motors(enable=False)
+
+        def run():
+            driver.ready()
+            driver.start(v=0.1)
+            sent_ns = []
+            for _ in range(20):
+                sent_ns.append(driver.send(0.1))
+                payload = twist_stamped(Velocity(-0.1, 0.5), driver.time_ns())
+                tag = CommandTag(driver.lease.number, driver.gate.sequence + 5, driver.now_ns)
+                driver.command(payload, tag.pack())
+                driver.sleep(PERIOD_S)
+            moves = driver.odom.velocity == pytest.approx((0.1, 0.0), abs=0.02)
+            found = gate_words(driver.statuses), moves
+            driver.motors(enable=False)
+            return found, max(np.diff(sent_ns)) * 1e-9
+
+        judge(run, (cell["gate"], True))

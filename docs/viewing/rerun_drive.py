@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from rover_ncp import api
+import rover_ncp
 
 PATHS = {"rover/estimate": (0, 114, 178), "truth/pose": (213, 94, 0)}
 """Topics of poses in the course's frame, with the colours of their paths."""
@@ -53,7 +53,7 @@ def main() -> None:
     rr.init("rover-ncp", spawn=chosen.save is None, default_blueprint=blueprint())
     if chosen.save is not None:
         rr.save(chosen.save, default_blueprint=blueprint())
-    arrays = api.read_arrays(chosen.recording)
+    arrays = rover_ncp.read_arrays(chosen.recording)
     for topic, color in PATHS.items():
         if topic in arrays:
             poses = arrays[topic]

@@ -17,7 +17,7 @@ from rover_ncp.wire import messages
 _log = logging.getLogger(__name__)
 
 
-def read_arrays(path: Path) -> dict[str, NDArray[np.void]]:
+def read_arrays(path: str | Path) -> dict[str, NDArray[np.void]]:
     """Return each topic's messages as a structured array, in order: ``arrays["odom"]["x"]`` is (n,).
 
     The field ``t`` of each is the arrival in s since the recording's first message, also where the wall clock
@@ -25,7 +25,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[np.void]]:
     messages that cannot be read or that lack the fields of their topic; a warning in the log counts them.
     Raises FileError for a file that cannot be read.
     """
-    recording = read_recording(path)
+    recording = read_recording(Path(path))
     rows: dict[str, list[Mapping[str, float]]] = {}
     problems: dict[str, list[str]] = {}
     began_ns: int | None = None

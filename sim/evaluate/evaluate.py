@@ -2,25 +2,27 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
+from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
-from rover_ncp.course.course import Course
+from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.scoring import Failure
 from rover_ncp.course.slowdown import rounded_up, slowed
 from rover_ncp.robot.description import RobotDescription, load_description
-from sim.learn.engine.driver import Driver
+from sim.learn.engine.driver import Driver, circuit_driver, function_driver, load_driver
 from sim.learn.engine.evaluator import Evaluator
 from sim.learn.engine.rollout import rollout
 from sim.world.bodies import Body
-from sim.world.described import default_rover
+from sim.world.described import default_rover, ranges_for
 from sim.world.random_course import random_course
 from sim.world.randomization import Randomization, Trials, draw_trials
 from sim.world.rover import RoverModel
@@ -80,6 +82,38 @@ def trial_count(asked: int | None, courses: int, ranges: Randomization, varies: 
         problem = f"with the randomization {ranges.name} all trials of a course are the same"
         raise UsageError(f"--trials {count}: {problem}; add --randomize {preset}")
     return count
+
+
+def evaluate(
+    policy: Policy | str | Path | Callable[[NDArray[np.float64]], Any],
+    course: Course | str | Path | Sequence[Course | str | Path] = "parking",
+    *,
+    trials: int,
+    randomize: str | Path = "none",
+    seed: int = 0,
+    stack: bool = False,
+) -> Evaluation:
+    """Drive random trials, trial i on course i modulo their number, and return how they ended.
+
+    ``policy`` is a name as ``rover-ncp eval`` takes it, or a function from an observation to v and omega. Its
+    attribute ``signals`` names what it observes, by default x, y, theta and start. Its method ``reset``, if
+    there is one, begins each trial. With the default of ``randomize`` the trials of a course differ only if
+    the policy draws random numbers. With ``stack`` the trials go through firmware, bridge and driver.
+    Raises UsageError, ConfigError and FileError.
+    """
+    from sim.stack.trials import Stack, drive_all  # slow to load
+
+    if isinstance(policy, str | Path):
+        driver = load_driver(str(policy))
+    else:
+        driver = circuit_driver(policy) if isinstance(policy, Policy) else function_driver(policy)
+    named = [course] if isinstance(course, str | Path) or not isinstance(course, Sequence) else course
+    courses = [load_course(each) if isinstance(each, str | Path) else each for each in named]
+    ranges = ranges_for(randomize, None)
+    if stack:
+        # A function may be unknown to other processes.
+        return tally(drive_all(Stack(driver, tuple(courses), ranges, seed), trials, 1))
+    return tally(drive_trials(driver, courses, ranges, trials=trials, seed=seed))
 
 
 def drive_trials(

@@ -141,11 +141,14 @@ class Result(ResultModel):
     """that were written"""
 
 
-def explain(source: str, course: str | None = None, *, on_progress: Progress = lambda _: None) -> Explanation:
+def explain(
+    source: str | Path, course: str | None = None, *, on_progress: Progress = lambda _: None
+) -> Explanation:
     """Explain a policy (name or file) on a course, or a recording (``.mcap``) on its own course and robot.
 
     Raises UsageError for the recording of a docking or a recording with a course, FileError and ConfigError.
     """
+    source = str(source)
     command = command_line(source, course=course)
     if Path(source).suffix.lower() != ".mcap":
         policy, known = load_policy(source), load_course(course or "parking")

@@ -1,15 +1,16 @@
 """Training of an ensemble of agents on one course: what ``rover-ncp train`` does."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.config import validated
 from rover_ncp.course.scoring import Verdict
 from sim.learn.agents import AgentState, Plan, Snapshot, run_rounds
 from sim.learn.cluster import DaskCluster
@@ -46,8 +47,8 @@ def training_plan(settings: TrainSettings, task: Task) -> Plan:
 
 
 def train(
-    settings: TrainSettings,
-    out: Path,
+    settings: TrainSettings | Mapping[str, Any],
+    out: str | Path,
     *,
     resume: bool = False,
     processes: int | None = None,
@@ -57,6 +58,8 @@ def train(
 ) -> TrainResult:
     """Train ``settings.agents`` agents and leave the run in the folder ``out``.
 
+    ``settings`` are `sim.learn.record.TrainSettings` or a mapping with some of their fields: course, circuit,
+    seed, agents, iterations, search.
     ``processes`` defaults to one for each core; ``cluster`` is the address of a Dask scheduler, whose workers
     then do the work. Both change the speed, never the result. After every round ``on_progress`` gets the
     agents, and ``stop_when``, which also gets the best one's policy, may end the training there. A run that
@@ -66,9 +69,10 @@ def train(
     of its processes was killed, KeyboardInterrupt.
     """
     began = time.monotonic()
+    settings = validated(settings, TrainSettings, "train")
     task = resolve_task(settings)
     plan = training_plan(settings, task)
-    with open_run(out, Record[TrainSettings].of(settings, task.policy, task.course), resume) as folder:
+    with open_run(Path(out), Record[TrainSettings].of(settings, task.policy, task.course), resume) as folder:
         run = _Ensemble(folder, task)
         count = min(processes or available_processes(), settings.agents)
         if run.snapshot.arrived(settings.iterations):

@@ -8,9 +8,10 @@ import pytest
 from kit.paths import DATA
 from kit.recorded_drives import write_drive
 
-from rover_ncp import api
+import rover_ncp
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose
+from rover_ncp.course.course import load_course
 from rover_ncp.recording.recording import Recorded, RecordingWriter
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import (
@@ -20,15 +21,15 @@ from rover_ncp.wire.messages import (
     neurons,
     pose_with_covariance,
 )
-from sim import api as sim_api
+from sim.learn.engine.rollout import rollout
 
 SHORT = str(DATA / "short_course.yaml")
 
 
 def test_a_recording_becomes_arrays_of_what_was_recorded(tmp_path):
     run = write_drive(tmp_path / "run.mcap")
-    arrays = api.read_arrays(tmp_path / "run.mcap")
-    policy = api.load_policy("parking")
+    arrays = rover_ncp.read_arrays(tmp_path / "run.mcap")
+    policy = rover_ncp.load_policy("parking")
     assert arrays["rover/neurons"].dtype.names == ("t", *policy.circuit.neurons)
     potentials = np.column_stack([arrays["rover/neurons"][name] for name in policy.circuit.neurons])
     assert np.array_equal(potentials, run.potentials)
@@ -51,7 +52,7 @@ def test_messages_that_cannot_be_read_are_left_out_and_counted(tmp_path, caplog)
     with RecordingWriter(tmp_path / "run.mcap") as writer:
         for number, (topic, ros_type, data) in enumerate(sent):
             writer.write(Recorded(topic, ros_type, data, 10**9 * (number + 1), 1))
-    arrays = api.read_arrays(tmp_path / "run.mcap")
+    arrays = rover_ncp.read_arrays(tmp_path / "run.mcap")
     assert arrays["pose"][["t", "x"]].tolist() == [(1.0, 1.0), (3.0, 1.0)]
     assert arrays["rover/neurons"].tolist() == [(5.0, -50.0)]
     assert "odom" not in arrays
@@ -61,35 +62,26 @@ def test_messages_that_cannot_be_read_are_left_out_and_counted(tmp_path, caplog)
 
 def test_training_calls_back_and_its_policy_can_be_evaluated(tmp_path):
     seen = []
-    result = sim_api.train(
-        tmp_path / "run", course=SHORT, seed=1, agents=2, iterations=20, processes=1, on_progress=seen.append
-    )
+    settings = {"course": SHORT, "seed": 1, "agents": 2, "iterations": 20}
+    result = rover_ncp.train(settings, str(tmp_path / "run"), processes=1, on_progress=seen.append)
     assert seen[-1].returns == result.agents.returns
-    again = api.load_policy(result.policy_path)
-    assert sim_api.rollout(again, SHORT).total == pytest.approx(result.agents.best.value)
-    assert sim_api.evaluate(again, [SHORT, SHORT], trials=2, randomize="full").trials == 2
-
-
-def test_robust_training_calls_back(tmp_path):
-    seen = []
-    settings = {"course": SHORT, "iterations": 2, "rollouts": 4, "random_courses": 0}
-    result = sim_api.train_robust(tmp_path / "run", **settings, processes=1, on_generation=seen.append)
-    assert [generation.iterations for generation in seen] == [1, 2]
-    assert result.last.best == seen[-1].best
+    again = rover_ncp.load_policy(result.policy_path)
+    assert rollout(again, load_course(SHORT)).total == pytest.approx(result.agents.best.value)
+    assert rover_ncp.evaluate(again, [SHORT, SHORT], trials=2, randomize="full").trials == 2
 
 
 def test_a_setting_that_does_not_exist_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"agens: unknown key"):
-        sim_api.train(tmp_path / "run", agens=3)
+        rover_ncp.train({"agens": 3}, tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(
     ("line", "heavy"),
     [
-        ("from sim import api", "numpy pydantic numba scipy pymunk gymnasium matplotlib zenoh rosbags"),
+        ("import rover_ncp", "sim numpy pydantic numba scipy pymunk gymnasium matplotlib zenoh rosbags"),
         (
-            "from rover_ncp import api; api.load_policy('course')",
+            "import rover_ncp; rover_ncp.load_policy('course')",
             "numba scipy zenoh rosbags mcap pymunk gymnasium matplotlib sim",
         ),
     ],

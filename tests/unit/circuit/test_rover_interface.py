@@ -8,13 +8,13 @@ from kit.paths import DATA
 
 from deploy.drive.controller import Controller
 from deploy.estimator.settings import EstimatorSettings
-from rover_ncp import api
-from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
+from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml, policy_to_yaml
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose
+from rover_ncp.course.course import load_course
 from rover_ncp.neurons.trace import motor_outputs
-from sim import api as sim_api
+from sim.learn.engine.rollout import rollout
 
 SHORT = str(DATA / "short_course.yaml")
 
@@ -22,8 +22,8 @@ SHORT = str(DATA / "short_course.yaml")
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["parking", "course"])
 def test_simulator_controller_and_trace_agree(name):
-    policy, course = api.load_policy(name), api.load_course(SHORT)
-    run = sim_api.rollout(policy, course)
+    policy, course = load_policy(name), load_course(SHORT)
+    run = rollout(policy, course)
     assert np.ptp(run.commands, axis=0).all()
     controller = Controller(policy, course, EstimatorSettings())
     controller.start(Pose(0.0, 0.0, 0.0), 0.0)
@@ -32,7 +32,7 @@ def test_simulator_controller_and_trace_agree(name):
 
 
 def test_unknown_outputs_are_answered_with_the_known_ones():
-    named = policy_to_yaml(api.load_policy("parking")).replace("name: omega", "name: left")
+    named = policy_to_yaml(load_policy("parking")).replace("name: omega", "name: left")
     policy = policy_from_yaml(re.sub(r"(outputs.*)\bomega\b", r"\1left", named), "renamed")
     with pytest.raises(ConfigError, match="outputs are v, left; expected v, omega"):
         RoverInterface(policy)

@@ -11,10 +11,11 @@ import yaml
 from kit.paths import ROOT
 from result_fields import RESULTS, result_fields
 
-from rover_ncp import api, cli
-from rover_ncp.circuit.policy_file import load_circuit
+from rover_ncp import cli
+from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.core.config import parse_yaml
-from sim import api as sim_api
+from rover_ncp.course.course import load_course
+from sim.learn.engine.rollout import rollout
 from sim.learn.record import TrainSettings, resolve_task
 from sim.paper.claims import load_claims
 
@@ -54,7 +55,7 @@ def test_every_field_of_a_result_has_a_meaning(command):
 
 
 def test_the_example_of_a_policy_drives_forward_until_it_sees_one_metre():
-    run = sim_api.rollout(EXAMPLES / "policy.yaml", "parking")
+    run = rollout(load_policy(EXAMPLES / "policy.yaml"), load_course("parking"))
     assert 0.05 < run.poses[-1, 0] < 1.5
     assert run.commands[-1, 0] < 0.5 * run.commands[5, 0]
     assert np.ptp(run.poses[:, 1]) == 0.0
@@ -64,7 +65,7 @@ def test_the_example_of_a_circuit_can_be_trained_on_the_example_of_a_course():
     course, circuit = (str(EXAMPLES / f"{name}.yaml") for name in ("course", "circuit"))
     task = resolve_task(TrainSettings(course=course, circuit=circuit))
     assert load_circuit(circuit).held
-    assert sim_api.rollout(task.policy, api.load_course(course)).total < 0
+    assert rollout(task.policy, load_course(course)).total < 0
 
 
 def test_pages_have_the_options_bounds_and_notes_of_the_code():

@@ -12,7 +12,6 @@ from rover_ncp.cli import run
 from rover_ncp.core.errors import ConfigError, UsageError
 from rover_ncp.core.files import resolve
 from rover_ncp.core.streams import Domain, episode_seeds
-from sim import api
 from sim.explain.files import page
 from sim.explain.task import explain_task, stored_policy
 from sim.explain.what_if import without_neuron
@@ -94,7 +93,7 @@ def test_a_stored_parking_circuit_is_explained_as_a_drive(monkeypatch):
     monkeypatch.chdir(ROOT)
     for what_ifs in ("knock_outs", "sensitivities"):  # those of a drive have tests of their own
         monkeypatch.setattr(f"sim.explain.explain.{what_ifs}", lambda *_: ())
-    found = api.explain_task(None, "parking")
+    found = explain_task(None, "parking")
     assert found.task is None
     assert found.verdict.parked
     assert {"FWD", "LFT", "RGT"} <= set(found.policy.circuit.neurons)
@@ -104,7 +103,7 @@ def test_a_stored_parking_circuit_is_explained_as_a_drive(monkeypatch):
 def test_the_paper_circuit_is_explained_in_words(monkeypatch):
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr("sim.explain.task.EPISODES", 2)
-    found = api.explain_task(None, "cart-pole")
+    found = explain_task(None, "cart-pole")
     shown = page(found)
     assert "rover-ncp explain --task cart-pole" in shown
     assert "Action positive" in shown

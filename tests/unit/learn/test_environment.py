@@ -1,6 +1,7 @@
 """Circuits on Gymnasium environments: the episodes are the environment's own, and misfits are named."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -10,8 +11,9 @@ from kit.tutorials import PAGES, write_files
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.errors import ConfigError, UsageError
-from sim import api
 from sim.learn.engine.environment import MAX_STEPS, EnvironmentEvaluator
+from sim.learn.environment_run import train_task
+from sim.learn.record import TaskSettings
 from sim.learn.search.base import draw_seeds
 
 [PAGE] = [page for page in PAGES if page.stem == "own_task"]
@@ -126,8 +128,8 @@ def test_an_environment_that_goes_wrong_is_named(policy, monkeypatch):
 
 
 def test_training_is_the_same_after_an_interruption_which_loses_no_generation(folder):
-    seen, settings = [], {"task": TASK, "circuit": "wall.yaml", "rollouts": 2}
-    whole = api.train_task("whole", **settings, iterations=4, processes=1)
+    seen, settings = [], TaskSettings(task=TASK, circuit="wall.yaml", rollouts=2, iterations=4)
+    whole = train_task(settings, Path("whole"), processes=1)
 
     def interrupt(generation):
         seen.append(generation.iterations)
@@ -135,8 +137,8 @@ def test_training_is_the_same_after_an_interruption_which_loses_no_generation(fo
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        api.train_task("parts", **settings, iterations=4, processes=1, on_generation=interrupt)
-    api.train_task("parts", **settings, iterations=4, processes=1, resume=True, on_generation=interrupt)
+        train_task(settings, Path("parts"), processes=1, on_generation=interrupt)
+    train_task(settings, Path("parts"), processes=1, resume=True, on_generation=interrupt)
     assert seen == [1, 2, 3, 4]
     for name in ("policy.yaml", "curve.csv", "search.json", "settings.yaml"):
         assert (folder / "parts" / name).read_bytes() == (folder / "whole" / name).read_bytes(), name

@@ -8,8 +8,12 @@ from kit.paths import DATA, ROOT
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import ConfigError
-from sim import api
+from rover_ncp.course.course import load_course
+from sim.learn.engine.rollout import rollout
+from sim.learn.record import RobustSettings
 from sim.learn.robust import policy_box
+from sim.learn.robust_run import train_robust
+from sim.learn.train import train
 
 SHORT = str(DATA / "short_course.yaml")
 FORWARD = ROOT / "docs" / "examples" / "policy.yaml"
@@ -18,29 +22,31 @@ FORWARD = ROOT / "docs" / "examples" / "policy.yaml"
 def test_training_keeps_sensing_and_motors_and_moves_parameters(tmp_path):
     start = load_policy(FORWARD)
     settings = {"course": SHORT, "circuit": str(FORWARD), "agents": 1, "iterations": 30}
-    trained = load_policy(api.train(tmp_path / "run", **settings, processes=1).policy_path)
+    trained = load_policy(train(settings, tmp_path / "run", processes=1).policy_path)
     assert (trained.sensing, trained.motors) == (start.sensing, start.motors)
     assert trained.circuit.neurons == start.circuit.neurons
     assert trained.parameters().tolist() != start.parameters().tolist()
     assert trained.courses == ("short",)
-    assert api.rollout(trained, SHORT).total > api.rollout(start, SHORT).total
+    course = load_course(SHORT)
+    assert rollout(trained, course).total > rollout(start, course).total
 
 
 def test_a_run_is_not_resumed_after_its_start_has_changed(tmp_path):
     mine = tmp_path / "mine.yaml"
     shutil.copy(FORWARD, mine)
     settings = {"course": SHORT, "circuit": str(mine), "agents": 1, "iterations": 3}
-    api.train(tmp_path / "run", **settings, processes=1)
+    train(settings, tmp_path / "run", processes=1)
     mine.write_text(mine.read_text().replace("maximum: 0.18}", "maximum: 0.1}"))
     with pytest.raises(ConfigError, match=r"circuit .*mine.yaml has changed"):
-        api.train(tmp_path / "run", **settings, processes=1, resume=True)
+        train(settings, tmp_path / "run", processes=1, resume=True)
 
 
 def test_robust_training_goes_on_from_a_shipped_policy_in_small_steps(tmp_path):
     settings = {"course": SHORT, "iterations": 1, "rollouts": 2, "random_courses": 0, "circuit": "course"}
     start, moved = load_policy("course"), []
     for refine in (True, False):
-        found = api.train_robust(tmp_path / f"{refine}", **settings, refine=refine, processes=1)
+        asked = RobustSettings(**settings, refine=refine)
+        found = train_robust(asked, tmp_path / f"{refine}", processes=1)
         assert found.policy.sensing == start.sensing
         assert ("--refine" in found.policy.provenance["command"].split()) == refine
         moved.append(np.linalg.norm(policy_box(found.policy).start - policy_box(start).start))

@@ -9,9 +9,9 @@ from rover_ncp.circuit.motors import four_dof_motors
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.files import shipped_names
 from rover_ncp.course.course import load_course
-from sim import api as sim_api
 from sim.evaluate.evaluate import drive_trials, tally, unseen_courses
 from sim.learn.engine.driver import load_driver
+from sim.learn.engine.rollout import rollout
 from sim.world.randomization import load_randomization
 
 
@@ -51,7 +51,7 @@ def test_dock_reaches_two_centimetres_and_two_degrees_on_nominal_robots():
 def test_reverse_backs_into_the_bay_by_its_pose_alone_and_touches_nothing():
     policy = load_policy("reverse")
     assert (policy.motors, policy.courses) == (four_dof_motors(), ("reverse",))
-    run = sim_api.rollout(policy, "reverse")
+    run = rollout(policy, load_course("reverse"))
     assert run.verdict.parked, run.verdict.reason
     assert run.verdict.error_m < 0.05
     assert run.commands[:, 0].min() < -0.1

@@ -13,8 +13,7 @@ from rover_ncp.circuit.runner import Runner
 from rover_ncp.cli import run
 from rover_ncp.core.errors import ConfigError, UsageError
 from rover_ncp.course.course import load_course
-from sim import api
-from sim.evaluate.evaluate import drive_trials
+from sim.evaluate.evaluate import drive_trials, evaluate
 from sim.learn.engine.driver import function_driver, load_driver
 from sim.stack.trials import Stack
 from sim.world.env import ENV_ID
@@ -90,14 +89,14 @@ def test_a_function_is_judged_on_the_trials_of_a_circuit():
     for one, other in zip(found, drive_trials(load_driver("course"), **given), strict=True):
         assert one == pytest.approx(other)
     assert own.resets == 3
-    assert api.evaluate(own, courses[0], trials=1, randomize="full", seed=5).success_rate == 1.0
+    assert evaluate(own, courses[0], trials=1, randomize="full", seed=5).success_rate == 1.0
 
 
 def test_a_function_drives_through_the_stack_as_a_circuit():
     own, course, full = Circuit(), load_course(SHORT), load_randomization("full")
     circuit = Stack(load_driver("course"), (course,), full, 5)
     errors_m = [circuit.drive(number).error_m for number in range(2)]
-    found = api.evaluate(own, course, trials=2, randomize="full", seed=5, stack=True)
+    found = evaluate(own, course, trials=2, randomize="full", seed=5, stack=True)
     assert own.resets == 2
     assert (found.error_m.max, found.error_m.p50) == pytest.approx((max(errors_m), np.mean(errors_m)))
 
@@ -146,7 +145,7 @@ def test_the_tutorial_shows_the_example():
 
 def test_errors_of_functions_are_of_the_error_tree():
     with pytest.raises(UsageError, match="expected a function"):
-        api.evaluate(3, trials=1)
+        evaluate(3, trials=1)
     with pytest.raises(ConfigError, match="unknown signals: depth"):
         gymnasium.make(f"sim.world.env:{ENV_ID}", signals=("x", "depth"))
 

@@ -27,6 +27,9 @@ BEAMS_APART = 1.5
 LOOKS_RAD = math.radians(20.0)
 """The room in a direction is known only if at least one beam within this angle, or those steps, is valid."""
 
+SLACK_BEAMS, MIN_SPAN_RAD = 2.0, math.radians(10.0)
+"""Drivers of lasers disagree on angle_max by so many beams. Beams within a smaller angle show no room."""
+
 
 class ScanRoom:
     """The newest scans of a robot that has a laser."""
@@ -97,12 +100,16 @@ def _nearest(side: Sequence[float]) -> float:
 
 
 def _check(message: Any, beams: int) -> None:
-    """Raise FormatError for a scan without beams, angles or ranges; an infinite range_max is no limit."""
+    """Raise FormatError for a scan that no laser can measure; an infinite range_max is no limit."""
     step, least, most = message.angle_increment, message.range_min, message.range_max
+    first, last = message.angle_min, message.angle_max
     if not beams:
         raise FormatError("it has no beams")
-    if not math.isfinite(message.angle_min) or not math.isfinite(step) or step == 0.0:
-        raise FormatError(f"angle_min is {message.angle_min:g} and angle_increment {step:g}")
+    span, slack = abs(step) * (beams - 1), SLACK_BEAMS * abs(step)
+    fits = abs(first + step * (beams - 1) - last) <= slack and MIN_SPAN_RAD <= span <= math.tau + slack
+    if not (all(map(math.isfinite, (first, last, step))) and fits):
+        words = f"it has {beams} beams from {first:.3g} to {last:.3g} rad in steps of {step:.3g} rad"
+        raise FormatError(f"{words}, which do not fit: expected an angle of 0.17 to 6.28 rad")
     if not math.isfinite(least) or not most > least:
         raise FormatError(f"range_min is {least:g} and range_max {most:g}, expected range_min < range_max")
 

@@ -2,8 +2,8 @@
 
 A configuration is a frozen pydantic model with SI units in its fields. Unknown keys are errors, so that a
 typo is found; infinities and NaN are errors everywhere. Only a number is a number: ``yes``, ``1:30``, ``010``
-and ``"1"`` are none, and ``1e3`` is one. A key is text. Files of strangers are read too, so their size is
-limited with each alias counted as all that it stands for.
+and ``"1"`` are none, and ``1e3`` is one. ``"yes"`` and ``1`` are no bools. A key is text. Files of strangers
+are read too, so their size is limited with each alias counted as all that it stands for.
 """
 
 import math
@@ -29,28 +29,28 @@ class ResultModel(BaseModel):
 
 
 class StrictModel(BaseModel):
-    """Base of all configuration models: frozen, finite, no unknown keys, numbers only from numbers."""
+    """Base of all configuration models: frozen, finite, no unknown keys; no text is a number or a bool."""
 
     # A process loads many models and reads few of them: each is built when it is first used.
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        schema: CoreSchema = _strict_numbers(handler(source))
+        schema: CoreSchema = _strict(handler(source))
         return schema
 
 
-def _strict_numbers(schema: Any) -> Any:
-    """Make all numbers of a schema strict. pydantic's own strict mode would refuse lists for tuples, too."""
+def _strict(schema: Any) -> Any:
+    """Make all numbers and bools of a schema strict. pydantic's strict mode also refuses lists for tuples."""
     if isinstance(schema, dict):
         for key, part in schema.items():
-            schema[key] = _strict_numbers(part)
-        if schema.get("type") in {"int", "float"}:
+            schema[key] = _strict(part)
+        if schema.get("type") in {"bool", "int", "float"}:
             schema["strict"] = True
         elif schema.get("type") == "literal" and {type(value) for value in schema["expected"]} == {int}:
             return {"type": "chain", "steps": [{"type": "int", "strict": True}, schema]}
     elif isinstance(schema, list):
-        return [_strict_numbers(part) for part in schema]
+        return [_strict(part) for part in schema]
     return schema
 
 

@@ -37,6 +37,7 @@ def scan(*hits, first_deg=0.0, count=360, step_deg=1.0, else_m=math.inf, min_m=0
         LASER_SCAN,
         header=header(stamp_s, "base_scan"),
         angle_min=math.radians(first_deg),
+        angle_max=math.radians(first_deg + step_deg * (count - 1)),
         angle_increment=math.radians(step_deg),
         range_min=min_m,
         range_max=max_m,
@@ -44,11 +45,32 @@ def scan(*hits, first_deg=0.0, count=360, step_deg=1.0, else_m=math.inf, min_m=0
     )
 
 
+def with_angle_max(payload, angle):
+    """Return a scan with another last angle."""
+    fields = struct.pack("<f", math.radians(359.0)), struct.pack("<f", angle)
+    return payload.replace(*fields, 1)
+
+
 def room(world, payload, **odometry):
     """The room ahead and behind, m, by a scan."""
     world.hear("scan", payload)
     world.run(0.1, **odometry)
     return world.reports[-1].clear_ahead_m, world.reports[-1].clear_behind_m
+
+
+def test_a_scan_that_no_laser_can_measure_shows_no_room(ready):
+    """By a step of 100 rad, each direction was scanned; by one of 1e-30 rad, the direction ahead."""
+    assert room(ready, scan(step_deg=-1.0)) == (math.inf, math.inf)
+    for impossible in (
+        scan(step_deg=math.degrees(100.0)),
+        scan(step_deg=1e-30),
+        scan(count=800),
+        scan(count=5),
+        with_angle_max(scan(), 3.0),
+        with_angle_max(scan(), math.nan),
+    ):
+        ready.run(2.0)
+        assert np.isnan(room(ready, impossible)).all()
 
 
 @pytest.mark.parametrize(

@@ -99,6 +99,16 @@ def test_only_a_number_is_a_number(value):
     assert any(path.startswith("$.size") for path in paths)
 
 
+class Switch(StrictModel):
+    on: bool
+
+
+@pytest.mark.parametrize("value", ['"yes"', '"true"', "1", "0.0", "[true]"])
+def test_only_true_and_false_are_truth_values(value):
+    assert refused(f'"on": {value}', Switch).problems[0].startswith("$.on")
+    assert parse_yaml('"on": true', Switch, "x.yaml").on
+
+
 @pytest.mark.parametrize(
     ("text", "number"),
     [("1", 1.0), ("-0.5", -0.5), (".5", 0.5), ("5.", 5.0), ("1e-3", 1e-3), ("+2E6", 2e6), ("1.5e3", 1.5e3)],

@@ -10,8 +10,7 @@ import typer
 
 from bridge.ros2.discovery import Convention
 from rover_ncp.core.console import Json, Output, reject
-from rover_ncp.core.errors import UsageError
-from rover_ncp.core.interruption import INTERRUPTED
+from rover_ncp.core.errors import INTERRUPTED, UsageError
 
 if TYPE_CHECKING:
     from bridge.bases import ChosenBase

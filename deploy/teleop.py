@@ -30,9 +30,8 @@ from deploy.recorder import Recorder, RecordingResult
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.console import Output, printable
-from rover_ncp.core.errors import SafetyStop, UsageError
+from rover_ncp.core.errors import INTERRUPTED, SafetyStop, UsageError
 from rover_ncp.core.geometry import STANDSTILL
-from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Clock, Interrupts
 from rover_ncp.course.course import TICK_S
 from rover_ncp.robot.dead_zone import DeadZone

@@ -48,9 +48,9 @@ No command replaces a file that exists without `--overwrite`; `keys` never does.
 Results are written whole or not at all. A file that is read whole has at most 64 MiB, a YAML file
 1,048,576 characters. A recording may unpack to 1 GiB, or to 100 times its size.
 
-No output delays a command. Text that its reader does not take is dropped beyond 64 KiB, and the number of
-dropped lines is reported. The start line (`ready`, `listening on`, `watching at`) and the result are not
-dropped.
+No output delays a command on which a rover depends (`bridge`, `mock`, `deploy`, `teleop`, `identify`,
+`check`, `watch`, `tag run`). Text that its reader does not take is dropped beyond 1,000 lines, and the number
+of dropped lines is reported.
 
 No command imports Python files of the current folder, except the module of `--task MODULE:ID` or of a
 policy `module:name`. Compiled kernels are kept in `~/.cache/rover-ncp-UID`, or in the folder that

@@ -6,6 +6,6 @@ if not sys.flags.safe_path:
     # The current folder, which may hold a sim/ or a numba.py of the user's own.
     del sys.path[0]
 
-from rover_ncp.entry import main
+from rover_ncp.cli import main
 
-main()
+sys.exit(main())

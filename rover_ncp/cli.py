@@ -10,7 +10,6 @@ import inspect
 import json
 import os
 import sys
-import traceback
 from importlib.machinery import PathFinder
 from importlib.metadata import distribution, entry_points
 from pathlib import Path
@@ -20,9 +19,9 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from rover_ncp.core.console import BLOCKED_S, Output, Writer, install, keep, printable
-from rover_ncp.core.errors import FileError, MissingExtra, RoverNcpError
-from rover_ncp.core.interruption import INTERRUPTED, is_interruption
+from rover_ncp.core.console import BLOCKED_S, Output, print_line, printable, unwritten
+from rover_ncp.core.errors import INTERRUPTED, FileError, MissingExtra, RoverNcpError
+from rover_ncp.core.process import interrupt_on_signals
 
 GROUP = "rover_ncp.commands"
 _OWN_PACKAGES = ("bridge", "deploy", "sim")
@@ -97,7 +96,7 @@ def _unwrapped(text: str | None) -> str:
 
 def _print_version(requested: bool) -> None:
     if requested:
-        keep(sys.stdout, f"rover-ncp {distribution('rover-ncp').version}\n")
+        print_line(sys.stdout, f"rover-ncp {distribution('rover-ncp').version}")
         raise typer.Exit
 
 
@@ -125,10 +124,10 @@ def _options(
 def _fail(message: str, kind: str, code: int, as_json: bool) -> int:
     Output.ended = True
     line = printable(" ".join(message.split()))
-    keep(sys.stderr, f"rover-ncp: {line}\n")
+    print_line(sys.stderr, f"rover-ncp: {line}", wait_s=BLOCKED_S)
     if as_json:
         fields: dict[str, Any] = {"error": line, "kind": kind, "exit_code": code}
-        keep(sys.stdout, json.dumps(fields) + "\n")
+        print_line(sys.stdout, json.dumps(fields), wait_s=BLOCKED_S)
     return code
 
 
@@ -152,7 +151,20 @@ def _failed(error: Exception, as_json: bool) -> int:
 
 def run(arguments: list[str]) -> int:
     """Run one command line and return its exit code; one of `EXIT_CODES`."""
-    Output.ended = False
+    Output.ended, Output.lines = False, None
+    try:
+        code = _run(arguments)
+        if (reason := unwritten()) and code in {0, 1}:
+            code = _fail(f"standard output cannot be written: {reason}", "FileError", 2, as_json=False)
+    except KeyboardInterrupt:
+        code = interrupted(arguments)
+    finally:
+        Output.blocked = bool(unwritten())
+        Output.lines = None
+    return code
+
+
+def _run(arguments: list[str]) -> int:
     try:
         result = _app()(args=arguments, prog_name="rover-ncp", standalone_mode=False)
     except KeyboardInterrupt:
@@ -161,7 +173,7 @@ def run(arguments: list[str]) -> int:
         eof = error.__cause__ if isinstance(error, typer.Abort) else None
         if isinstance(eof, EOFError):  # typer takes each one for the end of a dialog
             raise eof from None
-        if is_interruption(error) or isinstance(error, typer.Abort):
+        if isinstance(error, typer.Abort):
             return interrupted(arguments)
         return _failed(error, "--json" in arguments)
     if result == INTERRUPTED:  # typer turns Ctrl-C into this code, without a message
@@ -208,35 +220,14 @@ def main() -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Pictures go into files. Jupyter's backend is no name that every installation of matplotlib knows.
     os.environ["MPLBACKEND"] = "agg"
-    shadows = _prefer_own_packages()
-    stdout, stderr = install()
-    for module in shadows:
-        keep(sys.stderr, f"rover-ncp: {printable(module)} is not used: a package of rover-ncp has its name\n")
-    try:
-        code = run(sys.argv[1:])
-    except SystemExit as ended:  # typer's, after it has printed completions for a shell
-        code = ended.code if isinstance(ended.code, int) else 1
-    except (KeyboardInterrupt, Exception) as error:
-        if is_interruption(error):
-            code = interrupted(sys.argv[1:])
-        else:
-            # Here and not by the interpreter, which would end before it is written.
-            traceback.print_exc()
-            code = 1
-    return _written(code, stdout, stderr)
-
-
-def _written(code: int, stdout: Writer, stderr: Writer) -> int:
-    """Wait until all output is written, and return the exit code: 2 for a result that could not be."""
-    # After an interruption the user must not wait any longer.
-    blocked_s = BLOCKED_S if code == INTERRUPTED else Output.blocked_s
-    try:
-        if not stdout.drained(blocked_s) and code in {0, 1}:
-            why = stdout.failure.strerror if stdout.failure else "the reader takes no data"
-            code = _fail(f"standard output cannot be written: {why}", "FileError", 2, as_json=False)
-        stderr.drained(blocked_s)
-    except (KeyboardInterrupt, RuntimeError) as error:
-        if not is_interruption(error):
-            raise
-        return INTERRUPTED
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed before the process started
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115, PTH123  # open to the end
+        getattr(sys, name).reconfigure(errors="backslashreplace")
+    interrupt_on_signals()
+    for module in _prefer_own_packages():
+        print_line(sys.stderr, f"rover-ncp: {module} is not used: a package of rover-ncp has its name")
+    code = run(sys.argv[1:])
+    if Output.blocked:  # at its end Python would wait for the thread that writes
+        os._exit(code)
     return code

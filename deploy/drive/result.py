@@ -11,7 +11,7 @@ from deploy.estimator.measurements import Outcome
 from deploy.place.outcome import DockResult
 from deploy.recorder import RecordingResult
 from rover_ncp.core.console import printable
-from rover_ncp.core.interruption import INTERRUPTED
+from rover_ncp.core.errors import INTERRUPTED
 from rover_ncp.course.scoring import Parked
 
 

@@ -34,9 +34,8 @@ from deploy.tag.tag_map import CameraFile, Mount, TagMap
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml, load_yaml
 from rover_ncp.core.console import Output
-from rover_ncp.core.errors import UsageError
+from rover_ncp.core.errors import INTERRUPTED, UsageError
 from rover_ncp.core.files import require_writable, write_atomic
-from rover_ncp.core.interruption import INTERRUPTED
 from rover_ncp.core.process import Interrupts
 from rover_ncp.wire.address import ROS2
 from rover_ncp.wire.messages import pose_with_covariance

@@ -40,8 +40,14 @@ from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.config import ResultModel
 from rover_ncp.core.console import Output
-from rover_ncp.core.errors import FormatError, NoBridge, NotAuthorised, PortInUse, UnreachableError
-from rover_ncp.core.interruption import INTERRUPTED
+from rover_ncp.core.errors import (
+    INTERRUPTED,
+    FormatError,
+    NoBridge,
+    NotAuthorised,
+    PortInUse,
+    UnreachableError,
+)
 from rover_ncp.core.process import Interrupts
 from rover_ncp.course.course import load_course
 from rover_ncp.course.shapes import outline_of

@@ -1,30 +1,27 @@
 """The output of commands, and the options that they share.
 
-With ``--json`` a command prints one JSON object on stdout, and all text for people goes to stderr.
-
-`install` replaces ``sys.stdout`` and ``sys.stderr`` by streams that end in a `Writer`. It delays no caller.
-Log lines, rich's displays and tracebacks end there too.
+With ``--json`` a command prints one JSON object on stdout, and all text for people goes to stderr. Where a
+rover depends on the process, a thread writes all text, so that no output delays the command.
 """
 
 import contextlib
 import inspect
-import io
 import json
 import logging
 import os
-import select
+import queue
+import shutil
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Annotated, Any, TextIO
+from logging.handlers import QueueHandler, QueueListener
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TextIO
 
 import typer
 from pydantic_core import to_jsonable_python
-from rich.console import Console
 
-from rover_ncp.core.errors import UsageError
+from rover_ncp.core.errors import FileError, UsageError
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -58,137 +55,12 @@ def reject(reason: str, **options: Any) -> None:
         raise UsageError(f"{names}: {reason}")
 
 
-ROOM_BYTES = 1 << 16
-"""Size of a `Writer`'s queue; it drops text beyond."""
-CHUNK_BYTES = 1024
-"""Size of one system call: a pipe takes it as a whole, a slow terminal within a second."""
-_ERRORS = "backslashreplace"
+MAX_LINES = 1000
+"""Lines that wait for the thread; more are dropped and counted."""
 BLOCKED_S = 0.4
-"""Time limit at the end of a process for a blocked reader of stdout, and again of stderr."""
-
-
-class Writer(io.RawIOBase):
-    """Write to a copy of a file descriptor from a separate thread; no caller waits or gets an error.
-
-    Text that does not fit into the queue, or that the system rejects, is dropped and counted.
-    """
-
-    def __init__(self, fd: int, encoding: str = "utf-8") -> None:
-        self._fd, self.encoding = fd, encoding
-        try:
-            self._own = os.dup(fd)
-        except OSError:
-            self._own = -1  # closed before the process started: every write fails
-        self._changed = threading.Condition()
-        self._waiting: deque[bytes] = deque()
-        self._bytes = self._dropped = self._chunks = 0
-        self.failure: OSError | None = None
-        """Error of the last write, if it failed."""
-        threading.Thread(target=self._run, name=f"output-{fd}", daemon=True).start()
-
-    def put(self, data: bytes, keep: bool = False) -> None:
-        """Queue data; ``keep`` queues it even when there is no room."""
-        with self._changed:
-            if self._bytes >= ROOM_BYTES and not keep:
-                self._dropped += 1
-                return
-            if self._dropped:
-                self._append(f"rover-ncp: lines of output dropped here: {self._dropped}\n".encode())
-                self._dropped = 0
-            self._append(data)
-            self._changed.notify_all()
-
-    def drained(self, blocked_s: float | None) -> bool:
-        """Wait until all is written, or the reader takes nothing for ``blocked_s``; return whether all is."""
-        with self._changed:
-            chunks, since_s = self._chunks, time.monotonic()
-            while self._waiting:
-                left_s = None if blocked_s is None else since_s + blocked_s - time.monotonic()
-                if left_s is not None and left_s <= 0.0:
-                    return False
-                self._changed.wait(left_s)
-                if self._chunks != chunks:
-                    chunks, since_s = self._chunks, time.monotonic()
-            return self.failure is None
-
-    def write(self, data: Any) -> int:
-        """Queue data, as a file."""
-        self.put(bytes(data))
-        return len(data)
-
-    def writable(self) -> bool:
-        """Return True."""
-        return True
-
-    def isatty(self) -> bool:
-        """Return whether this is a terminal."""
-        return self._own >= 0 and os.isatty(self._own)
-
-    def fileno(self) -> int:
-        """Return the original descriptor, for child processes."""
-        return self._fd
-
-    def _append(self, data: bytes) -> None:
-        self._waiting.append(data)
-        self._bytes += len(data)
-
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._waiting)
-                data = self._waiting[0]
-            try:
-                self._write_out(data)
-                failure = None
-            except OSError as error:
-                failure = error
-            with self._changed:
-                self.failure = failure
-                self._dropped += failure is not None
-                self._waiting.popleft()
-                self._bytes -= len(data)
-                self._changed.notify_all()
-
-    def _write_out(self, data: bytes) -> None:
-        left = memoryview(data)
-        while left:
-            try:
-                left = left[os.write(self._own, left[:CHUNK_BYTES]) :]
-                self._chunks += 1
-            except BlockingIOError:  # another process made the shared descriptor non-blocking
-                select.select([], [self._own], [])
-
-
-def install() -> tuple[Writer, Writer]:
-    """Replace ``sys.stdout`` and ``sys.stderr`` by streams that never block; return their writers.
-
-    A character that the locale's encoding lacks is written as its escape sequence.
-    """
-    writers = tuple(
-        Writer(fd, getattr(stream, "encoding", "utf-8")) for fd, stream in ((1, sys.stdout), (2, sys.stderr))
-    )
-    sys.stdout, sys.stderr = (
-        io.TextIOWrapper(
-            writer,  # type: ignore[type-var]  # Python's own unbuffered stdout has a raw layer here, too
-            encoding=writer.encoding,
-            errors=_ERRORS,
-            write_through=True,
-        )
-        for writer in writers
-    )
-    return writers[0], writers[1]
-
-
-def keep(stream: TextIO, text: str) -> None:
-    """Write text that must not be dropped while the reader takes data."""
-    writer = getattr(stream, "buffer", None)
-    if isinstance(
-        writer, Writer
-    ):  # also behind the stream that rich puts in place of ours: it has no encoding
-        writer.put(text.encode(writer.encoding, _ERRORS), keep=True)
-    else:
-        stream.write(text)
-        stream.flush()
+"""Time limit at the end of a process for a reader that takes nothing."""
+_REDRAW_S = 0.2
+_ERASE = "\r\x1b[2K"
 
 
 def printable(text: str) -> str:
@@ -198,54 +70,120 @@ def printable(text: str) -> str:
     return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
 
 
+class _Lines(QueueHandler):
+    """Queues lines for a thread that writes them. A full queue drops lines, and no caller waits."""
+
+    queue: queue.Queue[logging.LogRecord]
+
+    def __init__(self, stream: TextIO) -> None:
+        super().__init__(queue.Queue(MAX_LINES))
+        self.dropped = 0
+        self.failure: OSError | None = None
+        """Error of the last write to stdout, if it failed."""
+        self._stream, self._drawn = stream, False
+        writer = logging.Handler()
+        writer.emit = self._write  # type: ignore[method-assign]
+        QueueListener(self.queue, writer).start()
+
+    def put(self, stream: TextIO, text: str, *, drawn: bool = False, wait_s: float = 0.0) -> None:
+        """Queue a line, or with ``drawn`` one that the next line replaces."""
+        record = logging.makeLogRecord({"msg": text, "stream": stream, "drawn": drawn})
+        with contextlib.suppress(queue.Full):
+            if wait_s:
+                self.queue.put(record, timeout=wait_s)
+                return
+        self.enqueue(record)
+
+    def enqueue(self, record: logging.LogRecord) -> None:
+        """Queue a record of the log."""
+        try:
+            self.queue.put_nowait(record)
+        except queue.Full:
+            self.dropped += 1
+
+    def drained(self) -> bool:
+        """Wait until all is written, or the reader takes nothing for `BLOCKED_S`; return whether all is."""
+        left, since_s = self.queue.unfinished_tasks, time.monotonic()
+        while self.queue.unfinished_tasks:
+            if self.queue.unfinished_tasks < left:
+                left, since_s = self.queue.unfinished_tasks, time.monotonic()
+            elif time.monotonic() - since_s > BLOCKED_S:
+                return False
+            time.sleep(0.001)
+        return True
+
+    def _write(self, record: logging.LogRecord) -> None:
+        drawn, stream = getattr(record, "drawn", False), getattr(record, "stream", self._stream)
+        text = printable(record.getMessage())
+        if not drawn:
+            text += "\n"
+            if self.dropped:
+                text = f"rover-ncp: lines of output dropped here: {self.dropped}\n{text}"
+                self.dropped = 0
+        if self._drawn or drawn:
+            text = _ERASE + text
+        self._drawn = drawn
+        failure = None
+        try:
+            stream.write(text)
+            stream.flush()
+        except OSError as error:
+            failure = error
+        if stream is not sys.stderr:
+            self.failure = failure
+
+
 class Output(logging.Handler):
     """The two channels of a command. ``controls`` means that a rover depends on this process: it logs."""
 
-    ended = False
+    ended: ClassVar[bool] = False
     """Whether a command of this process has printed its result; it must not get a second one."""
-    blocked_s: float | None = None
-    """Wait in s at the end of this process for a reader that takes nothing; None is without limit."""
+    lines: ClassVar[_Lines | None] = None
+    """The queue of the command that runs, if a rover depends on it."""
+    blocked: ClassVar[bool] = False
+    """Whether the last command has left output that its reader does not take."""
 
     def __init__(self, as_json: bool, *, controls: bool = False) -> None:
         super().__init__()
         self.as_json = as_json
-        self.console = Console(stderr=as_json, highlight=False, soft_wrap=True)
         if controls:
-            Output.blocked_s = BLOCKED_S
+            Output.lines = _Lines(self._people)
             logger = logging.getLogger("rover_ncp")
             logger.setLevel(logging.INFO)
-            logger.handlers = [self]
+            logger.handlers = [Output.lines]
 
-    def emit(self, record: logging.LogRecord) -> None:
-        """Print a line of the log."""
-        self.say(record.getMessage())
+    @property
+    def _people(self) -> TextIO:
+        """The stream of text for people."""
+        return sys.stderr if self.as_json else sys.stdout
 
     def say(self, text: str) -> None:
-        """Print a line for people, unless it is empty; it is dropped when they read too slowly."""
+        """Print a line for people, unless it is empty."""
         if text:
-            self.console.print(printable(text), markup=False, emoji=False)
+            print_line(self._people, text)
 
     def announce(self, text: str) -> None:
-        """Print a line that programs wait for; it is never dropped while they read."""
-        keep(sys.stderr if self.as_json else sys.stdout, printable(text) + "\n")
+        """Print a line that programs wait for."""
+        print_line(self._people, text)
 
     @contextlib.contextmanager
     def live(self, line: Callable[[], str]) -> Iterator[None]:
-        """Show a changing line, on a terminal only; a thread draws it, so no terminal delays the caller."""
-        if not self.console.is_terminal:
+        """Show a changing line, on a terminal only."""
+        stream, lines, ended = self._people, Output.lines, threading.Event()
+        if lines is None or not stream.isatty():
             yield
             return
-        from rich.live import Live
 
-        with Live(
-            get_renderable=line,
-            console=self.console,
-            refresh_per_second=5,
-            transient=True,
-            redirect_stdout=False,
-            redirect_stderr=False,
-        ):
+        def draw() -> None:
+            while not ended.wait(_REDRAW_S):
+                lines.put(stream, line()[: shutil.get_terminal_size().columns - 1], drawn=True)
+            lines.put(stream, "", drawn=True)
+
+        threading.Thread(target=draw, daemon=True).start()
+        try:
             yield
+        finally:
+            ended.set()
 
     def result(self, result: "BaseModel", text: str) -> None:
         """End a command: its result as JSON, or the text. A number that is not finite becomes null."""
@@ -255,7 +193,32 @@ class Output(logging.Handler):
             plain = to_jsonable_python(
                 result.model_dump(by_alias=True), inf_nan_mode="null", fallback=lambda value: value.tolist()
             )
-            keep(sys.stdout, json.dumps(plain, allow_nan=False) + "\n")
+            print_line(sys.stdout, json.dumps(plain, allow_nan=False), wait_s=BLOCKED_S)
         else:
             for line in text.split("\n"):
-                self.announce(line)
+                print_line(sys.stdout, line, wait_s=BLOCKED_S)
+
+
+def print_line(stream: TextIO, text: str, *, wait_s: float = 0.0) -> None:
+    """Print a line; where a rover depends on this process, queue it, for ``wait_s`` if the queue is full.
+
+    Raises FileError if it cannot be written.
+    """
+    if Output.lines is not None:
+        Output.lines.put(stream, text, wait_s=wait_s)
+        return
+    try:
+        print(printable(text), file=stream, flush=True)
+    except OSError as error:
+        # Or Python would try again at its end, and print its own message.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        raise FileError(f"standard output cannot be written: {error.strerror}") from error
+
+
+def unwritten() -> str:
+    """Wait until the queued output is written; return the reason why the result is not, "" if it is."""
+    if (lines := Output.lines) is None:
+        return ""
+    if not lines.drained():
+        return "the reader takes no data"
+    return str(lines.failure.strerror) if lines.failure else ""

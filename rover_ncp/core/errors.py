@@ -13,6 +13,9 @@ wrapped with ``raise ... from``. Anything else that reaches the user is a bug an
 
 from collections.abc import Sequence
 
+INTERRUPTED = 130
+"""Exit code of a command that was interrupted."""
+
 
 class RoverNcpError(Exception):
     """Root of the tree; ``exit_code`` is what the command line returns."""

@@ -7,10 +7,12 @@ import time
 from abc import ABC, abstractmethod
 from pathlib import Path
 from types import FrameType
-from typing import Any, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.interruption import SIGNALS
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that end a command."""
 
 
 class Clock(Protocol):
@@ -68,6 +70,9 @@ class Interrupts:
     Signals that were ignored before stay ignored, such as SIGHUP (a closed terminal) under ``nohup``.
     """
 
+    earlier: ClassVar[list[int]] = []
+    """Signals that this process received outside of any ``with`` block of this class."""
+
     def __init__(self) -> None:
         self.received: list[int] = []
         self._before: dict[signal.Signals, Any] = {}
@@ -84,8 +89,20 @@ class Interrupts:
 
     @property
     def raised(self) -> bool:
-        """Whether any of these signals was received."""
-        return bool(self.received)
+        """Whether any of these signals was received, or earlier: a library may have dropped its exception."""
+        return bool(self.received or self.earlier)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self.received.append(number)
+
+
+def interrupt_on_signals() -> None:
+    """Raise KeyboardInterrupt at each signal that ends a command; ignored signals stay ignored."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        Interrupts.earlier.append(number)
+        raise KeyboardInterrupt
+
+    for number in SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, interrupt)

@@ -6,7 +6,6 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from multiprocessing import resource_tracker
 
 
 def end_with_parent() -> None:
@@ -22,23 +21,12 @@ def end_with_parent() -> None:
 
 @contextmanager
 def starting_processes() -> Iterator[None]:
-    """Let a Ctrl-C wait until the end of the block, and keep it from processes spawned within for good.
-
-    A terminal sends it to the whole group, and the parent alone decides. They inherit the blocked signal, so
-    it cannot hit them even while their interpreter starts. Blocking it here does not hold it back: any
-    thread of a library takes it instead, so it is also noted and passed on.
-    """
-    # The tracker unblocks SIGINT while it starts, so it has to start before we block it.
-    resource_tracker.ensure_running()
-    held: list[int] = []
-    is_main = threading.current_thread() is threading.main_thread()
-    handler = signal.signal(signal.SIGINT, lambda number, _: held.append(number)) if is_main else None
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    """Let processes that are spawned within ignore Ctrl-C, which a terminal sends to the whole group."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        if is_main:
-            signal.signal(signal.SIGINT, handler)
-    if held and callable(handler):
-        handler(signal.SIGINT, None)
+        signal.signal(signal.SIGINT, handler)

@@ -11,7 +11,6 @@ import pytest
 from kit.training_processes import is_running
 
 from rover_ncp.core.errors import ConfigError, UsageError
-from rover_ncp.core.spawned import starting_processes
 from sim.learn.workers import ProcessPool, WorkerDied
 from sim.live.processes import wait_for
 
@@ -51,16 +50,6 @@ def test_process_that_dies_is_reported(child, function, argument, ending):
         pool.submit(function, argument).result()
     assert child.is_alive()
     assert multiprocessing.active_children() == [child]
-
-
-def test_ctrl_c_waits_until_processes_have_started():
-    reached = False
-    with pytest.raises(KeyboardInterrupt), starting_processes():
-        os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(0.01)
-        reached = True
-    assert reached
-    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 def refuse():

@@ -60,10 +60,10 @@ def _time_ns() -> int:
 if __name__ == "__main__":
     # Before anything imports these names from the module time.
     time.time_ns, time.time = _time_ns, lambda: _time_ns() * 1e-9
-    from rover_ncp.entry import main
+    from rover_ncp.cli import main
 
     signal.signal(signal.SIGUSR1, _hang)
     signal.signal(SILENT_CLOSE, _silence_close)
     for each in CLOCK_STEPS_S:
         signal.signal(each, _step_clock)
-    main()
+    sys.exit(main())

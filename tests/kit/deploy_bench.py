@@ -13,6 +13,7 @@ from kit.virtual_bench import STEP_S, VirtualRig
 from kit.virtual_drive import COURSE
 from kit.zenoh_session import open_router
 from rover_ncp.core.config import dump_yaml
+from rover_ncp.core.console import Output, unwritten
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.messages import read_twist
@@ -112,6 +113,8 @@ def driver(bridge, folder, capsys, monkeypatch):
             "json": True,
         }
         code = deploy(**options | changes)
+        unwritten()
+        Output.lines = None
         return code, json.loads(capsys.readouterr().out)
 
     return drive

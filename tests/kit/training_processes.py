@@ -25,7 +25,7 @@ def start(*arguments, output=subprocess.DEVNULL):
 
 
 def start_rover_ncp(*arguments, output=subprocess.DEVNULL):
-    return start("-c", "from rover_ncp.entry import main; main()", *arguments, output=output)
+    return start("-m", "rover_ncp", *arguments, output=output)
 
 
 def is_running(pid):

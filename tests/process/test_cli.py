@@ -10,7 +10,6 @@ import typer
 
 from rover_ncp import cli
 from rover_ncp.core.errors import NoBridge, SafetyStop, UsageError
-from rover_ncp.core.interruption import Interruption
 
 MODULES = {point.name: point.module for point in entry_points(group=cli.GROUP)}
 NO_BRIDGE = "--robot tcp/127.0.0.1:1"
@@ -131,15 +130,6 @@ def test_a_bug_is_a_traceback_not_a_user_error(bug, run_command):
 
     with pytest.raises(bug):
         run_command(fail)
-
-
-def test_error_that_a_library_makes_of_an_interruption_is_one(monkeypatch, run_command, capsys):
-    def fail():
-        raise ValueError("literal validator: KeyboardInterrupt")
-
-    monkeypatch.setattr(Interruption, "raised", True)
-    assert run_command(fail) == 130
-    assert capsys.readouterr().err == "rover-ncp: interrupted\n"
 
 
 @pytest.mark.parametrize(("returned", "code"), [(1, 1), (None, 0)])

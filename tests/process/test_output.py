@@ -1,0 +1,136 @@
+"""Output that goes nowhere delays and ends no command on which a rover depends."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from faults.outlet import GONE, PIPE, TERMINAL, OutletProcess
+
+from deploy.drive.records import TICKS_TOPIC
+from rover_ncp.core.console import MAX_LINES, printable
+from rover_ncp.recording.recording import read_recording
+
+SHORT = "tests/data/short_course.yaml"
+# A command that says more than its queue holds, and how long that takes on stderr.
+TALKS = """
+import sys, time
+from pydantic import BaseModel
+from rover_ncp import cli
+from rover_ncp.core.console import Output
+
+class Talked(BaseModel):
+    lines: int
+
+def talk(**options):
+    output = Output(False, controls=True)
+    began = time.monotonic()
+    for number in range(int(sys.argv[1])):
+        output.say(f"{number} \\xb1\\x1b " + 80 * "x")
+    said_s = time.monotonic() - began
+    output.result(Talked(lines=1), "the result")
+    print(said_s < 0.3, file=sys.stderr, flush=True)
+    return 0
+
+cli._app = lambda: talk
+sys.exit(cli.main())
+"""
+LINES = 5 * MAX_LINES
+
+
+def talk(stdout, count=LINES, shell="", **environment):
+    """Run the command; return its exit code, what stdout got if it is a pipe, and the lines of stderr."""
+    command = [sys.executable, "-c", TALKS, str(count)]
+    if shell:
+        command = ["sh", "-c", f'exec "$@" {shell}', "sh", *command]
+    done = subprocess.run(
+        command,
+        stdout=stdout,
+        stderr=subprocess.PIPE,
+        env=os.environ | environment,
+        timeout=30,
+        check=False,
+    )
+    return done.returncode, done.stdout, done.stderr.decode().splitlines()
+
+
+@pytest.mark.parametrize("reader", ["full", "gone", "takes nothing"])
+def test_result_that_cannot_be_written_is_exit_2_and_delays_nothing(reader):
+    fds = os.pipe()
+    if reader == "gone":
+        os.close(fds[0])
+    with Path("/dev/full").open("wb") as full:
+        code, _, (in_time, *error) = talk(full if reader == "full" else fds[1])
+    os.close(fds[1])
+    assert (code, in_time) == (2, "True")
+    if reader != "takes nothing":  # then the error is behind the lines that wait
+        assert error[0].startswith("rover-ncp: standard output cannot be written: ")
+
+
+def test_output_that_is_closed_takes_everything():
+    assert talk(None, shell=">&-")[0] == 0
+
+
+def test_slow_reader_gets_the_result_and_the_number_of_dropped_lines():
+    process = subprocess.Popen([sys.executable, "-c", TALKS, str(LINES)], stdout=subprocess.PIPE)
+    time.sleep(0.3)
+    out, _ = process.communicate(timeout=30)
+    lines = out.decode().splitlines()
+    dropped = [int(line.rsplit(" ", 1)[1]) for line in lines if line.startswith("rover-ncp: lines of output")]
+    assert (process.returncode, lines[-1]) == (0, "the result")
+    assert len(lines) - len(dropped) + sum(dropped) == LINES + 1
+
+
+@pytest.mark.parametrize("locale", [{"LC_ALL": "C", "PYTHONUTF8": "0"}, {"PYTHONIOENCODING": "ascii"}])
+def test_ascii_terminal_gets_escape_sequences_for_other_characters(locale):
+    code, out, _ = talk(subprocess.PIPE, 1, **locale)
+    assert (code, out.splitlines()[0][:11]) == (0, b"0 \\xb1\\x1b ")
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("θ ±3 µs, Zoë", "θ ±3 µs, Zoë"),
+        ("a\nready zenoh=x\x85b\u2028c", "a\\nready zenoh=x\\x85b\\u2028c"),
+        ("\u202eabc\udc80", "\\u202eabc\\udc80"),
+    ],
+)
+def test_control_characters_are_shown_as_escape_sequences(text, shown):
+    assert printable(text) == shown
+
+
+@pytest.mark.long
+def test_blocked_output_keeps_no_process_from_its_work_nor_from_its_end(tmp_path):
+    """Mock, bridge, viewer and driver: the output of each is blocked from its first line on."""
+    processes = {}
+
+    def start(outlet, ready, command, *arguments):
+        process = processes[command] = OutletProcess(outlet, command, arguments, tmp_path)
+        said = process.wait_for_line(ready) if ready else ""
+        process.outlet.block()
+        return said
+
+    def end(process):
+        began = time.monotonic()
+        code = process.stop().code
+        # A second for the output, and a second for what each ends in order anyway.
+        return code, time.monotonic() - began < 2.0
+
+    try:
+        base = start(PIPE, "listening on ", "mock", "--listen", "127.0.0.1:0")
+        at = ["--base", f"tcp/{base}", "--listen", "tcp/127.0.0.1:0"]
+        robot = ["--robot", start(TERMINAL, "ready zenoh=", "bridge", *at).split()[0]]
+        start(GONE, "watching at ", "watch", *robot, "--port", "0")
+        record = tmp_path / "run.mcap"
+        start(TERMINAL, "", "deploy", *robot, "--course", SHORT, "--duration", "1", "--record", str(record))
+        assert processes["deploy"].wait(60.0).code == 2  # its result could not be written
+        assert len(read_recording(record).topic(TICKS_TOPIC)) == 11
+        ended = {name: end(processes[name]) for name in ("watch", "bridge", "mock")}
+        # An interruption keeps its own code; a result that could not be written turns 0 into 2.
+        assert ended == {"watch": (130, True), "bridge": (2, True), "mock": (2, True)}
+    finally:
+        for process in processes.values():
+            if process.running:
+                process.stop()

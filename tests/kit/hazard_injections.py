@@ -9,6 +9,7 @@ from collections import deque
 from dataclasses import replace
 
 from bridge.base import BaseReport
+from bridge.inbox import RobotMessage
 from kit.driver_injections import DRIVER_INJECTIONS
 from rover_ncp.wire import messages as ros
 from rover_ncp.wire.cdr import decode, encode
@@ -88,6 +89,24 @@ def as_stamped(stamp_ns):
 def as_pose(pose):
     """Give odometry another pose: ``pose(its own)``."""
     return odometry(lambda sample, first_ns: (pose(sample.pose), sample.velocity, sample.stamp_ns))
+
+
+def second_publisher(name, payload):
+    """Let a second publisher send ``payload`` after each message of the ROS 2 robot on a topic."""
+
+    def inject(drive):
+        connection, collect = drive.bridge.connection, drive.bridge.connection._collect
+
+        def collected():
+            before = len(connection.arrivals)
+            collect()
+            for own in connection.arrivals[before:]:
+                if own.topic == name and drive.active:
+                    connection.arrivals.append(RobotMessage(name, payload, own.arrived_s, b"other"))
+
+        connection._collect = collected
+
+    return inject
 
 
 def rate(change):
@@ -206,6 +225,7 @@ INJECTIONS = {
         "stop", lambda d, p: [pressed(v)(d, p)[0] for v in (True, False)]
     ),
     "press stop once more": on_topic("stop", once(lambda d, p: [*pressed(True)(d, p), p])),
+    "another publisher says that stop is released": second_publisher("stop", encode(ros.BOOL, data=False)),
     "contact": on_topic("hazard_detection", contacts(ros.BUMP)),
     "contact once": on_topic("hazard_detection", once(contacts(ros.BUMP))),
     "wheels dropped": on_topic("hazard_detection", contacts(ros.WHEEL_DROP)),

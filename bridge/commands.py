@@ -186,9 +186,12 @@ def _measure_timeout(chosen: "ChosenBase", inbox: "Inbox", limits: "Limits", out
 
     with Interrupts() as interrupts:
         base, _ = open_ros2_base(chosen, inbox, unsafe=True)
-        output.say("the robot drives forward at 0.1 m/s for 1.5 s, then gets nothing until it halts")
+        words = "the robot drives forward at 0.1 m/s for 1.5 s, then gets nothing until it halts"
         found = measure(
-            *(base, inbox, limits, lambda: interrupts.raised), clock=time, total_suspended_s=suspended_s
+            *(base, inbox, limits, lambda: interrupts.raised),
+            begins=lambda: output.say(words),
+            clock=time,
+            total_suspended_s=suspended_s,
         )
     output.result(found, words_for(found))
     return 0 if found.line else 1

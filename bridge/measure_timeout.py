@@ -12,12 +12,12 @@ from datetime import date
 from pydantic import BaseModel, Field
 
 from bridge.gate.limits import Limits
-from bridge.gate.state import Enable, VelocityCommand, describe
+from bridge.gate.state import Enable, Reason, VelocityCommand, describe
 from bridge.inbox import Inbox
 from bridge.node import Node
-from bridge.ros2.base import Ros2Base
+from bridge.ros2.base import WAIT_S, Ros2Base
 from bridge.ros2.base_timeout import MAX_SILENT_S, SPEED_M_S, Phase, TimeoutMeasurement
-from rover_ncp.core.errors import SafetyStop
+from rover_ncp.core.errors import NoRobot, SafetyStop
 from rover_ncp.core.process import Clock
 from rover_ncp.robot.description import MAX_BASE_TIMEOUT_S
 from rover_ncp.wire.protocol import KEY_BYTES, CommandTag
@@ -50,13 +50,15 @@ def measure(
     limits: Limits,
     stopping: Callable[[], bool],
     *,
+    begins: Callable[[], None],
     clock: Clock,
     total_suspended_s: Callable[[], float],
 ) -> TimeoutResult:
     """Drive a robot forward for 1.5 s, send it nothing, and measure when it halts.
 
-    Raises NoRobot, SafetyStop if the gate holds the robot or it does not move, and KeyboardInterrupt when
-    ``stopping`` becomes true. The robot gets zeros at each end.
+    ``begins`` is called when the robot gets its first command. Raises NoRobot, SafetyStop if the gate holds
+    the robot or it does not move, and KeyboardInterrupt when ``stopping`` becomes true. The robot gets zeros
+    at each end.
     """
     node = Node(
         base,
@@ -68,7 +70,7 @@ def measure(
         clock=clock,
         suspended_s=total_suspended_s,
     )
-    run = _Run(node, base, limits, clock)
+    run = _Run(node, base, limits, begins, clock)
     node.run(lambda: stopping() or run.step())
     if run.measurement.phase is Phase.DRIVES_ON:
         return TimeoutResult(timeout_s=None, line="")
@@ -87,26 +89,32 @@ def words_for(result: TimeoutResult) -> str:
     if not result.line:
         after = f"the robot halts {result.timeout_s:g} s after its last command"
         return f"{after}, expected at most {MAX_BASE_TIMEOUT_S:g} s; {unsafe}"
-    return f"add this line to the robot's description, then start the bridge:\n{result.line}"
+    return (
+        "this is by the robot's odometry, which looks the same if it freezes when the commands stop: only if "
+        "the wheels stood too, add this line to the robot's description, then start the bridge:\n"
+        f"{result.line}"
+    )
 
 
 class _Run:
     """The driver of one measurement; a turn of the node's loop calls `step` once."""
 
-    def __init__(self, node: Node, base: Ros2Base, limits: Limits, clock: Clock) -> None:
-        self._node, self._base, self._clock = node, base, clock
+    def __init__(
+        self, node: Node, base: Ros2Base, limits: Limits, begins: Callable[[], None], clock: Clock
+    ) -> None:
+        self._node, self._base, self._begins, self._clock = node, base, begins, clock
+        self._ready_s: float | None = None
         self._speed, self._mean_s = min(SPEED_M_S, limits.v_max), limits.speed_mean_s
         self.measurement = TimeoutMeasurement(clock.monotonic(), self._speed, self._mean_s)
         self._lease, self._sequence, self._sent_s = 0, 0, -math.inf
         self._seen = node.report
 
     def step(self) -> bool:
-        """Send what is due, and return whether the measurement is over. Raises SafetyStop."""
+        """Send what is due, and return whether the measurement is over. Raises SafetyStop or NoRobot."""
         now, gate, measurement = self._clock.monotonic(), self._node.gate, self.measurement
-        if self._node.reconnects < 0 or (self._node.report is None and not self._lease):
-            return False
         if not self._lease:
-            self._begin(now)
+            if self._node.reconnects >= 0:
+                self._begin(now)
             return False
         if self._sequence and gate.held is not None:  # zeros were sent, so what follows says nothing
             reason = gate.lease_over or gate.held
@@ -128,10 +136,18 @@ class _Run:
         return False
 
     def _begin(self, now: float) -> None:
-        secret = secrets.token_bytes(KEY_BYTES)
-        verdict = self._node.judge(Enable(NAME, round(now * 1e9), secret), now)
+        self._ready_s = now if self._ready_s is None else self._ready_s
+        waits = now - self._ready_s <= WAIT_S
+        if self._node.report is None:
+            if waits:
+                return
+            raise NoRobot(f"the robot was lost before it was driven: {self._node.gate.lost or 'no odometry'}")
+        verdict = self._node.judge(Enable(NAME, round(now * 1e9), secrets.token_bytes(KEY_BYTES)), now)
+        if verdict.refusal is Reason.HAZARD_UNKNOWN and waits:  # its topic may send seldom
+            return
         if verdict.refusal is not None:
             raise SafetyStop(str(verdict.refusal), describe(verdict.refusal, self._node.gate))
         assert verdict.lease is not None  # it was granted
         self._lease = verdict.lease.number
+        self._begins()
         self.measurement = TimeoutMeasurement(now, self._speed, self._mean_s)

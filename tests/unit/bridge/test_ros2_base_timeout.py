@@ -5,11 +5,11 @@ from dataclasses import replace
 import pytest
 from kit.described import described
 
-from bridge.base import BaseReport
+from bridge.base import BaseReport, Ready
 from bridge.gate.limits import Fence
 from bridge.measure_timeout import measure, words_for
 from bridge.ros2.base_timeout import Phase, TimeoutMeasurement, TimeoutRecord
-from rover_ncp.core.errors import ConfigError, SafetyStop
+from rover_ncp.core.errors import ConfigError, NoRobot, SafetyStop
 from rover_ncp.core.files import shipped_names
 from rover_ncp.robot.description import load_description
 from sim.base.ros2_robot import Ros2Robot
@@ -75,7 +75,7 @@ class Robot:
         robot = described(model, topics={"cmd_vel_timeout_s": timeout_s})
         self.robot = Ros2Robot(robot, PymunkRover(described_rover(robot), Ground(())))
         self.line = Ros2Connection(self.robot, None)
-        self.now_s, self.act = 0.0, lambda: None
+        self.now_s, self.act, self.began_s = 0.0, lambda: None, []
 
     def monotonic(self):
         return self.now_s
@@ -100,7 +100,14 @@ class Robot:
 
     def measure(self, stopping=lambda: False, fence=None):
         base, limits = self.line.base, self.line.limits.model_copy(update={"fence": fence})
-        return measure(base, self, limits, stopping, clock=self, total_suspended_s=lambda: 0.0)
+        found = measure(
+            *(base, self, limits, stopping),
+            begins=lambda: self.began_s.append(self.now_s),
+            clock=self,
+            total_suspended_s=lambda: 0.0,
+        )
+        assert len(self.began_s) == 1
+        return found
 
     def stands_soon(self):
         """Let the line time pass without the bridge; return whether the robot stands then."""
@@ -165,6 +172,43 @@ def test_odometry_that_stops_ends_the_measurement_and_the_robot_stands(silent):
         robot.measure()
     robot.take = before
     assert robot.stands_soon()
+
+
+def test_a_robot_that_is_lost_before_it_is_driven_is_named(monkeypatch):
+    """It is ready, and lost again before a report of it."""
+    robot = Robot(0.5)
+    base, receive = robot.line.base, robot.line.base.receive
+
+    def ready_alone(arrival, now):
+        events = [event for event in receive(arrival, now) if not isinstance(event, BaseReport)]
+        if any(isinstance(event, Ready) for event in events):
+            robot.act = robot.line.arrivals.clear
+        return events
+
+    monkeypatch.setattr(base, "receive", ready_alone)
+    with pytest.raises(NoRobot, match="lost before it was driven: no odometry on odom"):
+        robot.measure()
+    assert robot.now_s < 10.0
+    assert not robot.began_s
+
+
+@pytest.mark.parametrize("silent_s", [3.0, 20.0])
+def test_a_stop_topic_that_is_silent_at_first_delays_the_measurement(silent_s):
+    robot = Robot(0.5, "husky-a200")
+
+    def act():
+        if robot.now_s < silent_s:
+            arrivals = robot.line.arrivals
+            arrivals[:] = [found for found in arrivals if found.topic != "platform/emergency_stop"]
+
+    robot.act = act
+    if silent_s == 3.0:
+        assert robot.measure().line
+        assert robot.began_s[0] >= silent_s
+        return
+    with pytest.raises(SafetyStop, match="emergency_stop: no message has come"):
+        robot.measure()
+    assert not robot.began_s
 
 
 def test_a_measurement_counts_for_its_own_robot_and_not_when_it_halts_too_late(tmp_path):

@@ -11,7 +11,7 @@ from pydantic import BaseModel, Field
 
 from deploy import comparisons
 from deploy.check_inputs import NO_REPLY, Battery, InputSteps
-from deploy.check_moves import Moves
+from deploy.check_moves import MOVE_S, Moves
 from deploy.comparisons import Answer, Samples
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
@@ -32,6 +32,8 @@ V_M_S, OMEGA_RAD_S = 0.1, 0.2
 STOP_S = 0.5
 """The first safety requirement; braking and the time to the next report come on top."""
 BRAKING_S, REPORT_S = 0.15 + V_M_S / 0.3, 0.1
+FAST = 1.6
+"""How many times as far as commanded a straight motion may seem by the pose."""
 SCALE = 0.15
 """How far the distance by the pose and the distance by the speed may differ, as a share."""
 STANDING = 0.01
@@ -200,6 +202,11 @@ class Preflight:
             moved = f"commanded {V_M_S} m/s, the base reports {after.velocity.v:.2f} m/s and {ahead:.2f} m"
             return False, f"{moved}: {gate_did}"
         words = f"{ahead:.3f} m by its pose, {by_speed.v:.3f} m by its speed"
+        if problem := comparisons.jump(self._straight, Velocity(V_M_S, 0.0)):
+            return False, problem
+        most = FAST * V_M_S * MOVE_S
+        if ahead > most:
+            return False, f"{words}, at most {most:.3f} m was commanded: has odometry another unit or scale?"
         if self._speed_mean_s:
             return True, f"{words}, which is a mean over {self._speed_mean_s:g} s"
         return abs(ahead - by_speed.v) <= SCALE * by_speed.v, f"{words} (right: ±{SCALE:.0%})"
@@ -215,7 +222,11 @@ class Preflight:
         words = f"commanded {omega:.2g} rad/s, the base reports {reported}"
         if not follows(after.velocity.omega, omega) or turned <= 0.0:
             return False, f"{words}: {gate_did}"
+        if problem := comparisons.jump(self._turn, Velocity(0.0, omega)):
+            return False, problem
         low, high = comparisons.SKID_TURN_SHARES
+        if turned > high * omega * MOVE_S:
+            return False, f"{words} in {MOVE_S:g} s: has odometry another unit or scale?"
         if not self._speed_mean_s and not low <= turned / by_speed.omega <= high:
             return (
                 False,
@@ -225,11 +236,17 @@ class Preflight:
 
     def _check_slow(self) -> Answer:
         """Measure the dead band; a driver must know a large one."""
-        gate, found = self._link.gate, [0.0, 0.0]
+        gate, found, followed = self._link.gate, [0.0, 0.0], [False, False]
         for step in ramps(self._measurements):
             self._moves.command(step.velocity, step.seconds)
-            found = [speed or before for speed, before in zip(step.velocity, found, strict=True)]
+            for axis, speed in enumerate(step.velocity):
+                if speed:
+                    found[axis] = speed
+                    followed[axis] = follows(self._moves.newest.sample.velocity[axis], speed)
         self._follows = Velocity(*found)
+        if not all(followed):
+            most = [f"{found[0]:.3g} m/s", f"{found[1]:.3g} rad/s"][followed.index(False)]
+            return False, f"follows no slow command up to {most}: {self._gate_since(gate)}"
         words = f"follows commands from {found[0]:.3g} m/s and {found[1]:.3g} rad/s on"
         if found[0] > 1.01 * MAX_BAND.v or found[1] > 1.01 * MAX_BAND.omega:  # steps have rounding errors
             most = f"{MAX_BAND.v:g} m/s and {MAX_BAND.omega:g} rad/s"

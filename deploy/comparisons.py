@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.core.geometry import Pose, relative, wrap_angle
+from rover_ncp.core.geometry import Pose, Velocity, relative, wrap_angle
 from rover_ncp.wire.messages import GYRO_GAP_S
 
 FloatArray = NDArray[np.float64]
@@ -34,6 +34,8 @@ MIN_SAMPLES = 5
 """Fewer samples of a motion show nothing."""
 ROOM_M, ROOM_SHARE = 0.03, 0.3
 """Error of a laser's range, and share by which the room to something oblique may change otherwise."""
+JUMP_M, JUMP_RAD = 0.05, 0.1
+"""Beyond twice the commanded motion, odometry that moves farther between two samples jumps."""
 NOTHING = 0.1
 """A sensor that shows a smaller share of odometry's motion shows none."""
 _LAGS_S = np.arange(-0.3, 1.0, 0.01)
@@ -68,6 +70,20 @@ class Fit(NamedTuple):
         """The lag in words."""
         low, high = self.lags_s
         return f"{self.lag_s:.2f} s late (between {low:.2f} and {high:.2f} s)"
+
+
+def jump(samples: Samples, command: Velocity) -> str:
+    """Return in words the first jump of odometry between two samples of a motion; "" without one."""
+    for (before_s, before), (now_s, now) in pairwise(samples.odometry):
+        span_s, moved = now_s - before_s, relative(before, now)
+        way_m, turned = math.hypot(moved.x, moved.y), abs(moved.theta)
+        if (
+            way_m > JUMP_M + 2.0 * abs(command.v) * span_s
+            or turned > JUMP_RAD + 2.0 * abs(command.omega) * span_s
+        ):
+            by = f"{way_m:.2f} m and {turned:.2f} rad within {span_s:.2f} s"
+            return f"the pose of odometry jumps by {by}: something sets it anew, or two publishers send it"
+    return ""
 
 
 def gyro_at_rest(rest: Samples) -> Answer:

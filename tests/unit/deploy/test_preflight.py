@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from kit.described import described
+from kit.virtual_check import check
 from kit.virtual_drive import ChangedLink
 
 from bridge.gate.limits import Limits
@@ -18,8 +19,6 @@ from bridge.pioneer.packets import Kind
 from deploy.check import Preflight
 from deploy.check_inputs import Battery, InputSteps
 from deploy.check_moves import Moves
-from deploy.drive.measurements import Measurements
-from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.signed_lease import NOT_ACCEPTED
 from deploy.publishers import Publishers
 from rover_ncp.core.clock_offset import NS_PER_S
@@ -28,7 +27,6 @@ from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, compose
 from rover_ncp.robot.description import DeadBand, load_description
 from rover_ncp.wire.messages import imu, pose_with_covariance, read_imu
 from rover_ncp.wire.protocol import BaseReply, GateStatus
-from sim.base.faults import Faults, parse_fault
 from sim.base.firmware import Firmware
 from sim.base.models import config_of
 from sim.base.ros2_robot import Ros2Robot
@@ -123,47 +121,6 @@ def test_a_robot_may_brake_as_slowly_as_its_description_says(monkeypatch, decel,
     monkeypatch.setattr(Moves, "until", lambda self, condition, timeout_s: True)
     found, words = Preflight(None, SimpleNamespace(newest=stood), None, None, robot=robot)._check_silence()
     assert found is ok, words
-
-
-def check(
-    *faults,
-    limits=None,
-    while_turning="",
-    model=None,
-    robot="p3at-sh",
-    config=None,
-    change=(),
-    on_floor=False,
-    localise=lambda link, rover: None,
-):
-    """Check a robot on the virtual clock; return the findings, the link and the rover."""
-    robot = load_description(robot) if isinstance(robot, str) else robot
-    rover = PymunkRover(described_rover(robot, motors=True), Ground(()))
-    if robot.arcos:
-        base = Firmware(robot, rover, faults=Faults([parse_fault(fault) for fault in faults]), config=config)
-    else:
-        base = Ros2Robot(robot, rover)
-    bridge, battery = VirtualBridge(base, limits), Battery()
-    bridge.sleep(3.0)
-    link = ChangedLink(bridge, battery.record)
-    link._start = None  # poses are those of `localise`
-    measurements = Measurements(link, pose_frame=None)
-    link.change |= dict(change)
-
-    def press_bumper(data):
-        if while_turning and rover.velocity.omega > 0.05:
-            base.inject(parse_fault(while_turning))
-        localise(link, rover)
-        return data
-
-    link.change["odom"] = press_bumper
-    monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
-    monitor.wait()
-    expected = load_description(model) if isinstance(model, str) else model
-    preflight = Preflight(
-        link, measurements, monitor, battery, robot=expected, on_floor=on_floor, clock=bridge
-    )
-    return preflight.run(), link, rover
 
 
 def assert_stopped(link, rover):

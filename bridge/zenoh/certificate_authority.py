@@ -14,6 +14,7 @@ import ipaddress
 import json
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from cryptography import x509
@@ -59,10 +60,16 @@ _VALID = datetime.timedelta(days=5 * 365)
 _BACKDATED = datetime.timedelta(days=2)
 """A robot's clock may be wrong by a time zone, or a battery's sleep."""
 _LISTEN = "tls/0.0.0.0:7447"
-_LABEL = r"[A-Za-z0-9_](?:[A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?"
-_DNS_NAME = re.compile(rf"(?:\*\.{_LABEL}\.)?(?:{_LABEL}\.)*(?!\d+\Z){_LABEL}")
-"""What checks of certificates match: at least two labels after ``*``, and a last label that is no number."""
 _MAX_DNS_NAME = 253
+_DNS_NAME = re.compile(r"(?:\*\.[\w-]{1,63}\.)?(?:[\w-]{1,63}\.)*(?!\d+\Z)[\w-]{1,63}", re.ASCII)
+"""What checks of certificates match: at least two labels after ``*``, and a last label that is no number."""
+
+
+_OF_AN_AUTHORITY = ("key_cert_sign", "crl_sign")
+_USAGES = (
+    *("digital_signature", "content_commitment", "key_encipherment", "data_encipherment", "key_agreement"),
+    *("encipher_only", "decipher_only"),
+)
 
 
 def make_credentials(hosts: Sequence[str], namespace: str = "") -> Mapping[str, str]:
@@ -107,20 +114,9 @@ def make_credentials(hosts: Sequence[str], namespace: str = "") -> Mapping[str, 
 
 def _authority() -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
     private = ec.generate_private_key(ec.SECP256R1())
-    name = _name("rover-ncp lab")
-    usage = x509.KeyUsage(
-        digital_signature=False,
-        content_commitment=False,
-        key_encipherment=False,
-        data_encipherment=False,
-        key_agreement=False,
-        key_cert_sign=True,
-        crl_sign=True,
-        encipher_only=False,
-        decipher_only=False,
-    )
-    builder = _builder(name, name, private).add_extension(x509.BasicConstraints(True, 0), critical=True)
-    return builder.add_extension(usage, critical=True).sign(private, hashes.SHA256()), private
+    usage = x509.KeyUsage(**dict.fromkeys(_USAGES, False) | dict.fromkeys(_OF_AN_AUTHORITY, True))
+    builder = _builder("rover-ncp lab", private, ca=True).add_extension(usage, critical=True)
+    return builder.issuer_name(_name("rover-ncp lab")).sign(private, hashes.SHA256()), private
 
 
 def _certificate(
@@ -132,29 +128,24 @@ def _certificate(
 ) -> x509.Certificate:
     """Sign a certificate; with ``hosts`` it is one to listen with, without only one to connect with."""
     usage = ExtendedKeyUsageOID.SERVER_AUTH if hosts else ExtendedKeyUsageOID.CLIENT_AUTH
-    builder = (
-        _builder(_name(common_name), authority.subject, private)
-        .add_extension(x509.BasicConstraints(False, None), critical=True)
-        .add_extension(x509.ExtendedKeyUsage([usage]), critical=False)
-    )
+    builder = _builder(common_name, private, ca=False).issuer_name(authority.subject)
+    builder = builder.add_extension(x509.ExtendedKeyUsage([usage]), critical=False)
     if hosts:
         names = x509.SubjectAlternativeName([_host(host) for host in hosts])
         builder = builder.add_extension(names, critical=False)
     return builder.sign(authority_key, hashes.SHA256())
 
 
-def _builder(
-    subject: x509.Name, issuer: x509.Name, private: ec.EllipticCurvePrivateKey
-) -> x509.CertificateBuilder:
+def _builder(common_name: str, private: ec.EllipticCurvePrivateKey, *, ca: bool) -> x509.CertificateBuilder:
     now = datetime.datetime.now(datetime.UTC)
     return (
         x509.CertificateBuilder()
-        .subject_name(subject)
-        .issuer_name(issuer)
+        .subject_name(_name(common_name))
         .public_key(private.public_key())
         .serial_number(x509.random_serial_number())
         .not_valid_before(now - _BACKDATED)
         .not_valid_after(now + _VALID)
+        .add_extension(x509.BasicConstraints(ca, 0 if ca else None), critical=True)
     )
 
 
@@ -164,34 +155,23 @@ def _name(common_name: str) -> x509.Name:
 
 def is_host(host: str) -> bool:
     """Return whether the address of a driver can match this name in a certificate."""
-    return _general_name(host) is not None
-
-
-def _general_name(host: str) -> x509.GeneralName | None:
     try:
-        return x509.IPAddress(ipaddress.ip_address(host.strip("[]")))
-    except ValueError:
-        valid = len(host) <= _MAX_DNS_NAME and _DNS_NAME.fullmatch(host)
-        return x509.DNSName(host) if valid else None
+        _host(host)
+    except UsageError:
+        return False
+    return True
 
 
 def _host(host: str) -> x509.GeneralName:
     """Return a name of a certificate. Raises UsageError for an invalid one."""
-    name = _general_name(host)
-    if name is not None:
-        return name
-    expected = "an IP address or a DNS name without tls/ and port, such as 192.168.1.20 or robot.local"
-    if not host.isascii():
-        expected = f"an ASCII name{_ascii_form(host)}"
-    raise UsageError(f"--host {host}: expected {expected}")
-
-
-def _ascii_form(host: str) -> str:
-    try:
-        ascii_form = host.encode("idna").decode()
-    except UnicodeError:
-        return ""
-    return f", here {ascii_form}, also in --robot" if _DNS_NAME.fullmatch(ascii_form) else ""
+    with suppress(ValueError):
+        return x509.IPAddress(ipaddress.ip_address(host.strip("[]")))
+    if len(host) > _MAX_DNS_NAME or not _DNS_NAME.fullmatch(host):
+        raise UsageError(
+            f"--host {host}: expected an IP address or an ASCII DNS name without tls/ and port, such as "
+            "192.168.1.20 or robot.local"
+        )
+    return x509.DNSName(host)
 
 
 def _pem(certificate: x509.Certificate) -> str:

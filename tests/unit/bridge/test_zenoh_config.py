@@ -71,19 +71,13 @@ def test_keys_are_refused_while_the_clock_is_wrong(keys, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("host", "expected"),
-    [
-        ("192.168.1.20:7447", "without tls/ and port"),
-        ("tls/robot", "without tls/ and port"),
-        ("192.168.1.300", "without tls/ and port"),
-        ("robot.local.", "without tls/ and port"),
-        ("*.local", "without tls/ and port"),
-        ("", "without tls/ and port"),
-        ("röver.local", "an ASCII name, here xn--rver-5qa.local, also in --robot"),
-    ],
+    "host",
+    ["192.168.1.20:7447", "tls/robot", "192.168.1.300", "robot.local.", "*.local", "", "röver.local"],
 )
-def test_host_that_no_address_can_match_is_refused(host, expected):
-    with pytest.raises(UsageError, match=f"^--host {re.escape(host)}: expected .*{expected}"):
+def test_host_that_no_address_can_match_is_refused(host):
+    with pytest.raises(
+        UsageError, match=f"^--host {re.escape(host)}: expected an IP address or an ASCII DNS"
+    ):
         make_credentials([host])
 
 

@@ -125,10 +125,6 @@ paper-gradients: $(GRADIENTS_STAMP) ## PPO and A2C: installs stable-baselines3, 
 	$(BIN)/python docs/examples/ppo_parking.py
 	$(BIN)/rover-ncp paper run --budget gradients
 
-.PHONY: test-torch
-test-torch: $(GRADIENTS_STAMP) ## CfC and LTC against the library ncps, whose cells need torch.
-	$(BIN)/pytest tests/unit/learn/test_liquid.py
-
 # All platforms and Pythons in one file; no address, so that any index can serve it. gradients has no lock: torch comes from
 # an index of its choice.
 LOCK := uv pip compile --quiet --universal --python-version 3.11 --constraint constraints.txt --generate-hashes \
@@ -186,7 +182,7 @@ test-installs: ## The quick unit tests on each Python from 3.11 to 3.13 that is 
 	done
 
 .PHONY: nightly nightly-waits nightly-cpu
-nightly: $(GRADIENTS_STAMP) $(FUZZ_STAMP) ## All that takes an hour or more: matrices, soak, all examples of Hypothesis, mutants, fuzzing, torch, installs.
+nightly: $(FUZZ_STAMP) ## All that takes an hour or more: matrices, soak, all examples of Hypothesis, mutants, fuzzing, installs.
 	$(MAKE) test-timed
 	$(MAKE) --jobs 2 --output-sync=line nightly-waits nightly-cpu
 
@@ -196,7 +192,6 @@ nightly-waits:
 	$(BIN)/pytest tests/process tests/system -m "not browser and not timed" --hypothesis-profile=full \
 		--numprocesses 3 --dist worksteal
 	$(MAKE) soak
-	nice -n 19 $(MAKE) test-torch
 	nice -n 19 $(MAKE) test-installs
 
 nightly-cpu:

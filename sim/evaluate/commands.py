@@ -32,7 +32,7 @@ class EvalOptions:
     policy: Annotated[
         str,
         typer.Argument(
-            help="Policy to score: a name, a YAML file, a circuit in the published .bnn format, a law, or "
+            help="Policy to score: a name, a YAML file, a circuit in the published .bnn format, or "
             "module:name for a policy in Python."
         ),
     ]
@@ -187,9 +187,9 @@ def evaluate(options: EvalOptions) -> int:
 
         rover-ncp eval course --trials 300 --stack --model turtlebot4
 
-    kanayama in place of a policy is a classical tracking law. module:name is a function of your own, or a
-    class of such, in a module that Python finds, also in the working folder. It gets the signals that its
-    attribute signals names, and returns v and omega. A method reset, if there is one, begins each trial.
+    module:name in place of a policy is a function of your own, or a class of such, in a module that Python
+    finds, also in the working folder. It gets the signals that its attribute signals names, and returns v and
+    omega. A method reset, if there is one, begins each trial.
 
         rover-ncp eval my_policy:Follow --trials 100 --randomize full
 
@@ -349,10 +349,9 @@ def driver_sensors(sensors: Sensors | None, robot: "RobotDescription | None") ->
 def _play_task(options: EvalOptions, task: str) -> int:
     """Play a task; return 1 if a single episode was played and no success."""
     from sim.evaluate.benchmark import EPISODES, score_circuit
-    from sim.learn.engine.kanayama import KANAYAMA
     from sim.paper.tasks import TASKS
 
-    if options.policy == KANAYAMA or (":" in options.policy and not Path(options.policy).exists()):
+    if ":" in options.policy and not Path(options.policy).exists():
         raise UsageError(f"{options.policy} follows a course: --task needs a policy file or a circuit")
     own = {"policy", "task", "range_", "trials", "seed", "json"}
     others = {

@@ -130,7 +130,10 @@ def drive_trials(
         raise UsageError(f"at least one trial must be driven, got {trials}")
     model = model or default_rover()
     ticks = max(course.ticks for course in courses)
-    drive = (_drive_lanes if driver.lanes else _drive_runner)(driver, courses, model)
+    if driver.circuit:
+        drive = _drive_lanes(driver.circuit, courses, model)
+    else:
+        drive = _drive_runner(driver, courses, model)
     found = list[Ended]()
     for first in range(0, trials, _BATCH):
         count = min(_BATCH, trials - first)
@@ -139,12 +142,10 @@ def drive_trials(
 
 
 def _drive_lanes(
-    driver: Driver, courses: Sequence[Course], model: RoverModel
+    policy: Policy, courses: Sequence[Course], model: RoverModel
 ) -> Callable[[Trials, int], list[Ended]]:
     """Return what drives trials, of which the first has a number, in the lanes of an episode kernel."""
-    assert driver.lanes is not None
-    lane_runner, vector = driver.lanes()
-    engine = Evaluator(driver.signals, courses, model, lane_runner=lane_runner)
+    engine, vector = Evaluator(policy, courses, model), policy.parameters()
 
     def drive(trials: Trials, first: int) -> list[Ended]:
         engine.change_trials(trials, first)

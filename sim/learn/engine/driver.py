@@ -1,4 +1,4 @@
-"""Policies under test: circuits, a tracking law and policies of a user, all by the names of their signals."""
+"""Policies under test: circuits and policies of a user, both by the names of their signals."""
 
 import traceback
 from collections.abc import Callable, Sequence
@@ -17,12 +17,9 @@ from rover_ncp.circuit.rover_interface import DEFAULT_SIGNALS, FunctionRunner, R
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.errors import ConfigError, RoverNcpError, UsageError
 from rover_ncp.core.files import importable_working_folder
-from rover_ncp.course.signals import REFERENCE_SIGNALS
-from sim.learn.engine.kanayama import KANAYAMA, TUNED, law_lane_runner
-from sim.learn.engine.lane_runner import LaneRunner, OneLaneRunner, circuit_lane_runner
 
 FloatArray = NDArray[np.float64]
-AnyRunner: TypeAlias = Runner | OneLaneRunner | FunctionRunner
+AnyRunner: TypeAlias = Runner | FunctionRunner
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,19 +30,20 @@ class Driver:
     signals: tuple[str, ...]
     runner: Callable[[], AnyRunner]
     """Return a runner of the policy; other processes may call this, too."""
-    lanes: Callable[[], tuple[LaneRunner, FloatArray]] | None = None
-    """Return the runner of an episode kernel and its parameters (P,); None for a policy of a user."""
-    neurons: tuple[str, ...] = ()
-    """Names of a circuit's neurons."""
+    circuit: Policy | None = None
+    """The policy of a circuit, which an episode kernel can drive; None for a policy of a user."""
+
+    @property
+    def neurons(self) -> tuple[str, ...]:
+        """Names of a circuit's neurons."""
+        return self.circuit.circuit.neurons if self.circuit else ()
 
 
 def load_driver(name: str) -> Driver:
-    """Load the law by name, a policy of a user as ``module:name``, or a circuit's policy by name or file.
+    """Load a policy of a user as ``module:name``, or a circuit's policy by name or file.
 
     Raises ConfigError, FileError or UsageError.
     """
-    if name == KANAYAMA:
-        return Driver(name, REFERENCE_SIGNALS, _law_runner, _law_lanes)
     if ":" in name and not Path(name).exists():
         return _own_driver(name, partial(_imported, name))
     return circuit_driver(load_policy(name))
@@ -54,8 +52,7 @@ def load_driver(name: str) -> Driver:
 def circuit_driver(policy: Policy) -> Driver:
     """Return a circuit's policy under test. Raises ConfigError for one that drives no rover."""
     RoverInterface(policy)
-    lanes, neurons = partial(_circuit_lanes, policy), policy.circuit.neurons
-    return Driver(policy.circuit.name, policy.sensing.inputs, partial(Runner, policy), lanes, neurons)
+    return Driver(policy.circuit.name, policy.sensing.inputs, partial(Runner, policy), policy)
 
 
 def function_driver(policy: Callable[[FloatArray], Any]) -> Driver:
@@ -115,15 +112,3 @@ def _described(error: Exception) -> str:
     last = traceback.extract_tb(error.__traceback__)[-1]
     words = " ".join(str(error).split())
     return f"{type(error).__name__}: {words} ({Path(last.filename).name}, line {last.lineno})"
-
-
-def _circuit_lanes(policy: Policy) -> tuple[LaneRunner, FloatArray]:
-    return circuit_lane_runner(policy), policy.parameters()
-
-
-def _law_lanes() -> tuple[LaneRunner, FloatArray]:
-    return law_lane_runner(), np.array(TUNED)
-
-
-def _law_runner() -> AnyRunner:
-    return OneLaneRunner(*_law_lanes())

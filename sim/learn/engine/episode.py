@@ -1,6 +1,6 @@
 """Whole episodes in one kernel: lanes of controllers, each with a rover of a fleet.
 
-``episode_kernel`` makes the kernel for a runner: a circuit, a network or a law. Episodes wait in a queue
+``episode_kernel`` makes the kernel for a runner, that of circuits. Episodes wait in a queue
 for a free lane. A lane runs its episode on its own clock and takes the next one when that ends, or when its
 return falls below its threshold. So all lanes stay busy, and the result of an episode depends neither on its
 lane nor on the other episodes. ``rollout.py`` defines an episode; the tests compare the two bit by bit.

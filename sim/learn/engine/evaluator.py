@@ -24,7 +24,7 @@ from rover_ncp.course.scoring import due_checkpoints
 from rover_ncp.course.signals import SIGNALS
 from rover_ncp.kernels.jit import bound
 from sim.learn.engine.episode import enqueue, episode_kernel
-from sim.learn.engine.lane_runner import LaneRunner, circuit_lane_runner
+from sim.learn.engine.lane_runner import circuit_lane_runner
 from sim.learn.engine.lanes import IDLE, RESULTS, FloatArray, IntArray, Lanes, Queue, Tasks, Waiting
 from sim.world.described import default_rover
 from sim.world.fleet import Fleet
@@ -68,24 +68,21 @@ class _LaneSet(NamedTuple):
 
 
 class Evaluator:
-    """Scores parameter vectors of one lane runner, by default a policy's circuit. One thread at a time.
+    """Scores parameter vectors of one policy's circuit. One thread at a time.
 
-    With another one, the names of its signals take the place of the policy. With ``trials``, trial i is
-    driven on course i modulo the number of courses; without, each course once as the model is. References are
-    planned where the policy observes them and none are given.
+    With ``trials``, trial i is driven on course i modulo the number of courses; without, each course once as
+    the model is. References are planned where the policy observes them and none are given.
 
     Raises ConfigError when the policy cannot drive or a course's start is blocked.
     """
 
     def __init__(
         self,
-        policy: Policy | Sequence[str],
+        policy: Policy,
         course: Course | Sequence[Course],
         model: RoverModel | None = None,
         trials: Trials | None = None,
         references: Sequence[Reference] | None = None,
-        *,
-        lane_runner: LaneRunner | None = None,
     ) -> None:
         interface = RoverInterface(policy)
         courses = [course] if isinstance(course, Course) else list(course)
@@ -97,10 +94,7 @@ class Evaluator:
         self._ground = np.array([self._grounds.index(each.obstacles) for each in courses])
         if references is None and interface.needs_reference:
             references = [plan_reference(each) for each in courses]
-        if lane_runner is None:
-            assert isinstance(policy, Policy)  # signals come with a lane runner
-            lane_runner = circuit_lane_runner(policy)
-        self._lane_runner = lane_runner
+        self._lane_runner = circuit_lane_runner(policy)
         self._kernel = episode_kernel(self._lane_runner.start_lane, self._lane_runner.tick_lanes)
         self._signal_at = np.array(interface.places)
         self._tasks = _tasks(courses, references, self.model)

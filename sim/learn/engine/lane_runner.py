@@ -1,9 +1,9 @@
 """What drives the lanes of an episode kernel, each lane with its own parameters: arrays and two kernels.
 
-A lane runner runs a circuit (here), a network (``networks.py``) or a tracking law (``kanayama.py``).
+A lane runner runs a circuit (here); those of the paper's networks are with the paper.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,28 +70,3 @@ def start_circuit(lanes: CircuitLanes, lane: int, vector: FloatArray) -> None:
 def tick_circuits(lanes: CircuitLanes, observations: FloatArray, commands: FloatArray) -> None:
     """Run all lanes for one control tick."""
     tick_lanes(lanes.program, lanes.parameters, lanes.potentials, observations, commands)
-
-
-class OneLaneRunner:
-    """A ``LaneRunner`` with one lane, run tick by tick: a driver's ``Runner`` without neurons."""
-
-    def __init__(self, lane_runner: LaneRunner, vector: FloatArray) -> None:
-        self._lane_runner, self._vector = lane_runner, vector
-        self._lane = lane_runner.allocate(1)
-        self._command = np.empty((2, 1))
-        self.reset()
-
-    @property
-    def potentials(self) -> FloatArray:
-        """None: (0,)."""
-        return np.empty(0)
-
-    def reset(self) -> None:
-        """Go back to an episode's start."""
-        self._lane_runner.start_lane(self._lane, 0, self._vector)
-
-    def tick(self, observation: Sequence[float] | FloatArray) -> tuple[float, ...]:
-        """Run one control tick on an observation (inputs,) and return v in m/s and omega in rad/s."""
-        seen = np.array(observation, np.float64)[:, None]
-        self._lane_runner.tick_lanes(self._lane, seen, self._command)
-        return tuple(self._command[:, 0].tolist())

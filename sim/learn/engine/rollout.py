@@ -25,7 +25,6 @@ from rover_ncp.course.hold import HOLD, hold_from_s, holds
 from rover_ncp.course.reference import Reference, plan_reference
 from rover_ncp.course.scoring import Verdict, due_checkpoints, judge, reward
 from rover_ncp.robot.dead_zone import STEP, Pulse, clear_of, pulsed
-from sim.learn.engine.lane_runner import OneLaneRunner
 from sim.world.described import default_rover
 from sim.world.motion_errors import (
     apply_base_errors,
@@ -106,7 +105,7 @@ def rollout(
     trials: Trials | None = None,
     row: int = 0,
     reference: Reference | None = None,
-    runner: Runner | OneLaneRunner | FunctionRunner | None = None,
+    runner: Runner | FunctionRunner | None = None,
 ) -> Rollout:
     """Drive a course to its horizon, as the model is or in trial ``row``.
 

@@ -5,13 +5,10 @@ import pytest
 
 from rover_ncp.circuit.policy import course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
-from rover_ncp.course.course import load_course
-from sim.learn.engine.evaluator import Evaluator
 from sim.learn.engine.networks import (
     NetKind,
     allocate_networks,
     net_for,
-    network_lane_runner,
     start_network,
     tick_networks,
 )
@@ -68,9 +65,3 @@ def test_sizes_ranges_and_limits_are_those_of_the_circuit():
     assert (mlp.low, mlp.high) == ((0.0, -0.18), (0.16, 0.18))
     assert mlp.most == (1.0,) * 4
     assert net_for(FOLLOWING, NetKind.MLP).scale == (0.2, 0.2, 0.4, 0.16, 0.18)
-
-
-def test_a_network_that_asks_for_nothing_stays():
-    net = net_for(PARKING, NetKind.MLP)
-    engine = Evaluator(PARKING, load_course("parking"), lane_runner=network_lane_runner(net))
-    assert engine.returns(np.zeros(net.layout().size))[0] == pytest.approx(-14.18, abs=0.01)

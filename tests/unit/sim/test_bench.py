@@ -1,17 +1,12 @@
 """The benchmarks at a size that takes seconds: what they count must be what happened."""
 
-import csv
 import importlib
 
 import pytest
 from kit.paths import ROOT
 
 from benchmarks import deploy as bench_deploy
-from benchmarks import search as bench_search
 from deploy.drive.measurements import SampleRef
-from sim.learn.agents import AgentState, Batch
-from sim.learn.record import TrainSettings, resolve_task
-from sim.learn.train import training_plan
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda path: path.stem)
@@ -22,23 +17,6 @@ def test_benchmark_is_imported_and_prints_its_help(path, monkeypatch, capsys):
         with pytest.raises(SystemExit, match=r"^0$"):
             module.main()
         assert capsys.readouterr().out.startswith("usage: ")
-
-
-def test_the_searches_are_compared_by_what_training_gives(monkeypatch):
-    monkeypatch.setattr(bench_search, "available_processes", lambda: 1)
-    monkeypatch.setattr(bench_search, "MARKS", (20, 40))
-    monkeypatch.setattr(bench_search, "PASSED", (-30.0, -8.0))
-    said = []
-    rows = csv.DictReader(bench_search.returns_table(4, 3, 60, said.append, ["published"]))
-    settings = TrainSettings.model_validate({"seed": 4, "search": "published"})
-    batch = Batch(training_plan(settings, resolve_task(settings)))
-    agents = [states[-1] for states in batch.advance([AgentState(number) for number in range(3)], [60])]
-    for row, agent in zip(rows, agents, strict=True):
-        assert row["agent"] == str(agent.number)
-        for mark in (20, 40, 60):
-            assert float(row[f"after_{mark}"]) == agent.value_at(mark)
-    past = [sum(agent.value > level for agent in agents) for level in (-30.0, -8.0)]
-    assert said[0].endswith(f"{past[0]} past -30, {past[1]} past -8 of 3")
 
 
 def test_a_command_is_timed_from_its_own_odometry_sample_also_when_later_ones_were_sent():

@@ -182,15 +182,3 @@ def test_parked_rover_holds_against_the_noise_of_its_odometry():
     full, policy = load_randomization("full"), load_driver("course")
     found = evaluate.drive_trials(policy, [course], full, trials=20, seed=0)
     assert [trial.reason for trial in found if trial.reason] == []
-
-
-def test_a_law_drives_once_and_in_trials(run_json):
-    code, once = run_json("eval kanayama")
-    assert (code, once["parked"]) == (0, True)
-    code, trial = run_json("eval kanayama --trials 1 --randomize none")
-    assert code == 0
-    assert trial["error_m"]["max"] == pytest.approx(once["error_m"], abs=1e-9)
-
-
-def test_api_takes_a_law():
-    assert evaluate.evaluate("kanayama", trials=2).success_rate == 1.0

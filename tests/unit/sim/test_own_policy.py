@@ -1,6 +1,6 @@
 """Policies of a user behind the judge: the trials of a circuit, plain and in the stack, and clear errors."""
 
-import shutil
+import re
 
 import gymnasium
 import numpy as np
@@ -159,17 +159,10 @@ def test_the_simulator_observes_the_same_signals_by_name():
     assert seen[1] > 0.0
 
 
-@pytest.mark.long
-def test_what_a_comparison_found_is_a_policy_with_a_state(tmp_path, monkeypatch):
-    results = tmp_path / "runs" / "compare"
-    results.mkdir(parents=True)
-    shutil.copy(ROOT / "tests" / "data" / "lstm.json", results / "lstm-small.json")
-    driver, course = load_driver("benchmarks.compare:lstm-small"), load_course("parking")
-    (plain,) = drive_trials(driver, [course], load_randomization("none"), trials=1, seed=0)
-    trial = Stack(driver, (course,), load_randomization("none"), 0).drive(0)
-    assert trial.parked
-    assert trial.error_m == pytest.approx(plain.error_m, abs=0.005)
-    with pytest.raises(UsageError, match=r"runs/compare/mlp\.json: no such file"):
-        load_driver("benchmarks.compare:mlp")
-    with pytest.raises(UsageError, match="has no agent oracle"):
-        load_driver("benchmarks.compare:oracle")
+def test_the_command_of_the_page_parks_with_the_classical_law(monkeypatch, run_json):
+    page = (ROOT / "docs" / "sim_to_real.md").read_text()
+    [command] = re.findall(r"rover-ncp (eval docs\.examples\.kanayama.* full)\n", page)
+    monkeypatch.chdir(ROOT)
+    code, fields = run_json(command)
+    assert (code, fields["trials"], fields["success_rate"]) == (0, 20, 1.0)
+    assert fields["error_m"]["p95"] < 0.05

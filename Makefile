@@ -111,10 +111,15 @@ SOAK_MINUTES ?= 20
 soak: $(STAMP) ## Every fault at random moments, for SOAK_MINUTES; logs in runs/soak.
 	PYTHONPATH=tests $(BIN)/python -m faults.soak --minutes $(SOAK_MINUTES)
 
+.PHONY: paper
+paper: $(STAMP) ## Which claims of the paper the stored runs confirm; replay some of the runs.
+	$(BIN)/python -m paper report
+	$(BIN)/python -m paper replay --agent circuit --seed 0 --budget published
+
 .PHONY: paper-quick
 paper-quick: $(STAMP) ## A short run of every task of the paper, checked by a replay.
-	$(BIN)/rover-ncp paper run --budget quick --again --agent circuit --agent mlp --seed 0 --results runs/paper-quick
-	$(BIN)/rover-ncp paper replay --budget quick --agent circuit --agent mlp --seed 0 --results runs/paper-quick
+	$(BIN)/python -m paper run --budget quick --again --agent circuit --agent mlp --seed 0 --results runs/paper-quick
+	$(BIN)/python -m paper replay --budget quick --agent circuit --agent mlp --seed 0 --results runs/paper-quick
 
 .PHONY: paper-docs
 paper-docs: $(STAMP) ## Write the tables of the stored runs into docs/paper.md.
@@ -123,7 +128,7 @@ paper-docs: $(STAMP) ## Write the tables of the stored runs into docs/paper.md.
 .PHONY: paper-gradients
 paper-gradients: $(GRADIENTS_STAMP) ## PPO and A2C: installs stable-baselines3, which needs torch.
 	$(BIN)/python docs/examples/ppo_parking.py
-	$(BIN)/rover-ncp paper run --budget gradients
+	$(BIN)/python -m paper run --budget gradients
 
 # All platforms and Pythons in one file; no address, so that any index can serve it. gradients has no lock: torch comes from
 # an index of its choice.
@@ -227,7 +232,7 @@ $(RELEASE_STAMP): $(STAMP)
 
 # By pip: the environment may limit what pip takes of torch, which uv does not read.
 $(GRADIENTS_STAMP): $(STAMP)
-	$(PIP_INSTALL) --editable '.[gradients]'
+	$(PIP_INSTALL) --editable '.[research]' --group gradients
 	touch $@
 
 .PHONY: clean

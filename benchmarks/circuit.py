@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from paper.agents import random_circuit
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.runner import Runner
-from sim.learn.random_circuit import random_circuit
 
 REPEATS = 5
 TICKS = 40

@@ -3,7 +3,7 @@
     python -m benchmarks.model_cards
 
 runs the commands of ``CONDITIONS``, with a seed that no policy was trained or chosen with, and writes what
-they found into ``results/models.json``. ``--only TEXT`` repeats those whose command has the text. ``make
+they found into ``benchmarks/models.json``. ``--only TEXT`` repeats those whose command has the text. ``make
 reference`` makes the page of it. All together take ten minutes of CPU time.
 """
 
@@ -14,7 +14,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-RESULTS = Path(__file__).parents[1] / "results" / "models.json"
+RESULTS = Path(__file__).with_name("models.json")
 PLAIN = "--trials 1000 --seed 2026"
 MUJOCO = "--trials 50 --seed 2026 --stack --body mujoco --randomize varied"
 CONDITIONS = {

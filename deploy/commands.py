@@ -20,7 +20,7 @@ Record = Annotated[Path | None, typer.Option(help="Record the drive to this MCAP
 def deploy(
     *,
     robot: Robot,
-    policy: Annotated[str, typer.Option(help="Policy by name or file (YAML, or a .bnn circuit).")] = "course",
+    policy: Annotated[str, typer.Option(help="Policy by name or file.")] = "course",
     course: Annotated[
         str | None, typer.Option(help="Course by name or file.", show_default="parking")
     ] = None,

@@ -92,15 +92,15 @@ def on_files(files: Any, config: Any) -> Any:
     """Add the front page, the reference and the long tables on the paper to the site."""
     from mkdocs.structure.files import File
 
-    from sim.paper.claims import judge_claims, load_claims
-    from sim.paper.report import long_report
-    from sim.paper.results import ResultStore
+    from paper.claims import judge_claims, load_claims
+    from paper.report import long_report
+    from paper.store import ResultStore
 
     text = front_page((DOCS.parent / "README.md").read_text())
     files.append(File.generated(config, "index.md", content=text))
     for name, page in reference_pages().items():
         files.append(File.generated(config, f"reference/{name}", content=page))
-    store = ResultStore(DOCS.parent / "results")
+    store = ResultStore(DOCS.parent / "paper" / "results")
     tables = long_report(store, judge_claims(store, load_claims().claims))
     files.append(
         File.generated(config, "paper_tables.md", content=f"# The paper: all claims and runs\n\n{tables}\n")

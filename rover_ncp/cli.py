@@ -44,7 +44,6 @@ _EXTRAS = {
     **dict.fromkeys(("pymunk", "cmaes", "gymnasium"), "train"),
     **dict.fromkeys(("apriltag", "cv2"), "tag"),
     **dict.fromkeys(("mujoco", "imageio", "distributed", "psutil"), "research"),
-    **dict.fromkeys(("stable_baselines3", "torch"), "gradients"),
 }
 # The panels of ``--help``, in the order in which a newcomer meets the commands. Other packages' come first.
 _PANELS = {
@@ -53,7 +52,6 @@ _PANELS = {
     "Drive": ["deploy", "teleop", "course", "place", "tag"],
     "Look": ["watch", "report", "replay", "recover"],
     "Robot": ["mock", "bridge", "check", "identify", "keys"],
-    "Research": ["paper", "bench"],
 }
 _PANEL = {name: panel for panel, names in _PANELS.items() for name in names}
 # The base class of errors for a wrong command line. Typer publishes only its subclasses.

@@ -1,4 +1,4 @@
-"""PPO of stable-baselines3 parks the rover. It needs the extra ``gradients``.
+"""PPO of stable-baselines3 parks the rover. ``make paper-gradients`` installs stable-baselines3.
 
 The environment judges a drive at its checkpoints alone. Training adds what a drive needs between them: where
 the path through the checkpoints is, seen from the rover, and a reward for being on it. The return that is

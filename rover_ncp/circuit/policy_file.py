@@ -1,4 +1,4 @@
-"""Circuits and policies as files: our YAML, and the published ``.bnn``.
+"""Circuits and policies as YAML files.
 
 A policy file determines the circuit's behaviour, with neurons and synapses by name. Read back, every number
 has the same bits, and so has every trajectory.
@@ -11,17 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from rover_ncp.circuit.bnn import circuit_from_bnn
 from rover_ncp.circuit.circuit import BOUNDS, DEFAULTS, Circuit, ParameterKind, SynapseKind
 from rover_ncp.circuit.motors import Motors
-from rover_ncp.circuit.policy import Policy, parking_policy
+from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.sensing import Sensing
 from rover_ncp.core.config import (
     Name,
     StrictModel,
     dump_yaml,
     load_yaml,
-    name_from,
     parse_yaml,
     read_filled,
     read_yaml,
@@ -98,31 +96,14 @@ class _PolicyFile(StrictModel):
 
 
 def load_policy(name_or_path: str | Path) -> Policy:
-    """Load a shipped policy by name, or a policy file or ``.bnn`` circuit by path.
-
-    A ``.bnn`` circuit must have parking's motor neurons; it gets parking's mappings with sensors that are
-    not clamped, as it was trained. It is named for its file. Raises FileError or ConfigError.
-    """
+    """Load a shipped policy by name, or a policy file by path. Raises FileError or ConfigError."""
     path = resolve("policies", name_or_path)
-    if path.suffix.lower() != ".bnn":
-        return policy_from_yaml(read_filled(path), str(path))
-    circuit = load_circuit(path)
-    if "RGT" not in circuit.neurons or "FWD" not in circuit.neurons:
-        raise ConfigError(
-            str(path),
-            [
-                "to drive a rover it needs at least 12 neurons (9 turns left, 10 right, 11 drives forward), "
-                f"got {circuit.size}"
-            ],
-        )
-    return parking_policy(circuit, clamp=False)
+    return policy_from_yaml(read_filled(path), str(path))
 
 
 def load_circuit(name_or_path: str | Path) -> Circuit:
-    """Load a shipped circuit by name, or a circuit file (YAML or ``.bnn``) by path."""
+    """Load a shipped circuit by name, or a circuit file by path."""
     path = resolve("circuits", name_or_path)
-    if path.suffix.lower() == ".bnn":
-        return circuit_from_bnn(read_filled(path), name_from(path, "circuit"), str(path))
     return _circuit(load_yaml(path, _CircuitFile), str(path), "$")
 
 
@@ -133,8 +114,6 @@ def load_start(name_or_path: str | Path) -> Circuit | Policy:
     """
     is_policy = str(name_or_path) in {*shipped_names("policies")} - {*shipped_names("circuits")}
     path = resolve("policies" if is_policy else "circuits", name_or_path)
-    if path.suffix.lower() == ".bnn":
-        return load_circuit(path)
     data = read_yaml(read_filled(path), str(path))
     return load_policy(path) if isinstance(data, dict) and "sensing" in data else load_circuit(path)
 

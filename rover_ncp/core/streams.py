@@ -1,7 +1,7 @@
 """Random streams: independent random numbers for each purpose and index of a root seed.
 
 A stream's spawn key is its index, then the tag of its domain. Two streams of a seed therefore never share
-bits. All random numbers that follow from a seed come from here, except those of ``sim.paper``.
+bits. All random numbers that follow from a seed come from here, except those of the folder ``paper``.
 """
 
 from enum import Enum, unique

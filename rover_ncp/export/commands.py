@@ -28,7 +28,7 @@ class Target(StrEnum):
 
 
 def export(
-    policy: Annotated[str, typer.Argument(help="Policy: a name, a YAML file, or a .bnn circuit.")],
+    policy: Annotated[str, typer.Argument(help="Policy: a name or a YAML file.")],
     *,
     to: Annotated[
         Target,

@@ -42,7 +42,7 @@ __all__ = [
 
 _log = logging.getLogger(__name__)
 CHUNK_BYTES = 256 * 1024
-_MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json", ".bnn": "text/plain"}
+_MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json"}
 MAX_TIME_NS = (1 << 64) - 1
 MEMORY_LIMIT, MESSAGE_BYTES = 1 << 30, 250
 """Limit of what `read_recording` keeps, and memory of a message beside its data, in bytes. Five hours of what

@@ -31,10 +31,7 @@ class EvalOptions:
 
     policy: Annotated[
         str,
-        typer.Argument(
-            help="Policy to score: a name, a YAML file, a circuit in the published .bnn format, or "
-            "module:name for a policy in Python."
-        ),
+        typer.Argument(help="Policy to score: a name, a YAML file, or module:name for a policy in Python."),
     ]
     course: Annotated[
         list[str] | None,
@@ -127,14 +124,8 @@ class EvalOptions:
     task: Annotated[
         str | None,
         typer.Option(
-            help="Play episodes of one of the paper's benchmarks, or of a Gymnasium environment by its id.",
+            help="Play episodes of a Gymnasium environment by its id.",
             show_default=False,
-        ),
-    ] = None
-    range_: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--range", help="With --task: limit of a sensor's range, as NAME=LIMIT.", show_default=False
         ),
     ] = None
     json: Json = False
@@ -159,8 +150,7 @@ def evaluate(options: EvalOptions) -> int:
     By default the policy drives once, on the nominal rover model.
 
     The return is the paper's: minus the squared errors at all checkpoints, 1 rad counting as 1 m. 0 is out of
-    reach. A rover that does not move scores -14.18 on the parking course. A .bnn circuit gets the sensors it
-    was trained with, which are not clamped.
+    reach. A rover that does not move scores -14.18 on the parking course.
 
     With --randomize, the policy drives random trials. Each has its own delays, gains, noise and start, which
     follow from the seed and the trial's number alone. Without a randomization the trials of a course are the
@@ -193,10 +183,8 @@ def evaluate(options: EvalOptions) -> int:
 
         rover-ncp eval my_policy:Follow --trials 100 --randomize full
 
-    --task plays episodes (--trials, 100) of one of the paper's other benchmarks with a circuit, YAML or .bnn
-    (see 'paper'), or of a Gymnasium environment with a policy (see 'train').
+    --task plays episodes (--trials, 100) of a Gymnasium environment with a policy (see 'train').
 
-        rover-ncp eval mine.bnn --task mountain-car --range position=1.0 --range velocity=0.02
         rover-ncp eval runs/reach/policy.yaml --task my_task:Reach-v0
 
     --to docks at a place with a camera on the robot that sees tags there, by a noise model (docs/place.md).
@@ -208,7 +196,6 @@ def evaluate(options: EvalOptions) -> int:
     """
     if options.task is not None:
         return _play_task(options, options.task)
-    reject("needs --task", range_=options.range_)
     if not options.stack:
         if options.body is Body.MUJOCO:
             raise UsageError("--body mujoco needs --stack: plain simulation is pymunk's")
@@ -348,45 +335,23 @@ def driver_sensors(sensors: Sensors | None, robot: "RobotDescription | None") ->
 
 def _play_task(options: EvalOptions, task: str) -> int:
     """Play a task; return 1 if a single episode was played and no success."""
-    from sim.evaluate.benchmark import EPISODES, score_circuit
-    from sim.paper.tasks import TASKS
+    from rover_ncp.circuit.policy_file import load_policy
+    from sim.evaluate.results import EnvironmentResult
+    from sim.learn.engine.environment import make_environment
+    from sim.learn.environment_run import score_task
 
     if ":" in options.policy and not Path(options.policy).exists():
-        raise UsageError(f"{options.policy} follows a course: --task needs a policy file or a circuit")
-    own = {"policy", "task", "range_", "trials", "seed", "json"}
+        raise UsageError(f"{options.policy} follows a course: --task needs a policy file")
+    own = {"policy", "task", "trials", "seed", "json"}
     others = {
         field.name: getattr(options, field.name)
         for field in dataclasses.fields(options)
         if field.name not in own
     }
     others["body"] = None if options.body is Body.PYMUNK else options.body
-    reject("--task goes with --range, --trials and --seed alone", **others)
-    trials = options.trials or EPISODES
-    if task not in TASKS:
-        return _play_environment(options, task, trials)
-    found = score_circuit(options.policy, task, options.range_ or [], trials, options.seed)
-    Output(options.json).result(
-        found,
-        f"{task}: return {found.return_:.2f} ± {found.std:.2f} in {found.episodes} episodes, "
-        f"{found.successes} of them successful",
-    )
-    return 1 if trials == 1 and not found.success else 0
-
-
-def _play_environment(options: EvalOptions, task: str, trials: int) -> int:
-    """Play a Gymnasium environment; return 1 if a single episode was played and no success."""
-    from rover_ncp.circuit.policy_file import load_policy
-    from sim.evaluate.results import EnvironmentResult
-    from sim.learn.engine.environment import make_environment
-    from sim.learn.environment_run import score_task
-    from sim.paper.tasks import TASKS
-
-    if options.range_:
-        raise UsageError("--range is for the paper's benchmarks: a policy file has ranges of its own")
-    try:
-        environment = make_environment(task)
-    except UsageError as error:
-        raise UsageError(f"no task {task}: it is none of {', '.join(TASKS)}; {error}") from error
+    reject("--task goes with --trials and --seed alone", **others)
+    trials = options.trials or 100
+    environment = make_environment(task)
     score = score_task(task, load_policy(options.policy), trials, options.seed, environment)
     result = EnvironmentResult(
         task=task, episodes=trials, return_=score.mean, std=score.std, successes=score.successes

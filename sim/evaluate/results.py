@@ -56,15 +56,6 @@ class StackTrialsResult(StackResult, TrialsResult):
     """Result of random trials through the stack."""
 
 
-class BenchmarkResult(EpisodesResult):
-    """Score of a circuit in one of the paper's benchmarks; returns have the task's bonus, if it has one."""
-
-    task: str = Field(description="its name")
-    plain_return: float = Field(description="Gymnasium's")
-    success: bool = Field(description="whether the mean is past the threshold")
-    ranges: dict[str, float] = Field(description="of the sensors, by name")
-
-
 class EnvironmentResult(EpisodesResult):
     """Result of episodes of a Gymnasium environment."""
 

@@ -32,7 +32,7 @@ class TrainOptions:
     circuit: Annotated[
         str | None,
         typer.Option(
-            help="Circuit to start from, by name or file (YAML or .bnn); or a policy file, with its sensing.",
+            help="Circuit to start from, by name or file; or a policy file, with its sensing.",
             show_default="parking, tracking if random",
         ),
     ] = None

@@ -1,18 +1,17 @@
 """Runs of the paper's grid: made once, the same bits again, replayed to their returns."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import pytest
-from kit.training_processes import Cluster
+from kit.paths import ROOT
 
-from rover_ncp.cli import run
+from paper.loop import Budget
+from paper.runs import budget_for, make_runs, replay, select, train_run
+from paper.store import BudgetName, ResultStore, RunName
+from paper.tasks import TASKS
 from rover_ncp.core.errors import UsageError
-from sim.paper import BudgetName
-from sim.paper.results import ResultStore, RunName
-from sim.paper.runs import budget_for, replay, train_run
-from sim.paper.search.loop import Budget
-from sim.paper.selection import select
-from sim.paper.tasks import TASKS
 
 QUICK = BudgetName.QUICK
 CAR = RunName(task="mountain-car", agent="circuit", seed=0, budget=QUICK)
@@ -21,6 +20,12 @@ CAR = RunName(task="mountain-car", agent="circuit", seed=0, budget=QUICK)
 @pytest.fixture(scope="module")
 def car():
     return train_run(CAR)
+
+
+def command(*arguments):
+    """Return what a command prints."""
+    line = [sys.executable, "-m", "paper", *arguments]
+    return subprocess.run(line, cwd=ROOT, check=True, capture_output=True, text=True).stdout
 
 
 def comparable(result):
@@ -72,13 +77,11 @@ def test_a_command_line_selects_runs():
 
 
 @pytest.mark.long
-def test_command_makes_runs_once_and_replays_them(tmp_path, run_json):
-    runs = f"--task mountain-car --agent circuit --seed 0 --budget quick --results {tmp_path}"
-    code, first = run_json(f"paper run {runs} --processes 1")
-    [made] = first["made"]
-    assert (code, made["agent"], made["budget"]) == (0, "circuit", "quick")
-    assert run_json(f"paper run {runs}") == (0, {"made": [], "found": 1})
-    assert run_json(f"paper replay {runs}") == (0, {"replayed": 1, "exact": 1, "differ": []})
+def test_command_makes_runs_once_and_replays_them(tmp_path):
+    runs = f"--task mountain-car --agent circuit --seed 0 --budget quick --results {tmp_path}".split()
+    assert command("run", *runs, "--processes", "1").endswith("1 runs made, 0 found\n")
+    assert command("run", *runs) == "0 runs made, 1 found\n"
+    assert command("replay", *runs) == "1 runs replayed, 1 to the last bit, 0 differ\n"
 
 
 @pytest.mark.parametrize(
@@ -100,20 +103,9 @@ def test_the_published_budget_is_the_papers(task, agent, iterations, rollouts, w
 
 @pytest.mark.long
 @pytest.mark.usefixtures("no_git")
-def test_runs_in_processes_and_on_a_cluster_are_those_of_one_process(tmp_path):
-    runs = ["--task", "cart-pole", "--agent", "mlp", "--budget", "quick", "--seed", "0", "--seed", "1"]
-    # First here, so that the cluster's workers find all kernels compiled.
-    expected = [
-        train_run(CAR.model_copy(update={"task": "cart-pole", "agent": "mlp", "seed": s})) for s in (0, 1)
-    ]
-    cluster = Cluster(tmp_path)
-    try:
-        for _ in range(2):
-            cluster.add_worker()
-        for way in (["--processes", "2"], ["--cluster", cluster.address]):
-            folder = tmp_path / way[0]
-            assert run(["paper", "run", *runs, *way, "--results", str(folder)]) == 0
-            found = ResultStore(folder).results("cart-pole", "mlp", QUICK)
-            assert [comparable(result) for result in found] == [comparable(result) for result in expected]
-    finally:
-        cluster.stop()
+def test_runs_in_processes_are_those_of_one_process(tmp_path):
+    names = [RunName(task="cart-pole", agent="mlp", seed=seed, budget=QUICK) for seed in (0, 1)]
+    store = ResultStore(tmp_path)
+    make_runs(names, store, processes=2, on_result=lambda _: None)
+    found = store.results("cart-pole", "mlp", QUICK)
+    assert [comparable(result) for result in found] == [comparable(train_run(name)) for name in names]

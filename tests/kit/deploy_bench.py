@@ -106,7 +106,7 @@ def driver(bridge, folder, capsys, monkeypatch):
         monkeypatch.setattr(config, "DriveConfig", functools.partial(DriveConfig, **waits))
         options = {
             "robot": bridge.robot,
-            "policy": str(DATA / "golden/parking.bnn"),
+            "policy": str(DATA / "golden/parking.yaml"),
             "course": str(course),
             "record": folder / "run.mcap",
             "overwrite": True,

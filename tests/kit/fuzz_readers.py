@@ -32,7 +32,7 @@ from kit.bnn_text import circuit_to_bnn
 from kit.described import described
 from kit.ros2_world import Line
 from kit.virtual_drive import VirtualDrive
-from rover_ncp.circuit.bnn import circuit_from_bnn
+from paper.bnn import circuit_from_bnn
 from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml
 from rover_ncp.core.config import dump_yaml, parse_yaml
 from rover_ncp.core.errors import RoverNcpError

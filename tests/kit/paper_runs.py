@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from sim.paper import BudgetName
-from sim.paper.results import Packed, Result, RunName
+from paper.store import BudgetName, Packed, Result, RunName
 
 
 def result(task, agent, seed, mean, success=True, budget=BudgetName.PUBLISHED, **changes):

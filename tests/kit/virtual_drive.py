@@ -36,7 +36,7 @@ from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 
-AHEAD = load_policy(DATA / "golden/parking.bnn")
+AHEAD = load_policy(DATA / "golden/parking.yaml")
 """A circuit that drives straight ahead at full speed after the start signal."""
 
 

@@ -4,11 +4,11 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from paper.agents import build_circuit
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.sensing import Channel, Sensing
-from sim.learn.random_circuit import build_circuit
 
 
 def unit_vectors(size):

@@ -31,7 +31,7 @@ for command in json.loads(sys.argv[1]):
 """
 
 
-PARTS = {"paper": "paper report", "tag": "tag run"}
+PARTS = {"tag": "tag run"}
 """Of a command of several, one."""
 
 
@@ -163,7 +163,6 @@ NEEDS = {
         "eval parking",
         "mock --listen nowhere",
         "explain no.mcap",
-        "paper replay --task none",
         "park --course no.yaml",
     ],
 }

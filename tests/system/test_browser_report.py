@@ -11,7 +11,6 @@ from rover_ncp.wire import messages
 from rover_ncp.wire.protocol import DriverStatus, dump_json
 from sim.explain.explain import explain
 from sim.explain.files import page as explanation_page
-from sim.explain.task import explain_task
 
 pytestmark = pytest.mark.browser
 
@@ -179,10 +178,8 @@ def test_a_window_that_gets_narrow_does_not_scroll_sideways(browser, drive):
 
 
 @pytest.mark.parametrize("width", [1280, 800, 400])
-@pytest.mark.parametrize("name", ["drive", "task"])
-def test_an_explanation_is_a_page(browser, tmp_path, monkeypatch, name, width):
-    monkeypatch.setattr("sim.explain.task.EPISODES", 2)
-    found = explain("parking", SHORT) if name == "drive" else explain_task(None, "mountain-car")
+def test_an_explanation_is_a_page(browser, tmp_path, width):
+    found = explain("parking", SHORT)
     (tmp_path / "why.html").write_text(explanation_page(found))
     watched = Watched(browser, (tmp_path / "why.html").as_uri(), width)
     watched.to(2.0)
@@ -192,7 +189,7 @@ def test_an_explanation_is_a_page(browser, tmp_path, monkeypatch, name, width):
     assert "AVB" in watched.page.text_content("#neuron-now")
     assert watched.page.evaluate("document.documentElement.scrollWidth") <= width
     assert watched.page.evaluate(CUT_TABLES) == []
-    watched.photograph(f"explain_{name}_{width}")
+    watched.photograph(f"explain_{width}")
     assert watched.complaints == []
     assert watched.foreign_requests((tmp_path / "why.html").as_uri()) == []
     watched.page.close()

@@ -88,17 +88,6 @@ def test_an_installed_wheel_does_what_its_extras_promise(extras, built, tmp_path
     check_install(sys.executable, extras, built[".whl"], tmp_path)
 
 
-def test_the_extra_gradients_can_be_installed_beside_the_versions_of_this_project(built, tmp_path):
-    # Only resolved: torch is too large to be installed in each run. make paper-gradients installs it.
-    pip = [sys.executable, "-m", "pip", "install", "--dry-run", "--ignore-installed", "--quiet"]
-    limits = ["--constraint", str(ROOT / "constraints.txt"), "--report", "-"]
-    done = run([*pip, *limits, f"{built['.whl']}[gradients]"], tmp_path)
-    names = {
-        entry["metadata"]["name"].lower().replace("_", "-") for entry in json.loads(done.stdout)["install"]
-    }
-    assert {"torch", "stable-baselines3", "mujoco", "imageio"} <= names
-
-
 @COLD
 @pytest.mark.skipif(NEWEST is None, reason="needs Python 3.13")
 def test_the_sdist_works_with_the_newest_supported_python(built, tmp_path):

@@ -3,12 +3,12 @@
 import re
 from pathlib import Path
 
-from sim.paper.claims import judge_claims, load_claims
-from sim.paper.report import short_report
-from sim.paper.results import ResultStore
+from paper.claims import judge_claims, load_claims
+from paper.report import short_report
+from paper.store import ResultStore
 
 ROOT = Path(__file__).parents[2]
-RESULTS = ROOT / "results"
+RESULTS = ROOT / "paper" / "results"
 PAGE = ROOT / "docs" / "paper.md"
 BLOCK = re.compile(r"(<!-- (?P<command>[^>]*) -->\n)(?P<table>.*?)(<!-- end -->)", re.DOTALL)
 
@@ -19,7 +19,7 @@ def report():
     return short_report(store, file, judge_claims(store, file.claims))
 
 
-TABLES = {"rover-ncp paper report": report}
+TABLES = {"python -m paper report": report}
 """By the command that made it: each generated part of the page."""
 
 

@@ -7,7 +7,7 @@ from kit.paths import ROOT
 
 MAX_LINES = 400
 MAX_MODULES = 16
-PACKAGES = ("rover_ncp", "bridge", "deploy", "sim")
+PACKAGES = ("rover_ncp", "bridge", "deploy", "sim", "paper")
 FOLDERS = (*PACKAGES, "benchmarks", "docs", "tests")
 
 FULL_FOLDERS = {"tests/kit", "tests/process", "tests/unit/bridge"}

@@ -10,8 +10,6 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 LOCKS = {path.stem: path.read_text() for path in (ROOT / "requirements").glob("*.txt")}
-NO_LOCK = {"gradients"}
-"""It brings torch, whose builds differ by index."""
 PIN = re.compile(r"^(?P<name>[a-z0-9-]+)==(?P<version>\S+)(?P<marker> ; [^\\]+)? \\$")
 HASH = re.compile(r"^    --hash=sha256:[0-9a-f]{64}( \\)?$")
 AGAIN = "make lock writes requirements/"
@@ -42,7 +40,7 @@ def needed(requirement, extra=""):
 
 def test_base_and_every_extra_have_a_lock():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert set(LOCKS) == {"base", *project["optional-dependencies"]} - NO_LOCK, AGAIN
+    assert set(LOCKS) == {"base", *project["optional-dependencies"]}, AGAIN
 
 
 @pytest.mark.parametrize("extra", LOCKS)

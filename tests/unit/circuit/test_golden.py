@@ -6,7 +6,7 @@ from kit.paths import DATA
 
 from rover_ncp.circuit.motors import Motors, parking_motors
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.policy_file import load_circuit
+from rover_ncp.circuit.policy_file import load_start
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
 
@@ -35,7 +35,8 @@ CASES = [
 
 @pytest.mark.parametrize(("name", "sensing", "motors", "inputs", "scale"), CASES)
 def test_reproduces_the_published_simulator(name, sensing, motors, inputs, scale):
-    circuit = load_circuit(GOLDEN / f"{name}.bnn")
+    start = load_start(GOLDEN / f"{name}.yaml")
+    circuit = start.circuit if isinstance(start, Policy) else start
     runner = Runner(Policy(circuit, sensing, motors))
     trace = np.genfromtxt(GOLDEN / f"{name}.csv", delimiter=",", names=True)
     compared = [i for i, neuron in enumerate(circuit.neurons) if neuron not in {"PVD", "PLM", "AVM", "ALM"}]

@@ -3,6 +3,7 @@ from dataclasses import replace
 import pytest
 from pydantic import ValidationError
 
+from paper.agents import build_circuit
 from rover_ncp.circuit.motors import Motors, four_dof_motors, parking_motors
 from rover_ncp.circuit.policy import Policy, absolute_policy, course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
@@ -10,7 +11,6 @@ from rover_ncp.circuit.runner import Runner
 from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import load_course
-from sim.learn.random_circuit import build_circuit
 
 UNCONNECTED = build_circuit("unconnected", ("up", "down", "alone", "M", "N"), ())
 MOTORS = Motors(outputs=("y",), channels=(Channel(name="y", positive="M", maximum=1.0),))

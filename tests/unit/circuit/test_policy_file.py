@@ -1,4 +1,3 @@
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -6,21 +5,17 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.bnn_text import circuit_to_bnn
 from kit.paths import DATA
 from kit.wirings import in_bounds, unit_vectors
 
-from rover_ncp.circuit.bnn import circuit_from_bnn
 from rover_ncp.circuit.motors import Motors, parking_motors
 from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.policy_file import (
     load_circuit,
     load_policy,
-    policy_from_yaml,
     policy_to_yaml,
     save_policy,
 )
-from rover_ncp.circuit.runner import Runner
 from rover_ncp.circuit.sensing import Sensing, parking_sensing
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import ConfigError, FileError
@@ -58,75 +53,6 @@ def test_saved_and_loaded_is_the_same_to_the_last_bit(policy, data, tmp_path_fac
     path = tmp_path_factory.getbasetemp() / "policy.yaml"
     save_policy(path, policy)
     same(policy, load_policy(path))
-    loaded = circuit_from_bnn(circuit_to_bnn(policy.circuit), policy.circuit.name, "test")
-    same(parking_policy(policy.circuit), parking_policy(loaded))
-
-
-def test_bnn_drives_with_sensors_that_are_not_clamped():
-    policy = load_policy(GOLDEN / "parking.bnn")
-    assert policy.sensing == parking_sensing(clamp=False)
-    assert policy.motors == parking_motors()
-    assert policy.circuit.weight[0] == 1.55348
-    assert policy.circuit.capacitance[11] == 0.00146423
-
-
-def test_thirteenth_neuron_of_published_files_is_idle(tmp_path):
-    text = (GOLDEN / "parking.bnn").read_text()
-    path = tmp_path / "thirteen.bnn"
-    path.write_text(text.replace("size 12", "size 13"))
-    thirteen, twelve = Runner(load_policy(path)), Runner(load_policy(GOLDEN / "parking.bnn"))
-    for _ in range(5):
-        assert thirteen.tick([0.2, 0.3, 0.4, 1.0]) == twelve.tick([0.2, 0.3, 0.4, 1.0])
-
-
-def test_bnn_defaults():
-    circuit = circuit_from_bnn("size 3\n# nothing\n\nex 0 1 1.5 # comment\nconst 2 -33\n", "d", "test")
-    assert circuit.capacitance.tolist() == [0.05] * 3
-    assert circuit.leak.tolist() == [1.0] * 3
-    assert circuit.leak_potential.tolist() == [-70.0] * 3
-    assert circuit.sigma.tolist() == [0.1]
-    assert circuit.held == {2: -33.0}
-
-
-def test_bnn_without_motor_neurons_is_a_circuit_but_no_policy():
-    assert load_circuit(GOLDEN / "tap_withdrawal.bnn").size == 11
-    with pytest.raises(
-        ConfigError, match=r"tap_withdrawal\.bnn: to drive a rover it needs at least 12 neurons"
-    ):
-        load_policy(GOLDEN / "tap_withdrawal.bnn")
-
-
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        ("cm 0 0.1\n", "line 1: a size statement must come first"),
-        ("# only a comment\n", "no size statement"),
-        ("size 0\n", "line 1: expected 'size N', N in 1..256, got 'size 0'"),
-        ("size\n", "line 1: expected 'size N', N in 1..256, got 'size'"),
-        ("size 2\nfoo 1\n", "line 2: unknown statement 'foo'"),
-        ("size 2\n\n# x\ncm 2 0.1\n", "line 4: neuron '2' is not in 0..1"),
-        ("size 2\ncm 0.5 0.1\n", "line 2: neuron '0.5' is not in 0..1"),
-        ("size 2\ncm 0\n", "line 2: expected 'cm neuron value', got 1 values"),
-        ("size 2\ncm 0 nan\n", "line 2: expected a number, got 'nan'"),
-        ("size 2\nconst 0 20\n", "PVD: held at 20 mV, outside -90..0 mV"),
-        ("size 2\nex 0 2 1\n", "line 2: neuron '2' is not in 0..1"),
-        ("size 2\nex 0 1 1_0\n", "line 2: expected a number, got '1_0'"),
-        ("size 2\ngj 0 1 1 0.1\n", "line 2: expected 'gj source destination weight', got 4 values"),
-        ("size 2\nex 0 1 1\nex 0 1 2\n", "the synapse excitatory PVD -> PLM appears twice"),
-        ("size 2\ncm 0 0.1\ncm 0 0.1\n", "line 3: cm 0 appears twice"),
-        ("size 2\nfoo\nex 5 0 1\n", "gj); line 3: neuron '5' is not in 0..1"),
-        ("size 2\n" + "foo\n" * 30, "and 10 more"),
-    ],
-)
-def test_bad_bnn_is_one_line_with_the_line_number(text, problem, tmp_path):
-    path = tmp_path / "bad.bnn"
-    path.write_text(text)
-    with pytest.raises(ConfigError) as caught:
-        load_circuit(path)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    assert problem in message
-    assert "\n" not in message
 
 
 def edited(*edits):
@@ -182,34 +108,12 @@ def test_bad_policy_is_one_line_with_the_path_of_each_value(edits, problems, tmp
 
 
 def test_a_missing_or_empty_file(tmp_path):
-    for name, problem in {"none.yaml": "no such file", "a.bnn": "is empty", "a.yaml": "is empty"}.items():
+    for name, problem in {"none.yaml": "no such file", "a.yaml": "is empty"}.items():
         if name != "none.yaml":
             (tmp_path / name).write_text(" \n")
         for load in (load_policy, load_circuit):
             with pytest.raises(FileError, match=f"{name}: .*{problem}"):
                 load(tmp_path / name)
-
-
-@pytest.mark.parametrize(
-    ("stem", "name"),
-    [
-        ("my circuit", "my-circuit"),
-        ("größe", "groe"),
-        ("bi\u202edi", "bidi"),
-        ("x" * 100, "x" * 64),
-        ("日本", "circuit"),
-        ("-..+", "circuit"),
-        ("new\nline", "new-line"),
-        ("\udcff", "circuit"),
-        ("v1.2_a+b-c", "v1.2_a+b-c"),
-    ],
-)
-def test_policy_of_any_bnn_file_is_read_from_what_is_written(tmp_path, stem, name):
-    path = tmp_path / f"{stem}.bnn"
-    shutil.copy(GOLDEN / "parking.bnn", path)
-    policy = load_policy(path)
-    assert policy.circuit.name == load_circuit(path).name == name
-    assert policy_from_yaml(policy_to_yaml(policy), "again").circuit.name == name
 
 
 @pytest.mark.parametrize("name", ["", "a b", "ä", "x" * 65, "\u202ea", "*/", "-a", "1\n"])

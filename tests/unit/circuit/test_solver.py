@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from kit import solver_reference as reference
 from kit.wirings import in_bounds, unit_vectors, wirings
 
+from paper.agents import build_circuit
 from rover_ncp.circuit.circuit import SynapseKind, time_constants
 from rover_ncp.circuit.compiled import allocate_lanes, fill_lane, make_program, resting_potentials
 from rover_ncp.circuit.motors import Motors, parking_motors
@@ -20,7 +21,6 @@ from rover_ncp.circuit.runner import Runner
 from rover_ncp.circuit.sensing import Sensing, parking_sensing
 from rover_ncp.circuit.solver import exp2, tick_lanes
 from rover_ncp.kernels.jit import kernel
-from sim.learn.random_circuit import build_circuit
 
 PARKING = parking_policy(load_circuit("parking"))
 SIZE = PARKING.layout().size

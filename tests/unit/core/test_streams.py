@@ -17,8 +17,7 @@ INDICES = (*range(20), 2**32 - 1, 2**32, 2**33 + 5, 2**40)
 OWN_GENERATORS = {
     "rover_ncp/core/streams.py",
     "rover_ncp/course/scoring.py",  # one fixed sample of a distribution, not an experiment
-    "sim/learn/random_circuit.py",  # the only user of a seed without a spawn key
-    "sim/learn/search/base.py",  # draws the seeds of sim.paper
+    "sim/learn/search/base.py",  # draws the seeds of paper
 }
 
 
@@ -61,7 +60,7 @@ def test_all_random_numbers_come_from_streams():
         for path in (ROOT / package).rglob("*.py")
         if own.search(path.read_text(encoding="utf-8"))
     }
-    assert {name for name in makers if not name.startswith("sim/paper/")} == OWN_GENERATORS
+    assert makers == OWN_GENERATORS
 
 
 def _largest_correlation(left, right):

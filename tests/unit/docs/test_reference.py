@@ -11,13 +11,13 @@ import yaml
 from kit.paths import ROOT
 from result_fields import RESULTS, result_fields
 
+from paper.claims import load_claims
 from rover_ncp import cli
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.core.config import parse_yaml
 from rover_ncp.course.course import load_course
 from sim.learn.engine.rollout import rollout
 from sim.learn.record import TrainSettings, resolve_task
-from sim.paper.claims import load_claims
 
 EXAMPLES = ROOT / "docs" / "examples"
 # Examples that leave keys out: bodies of MuJoCo, what a robot is seldom measured for, a Pioneer's own.

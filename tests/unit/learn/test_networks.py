@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from rover_ncp.circuit.policy import course_policy, parking_policy
-from rover_ncp.circuit.policy_file import load_circuit
-from sim.learn.engine.networks import (
+from paper.networks import (
     NetKind,
     allocate_networks,
     net_for,
     start_network,
     tick_networks,
 )
+from rover_ncp.circuit.policy import course_policy, parking_policy
+from rover_ncp.circuit.policy_file import load_circuit
 
 PARKING = parking_policy(load_circuit("parking"))
 FOLLOWING = course_policy(load_circuit("tap_withdrawal"))

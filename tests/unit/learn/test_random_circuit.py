@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
+from paper.agents import SENSORY, random_circuit
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.core.errors import UsageError
-from sim.learn.random_circuit import SENSORY, random_circuit
 
 NEURONS = load_circuit("tap_withdrawal").neurons
 

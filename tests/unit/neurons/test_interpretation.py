@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from paper.agents import build_circuit
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.neurons.interpretation import (
@@ -14,7 +15,6 @@ from rover_ncp.neurons.interpretation import (
     time_constant_ranges,
 )
 from rover_ncp.neurons.trace import synapse_currents
-from sim.learn.random_circuit import build_circuit
 
 POTENTIAL = st.integers(-9000, 0).map(lambda hundredths: hundredths / 100)
 PAIRS = st.lists(st.tuples(POTENTIAL, POTENTIAL), min_size=2, max_size=40)

@@ -3,12 +3,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from paper.agents import build_circuit
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.core.files import shipped_names
 from rover_ncp.neurons.layout import HEIGHT, RADIUS, WIDTH, labels, lay_out, layers, name_lines
-from sim.learn.random_circuit import build_circuit
 
 PARKING = parking_policy(load_circuit("parking"))
 PARKING_NEURONS = PARKING.circuit.neurons

@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from paper.agents import build_circuit
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy, course_policy, parking_policy
@@ -14,7 +15,6 @@ from rover_ncp.neurons.phases import Mean, explain, phases
 from rover_ncp.neurons.trace import Trace, motor_outputs, motor_shares
 from sim.explain.explain import traced
 from sim.learn.engine.rollout import rollout
-from sim.learn.random_circuit import build_circuit
 
 EX, IN = SynapseKind.EXCITATORY, SynapseKind.INHIBITORY
 

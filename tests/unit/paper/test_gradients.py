@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from paper.evaluator import Evaluator
+from paper.gradients import CELLS, Actor, WithBonus
+from paper.tasks import TASKS
 from sim.learn.search.base import draw_seeds
-from sim.paper.evaluator import Evaluator
-from sim.paper.search.gradients import CELLS, Actor, WithBonus
-from sim.paper.tasks import TASKS
 
 
 def random_actor(observations, actions=1, seed=0):

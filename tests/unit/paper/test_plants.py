@@ -4,11 +4,11 @@ import gymnasium
 import numpy as np
 import pytest
 
+from paper.agents import build_agent
+from paper.evaluator import Evaluator, make_plants
+from paper.plants import observe, reset_plant, step_plant
+from paper.tasks import TASKS
 from sim.learn.search.base import draw_seeds
-from sim.paper.agents import build_agent
-from sim.paper.evaluator import Evaluator, make_plants
-from sim.paper.plants.lanes import observe, reset_plant, step_plant
-from sim.paper.tasks import TASKS
 
 LANE = 1
 

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from kit import paper_reference as reference
 
+from paper import loop
+from paper.agents import build_agent
+from paper.evaluator import Evaluator
+from paper.loop import BenchmarkEstimator, Checkpoint, ParkingEvaluator, run_search
+from paper.runs import budget_for
+from paper.searches import SEARCHES
+from paper.store import BudgetName
+from paper.tasks import TASKS, Benchmark
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.core.errors import FileError
 from sim.learn.search.algorithm1 import ALPHA, ESTIMATE_AFTER, START_SCALE
 from sim.learn.search.base import draw_seeds
-from sim.paper import BudgetName
-from sim.paper.agents import build_agent
-from sim.paper.evaluator import Evaluator
-from sim.paper.runs import budget_for
-from sim.paper.search import loop
-from sim.paper.search.loop import BenchmarkEstimator, Checkpoint, ParkingEvaluator, run_search
-from sim.paper.search.published import SEARCHES
-from sim.paper.tasks import TASKS, Benchmark
 
 ALONE = Checkpoint(None, {})
 LAYERS = (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER)

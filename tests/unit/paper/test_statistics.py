@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.paper.statistics import Summary, fisher, holm, improvement, interquartile_mean, welch
+from paper.statistics import Summary, fisher, holm, improvement, interquartile_mean, welch
 
 
 def test_holms_correction_is_that_of_the_textbook():

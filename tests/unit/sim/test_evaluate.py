@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kit.bnn_text import circuit_to_bnn
 from kit.paths import DATA
 
 from rover_ncp.circuit.policy import course_policy, parking_policy
@@ -42,14 +41,14 @@ def numb():
 @pytest.fixture
 def files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("untuned.bnn").write_text(circuit_to_bnn(load_circuit("parking")))
-    Path("numb.bnn").write_text(circuit_to_bnn(numb()))
+    save_policy(Path("untuned.yaml"), parking_policy(load_circuit("parking"), clamp=False))
+    save_policy(Path("numb.yaml"), parking_policy(numb(), clamp=False))
     Path("stay.yaml").write_text(STAY)
     return tmp_path
 
 
 def test_scores_a_published_circuit_with_sensors_that_are_not_clamped(files, run_json):
-    code, fields = run_json("eval untuned.bnn")
+    code, fields = run_json("eval untuned.yaml")
     expected = rollout(parking_policy(load_circuit("parking"), clamp=False), load_course("parking"))
     assert (code, fields) == (
         1,
@@ -69,12 +68,12 @@ def test_scores_a_published_circuit_with_sensors_that_are_not_clamped(files, run
 
 
 def test_a_policy_that_parks_ends_with_0(files, run_json, capsys):
-    code, fields = run_json("eval numb.bnn --course stay.yaml")
+    code, fields = run_json("eval numb.yaml --course stay.yaml")
     assert (code, fields["parked"]) == (0, True)
     assert fields["return"] == pytest.approx(-(0.03**2 + 0.04**2 + 0.05**2))
     assert fields["rms_m"] == pytest.approx(0.05 / np.sqrt(2))
     assert (fields["error_m"], fields["error_rad"]) == (0.0, pytest.approx(0.05))
-    assert run(["eval", "numb.bnn", "--course", "stay.yaml"]) == 0
+    assert run(["eval", "numb.yaml", "--course", "stay.yaml"]) == 0
     out = capsys.readouterr().out
     assert out.startswith("parked; return -0.0050; final errors 0 mm and 50 mrad")
     assert out.count("\n") == 1
@@ -102,7 +101,7 @@ def test_trials_are_counted_as_each_alone_is_judged(files, run_json):
 
 
 def test_only_a_single_trial_that_fails_ends_with_1(files, capsys):
-    arguments = ["eval", "numb.bnn", "--randomize", "mild", "--trials"]
+    arguments = ["eval", "numb.yaml", "--randomize", "mild", "--trials"]
     assert run([*arguments, "1"]) == 1
     assert run([*arguments, "3"]) == 0
     assert capsys.readouterr().out.count("0.0% of") == 2
@@ -125,7 +124,7 @@ def test_random_courses_are_driven_in_turn(files, run_json):
     [("--course parking --course stay.yaml", 2), ("--random-courses 3", 3)],
 )
 def test_each_course_is_driven_once_by_default(files, run_json, courses, count):
-    code, fields = run_json(f"eval numb.bnn {courses}")
+    code, fields = run_json(f"eval numb.yaml {courses}")
     assert (code, fields["trials"]) == (0, count)
 
 
@@ -150,7 +149,7 @@ SAME = "are the same; add --randomize full"
 def test_number_of_trials_that_gives_no_sample_is_an_error(files, capsys, options, message):
     Path("exact.yaml").write_text(NO_PROFILE_NOISE)
     Path("steps.yaml").write_text("name: steps\nspeed_step_m_s: 0.001\n")
-    assert run(["eval", "numb.bnn", *options.split()]) == 2
+    assert run(["eval", "numb.yaml", *options.split()]) == 2
     assert message in capsys.readouterr().err
 
 

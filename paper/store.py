@@ -3,17 +3,30 @@
 import json
 import os
 from collections.abc import Iterator
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import ConfigDict, Field, ValidationError, model_validator
 
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text
 from sim.learn.search.base import Vector
-from sim.paper import BudgetName
+
+
+class BudgetName(StrEnum):
+    """Budget of a run, and the search that spends it."""
+
+    PUBLISHED = "published"
+    """The paper's iterations and rollouts with the search of its published code."""
+    ALGORITHM1 = "algorithm1"
+    """The paper's iterations and rollouts with Algorithm 1 as it is printed."""
+    GRADIENTS = "gradients"
+    """Training by PPO or A2C, for which the paper gives no settings."""
+    QUICK = "quick"
+    """A few iterations of the published search."""
 
 
 class RunName(StrictModel):
@@ -90,34 +103,6 @@ class Result(RunSummary):
     def value_after(self, iterations: int) -> float:
         """Return the incumbent's estimate after so many iterations of a search."""
         return [value for count, _, value in self.curve if count <= iterations][-1]
-
-
-class MadeRun(RunName, RunSummary):
-    """A run that was made now."""
-
-    path: str = Field(description="its file")
-
-
-class MadeResult(BaseModel):
-    """Result of ``paper run``."""
-
-    made: list[MadeRun] = Field(description="runs that were made now")
-    found: int = Field(description="how many runs existed already")
-
-
-class DifferentRun(RunName):
-    """A run whose replay differs."""
-
-    stored: float = Field(description="the mean return in the file")
-    replayed: float = Field(description="the mean return now")
-
-
-class ReplayResult(BaseModel):
-    """Result of ``paper replay``."""
-
-    replayed: int = Field(description="how many runs")
-    exact: int = Field(description="of them to the last bit")
-    differ: list[DifferentRun] = Field(description="runs whose verdict or return differs")
 
 
 class ResultStore:

@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, Field
 
+from paper.agents import AGENTS, GRADIENTS, PAPERS
+from paper.claims import ClaimsFile, Judged, Verdict, clear_signs, drives, readings, time_constants
+from paper.runs import grid
+from paper.statistics import improvement, interquartile_mean, mean_text, summary
+from paper.store import BudgetName, Result, ResultStore
+from paper.tasks import TASKS
+from sim.learn.curve import png_of
 from sim.learn.search.base import Vector
-from sim.paper import BudgetName
-from sim.paper.agents import AGENTS, GRADIENTS
-from sim.paper.claims import ClaimsFile, Judged, Verdict
-from sim.paper.interpretation import clear_signs, drives, readings, time_constants
-from sim.paper.results import Result, ResultStore
-from sim.paper.selection import grid
-from sim.paper.statistics import improvement, interquartile_mean, mean_text, summary
-from sim.paper.tasks import TASKS
 
 Row = Sequence[object]
 LAYOUTS = {
@@ -40,13 +39,6 @@ class GroupRow(BaseModel):
     runs: int = Field(description="runs that the grid wants")
     commits: dict[str, int] = Field(description="by commit: number of runs")
     cpu_s: float = Field(description="CPU time")
-
-
-class ReportResult(BaseModel):
-    """Result of ``paper report``."""
-
-    claims: list[Judged] = Field(description="one row each")
-    groups: list[GroupRow] = Field(description="the runs of a task and an agent each")
 
 
 def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Judged]) -> str:
@@ -231,3 +223,54 @@ def markdown(rows: Sequence[Row]) -> str:
     """Return rows, the first one the head, as a Markdown table."""
     lines = [f"| {' | '.join(map(str, row))} |" for row in rows]
     return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])
+
+
+_POINTS = 200
+_PARKING_RETURNS = (-6.0, 0.3)
+"""Returns shown for parking; agents with a lower one do not drive to the goal."""
+_COLORS = dict(zip(PAPERS, ("tab:blue", "tab:orange", "tab:green", "tab:red"), strict=True))
+_PANELS_A_ROW = 3
+
+
+def curves_png(store: ResultStore) -> bytes:
+    """Return the learning curves as PNG. Raises FileError."""
+    from matplotlib.figure import Figure
+
+    found = {
+        name: {agent: runs for agent in PAPERS if (runs := store.results(name, agent, BudgetName.PUBLISHED))}
+        for name in TASKS
+    }
+    tasks = [TASKS[name] for name, agents in found.items() if agents]
+    rows = max(-(-len(tasks) // _PANELS_A_ROW), 1)
+    figure = Figure(figsize=(3.4 * _PANELS_A_ROW, 2.6 * rows), dpi=100, layout="constrained")
+    panels: list[Any] = list(figure.subplots(rows, _PANELS_A_ROW, squeeze=False).flat)
+    for axes, task in zip(panels, tasks, strict=False):
+        for agent, runs in found[task.name].items():
+            marks, middle, spread = average(runs)
+            axes.fill_between(
+                marks, middle - spread, middle + spread, color=_COLORS[agent], alpha=0.15, linewidth=0
+            )
+            axes.plot(marks, middle, color=_COLORS[agent], linewidth=1.5, label=f"{agent} ({len(runs)})")
+        axes.axhline(task.success, color="0.6", linewidth=0.8, linestyle=":")
+        if task.success < 0:
+            axes.set_ylim(_PARKING_RETURNS)
+        axes.set_title(task.title, fontsize=8)
+        axes.set_xscale("log")
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=7)
+    for axes in panels[len(tasks) :]:
+        axes.set_visible(False)
+    figure.supxlabel("iterations", fontsize=9)
+    figure.supylabel("estimated return of the best so far", fontsize=9)
+    return png_of(figure)
+
+
+def average(runs: Sequence[Result]) -> tuple[Any, Any, Any]:
+    """Return iterations (n,), and mean and standard deviation (n,) of the estimates of all runs."""
+    curves = [np.array([(point[0], point[2]) for point in run.curve], np.float64) for run in runs]
+    marks = np.geomspace(1.0, max(2, *(run.settings["iterations"] for run in runs)), _POINTS)
+    # Before a run's first estimate, that one counts.
+    rows = [
+        curve[np.maximum(np.searchsorted(curve[:, 0], marks, side="right") - 1, 0), 1] for curve in curves
+    ]
+    return marks, np.mean(rows, axis=0), np.std(rows, axis=0, ddof=min(len(rows) - 1, 1))

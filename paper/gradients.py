@@ -11,9 +11,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from paper.loop import Found
+from paper.tasks import Benchmark
 from sim.learn.search.base import Vector, draw_seeds
-from sim.paper.search.loop import Found
-from sim.paper.tasks import Benchmark
 
 FloatArray = NDArray[np.float64]
 Training = tuple[int, int, dict[str, Any]]

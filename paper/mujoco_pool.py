@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.paper.plants.lanes import MujocoLanes
+from paper.plants import MujocoLanes
 
 # Without a handler, MuJoCo writes a warning, such as that of an outdated attribute in Gymnasium's
 # half-cheetah, to a file in the current folder. Other warnings report an unstable simulation, which shows in

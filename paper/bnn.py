@@ -11,14 +11,28 @@
 
 Neurons are numbers in it. They get the names of the wiring whose size they have: up to 11 neurons those of
 the benchmarks, from 12 on those of parking. Published parking files have a thirteenth without any synapse.
+
+    python -m paper.bnn IN.bnn OUT.yaml
+
+writes a circuit with parking's motor neurons as a policy with parking's mappings, and any other one as a
+circuit. The policy's sensors are not clamped: the published code trains circuits so.
 """
 
 import re
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 
+from paper import run_command_line
 from rover_ncp.circuit.circuit import DEFAULTS, MAX_NEURONS, Circuit, ParameterKind, SynapseKind
+from rover_ncp.circuit.policy import Policy, parking_policy
+from rover_ncp.circuit.policy_file import circuit_to_yaml, policy_to_yaml
+from rover_ncp.core.config import name_from, read_filled
+from rover_ncp.core.console import Overwrite
 from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.files import require_writable, write_atomic
 
 _VALUES = {
     "cm": ParameterKind.CAPACITANCE,
@@ -127,3 +141,29 @@ def _number(text: str) -> float:
     if not _NUMBER.fullmatch(text):
         raise ValueError(f"expected a number, got {text[:20]!r}")
     return float(text)
+
+
+def load_bnn(path: Path) -> Circuit | Policy:
+    """Load a circuit, or with parking's motor neurons a policy, named for its file.
+
+    Raises FileError or ConfigError.
+    """
+    circuit = circuit_from_bnn(read_filled(path), name_from(path, "circuit"), str(path))
+    return parking_policy(circuit, clamp=False) if {"RGT", "FWD"} <= set(circuit.neurons) else circuit
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(metavar="IN.bnn", help="Circuit in the published format.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT.yaml", help="Policy or circuit file to write.")],
+    overwrite: Overwrite = False,
+) -> None:
+    """Convert a published circuit into a policy file, or a circuit file."""
+    require_writable(out, overwrite=overwrite)
+    found = load_bnn(source)
+    write_atomic(out, policy_to_yaml(found) if isinstance(found, Policy) else circuit_to_yaml(found))
+
+
+if __name__ == "__main__":
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    app.command()(convert)
+    run_command_line(app, "paper.bnn")

@@ -10,6 +10,9 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from paper.networks import Net, network_lane_runner
+from paper.plants import KINDS, NO_MUJOCO, Plants, observe, reset_plant, step_plant
+from paper.tasks import Benchmark
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.kernels.jit import kernel
@@ -17,10 +20,7 @@ from rover_ncp.kernels.vectors import WIDTH
 from sim.learn.engine.environment import Play
 from sim.learn.engine.lane_runner import circuit_lane_runner
 from sim.learn.engine.lanes import IDLE
-from sim.learn.engine.networks import Net, network_lane_runner
 from sim.learn.search.base import Seeds
-from sim.paper.plants.lanes import KINDS, NO_MUJOCO, Plants, observe, reset_plant, step_plant
-from sim.paper.tasks import Benchmark
 
 FloatArray = NDArray[np.float64]
 
@@ -94,7 +94,7 @@ def make_plants(task: Benchmark, *, for_search: bool = False) -> tuple[Plants, A
     plant = task.search_plant if for_search and task.search_plant is not None else task.plant
     count, pool = _LANES, None
     if task.model is not None and plant == task.plant:
-        from sim.paper.plants.mujoco import MujocoPool  # an extra that the other tasks do without
+        from paper.mujoco_pool import MujocoPool  # an extra that the other tasks do without
 
         count = _MUJOCO_LANES
         pool = MujocoPool(task.model.file, task.model.step_s, count)

@@ -10,16 +10,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from paper.evaluator import Evaluator
+from paper.networks import Net
+from paper.searches import SEARCHES
+from paper.tasks import Benchmark, Task
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.files import write_atomic
 from rover_ncp.course.course import load_course
 from sim.learn.engine import evaluator as engine
-from sim.learn.engine.networks import Net
 from sim.learn.run_folder import dump_checked, load_checked
 from sim.learn.search.base import Vector, draw_seeds
-from sim.paper.evaluator import Evaluator
-from sim.paper.search.published import SEARCHES
-from sim.paper.tasks import Benchmark, Task
 
 _SEARCH, _ROLLOUTS = 0, 1
 """Streams of random numbers."""

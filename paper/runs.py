@@ -1,30 +1,28 @@
-"""Runs of the grid: training one, scoring its parameters, and making many on all cores or a cluster."""
+"""Runs of the grid: training one, scoring its parameters, and making many on all cores."""
 
 import importlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
 from dataclasses import replace
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from paper.agents import AGENTS, GRADIENTS, NETWORKS, PAPERS, build_agent
+from paper.evaluator import Evaluator
+from paper.loop import Budget, Checkpoint, ParkingEvaluator, run_search
+from paper.networks import Net
+from paper.store import BudgetName, Packed, Result, ResultStore, RunName, Score
+from paper.tasks import TASKS, Benchmark, Task, find_task
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.errors import RoverNcpError
-from sim.learn.cluster import DaskCluster
-from sim.learn.engine.networks import Net
+from rover_ncp.core.errors import RoverNcpError, UsageError
 from sim.learn.record import made_with
 from sim.learn.search.base import Vector, draw_seeds
 from sim.learn.workers import ProcessPool, available_processes
-from sim.paper import BudgetName
-from sim.paper.agents import GRADIENTS, NETWORKS, build_agent
-from sim.paper.evaluator import Evaluator
-from sim.paper.results import Packed, Result, ResultStore, RunName, Score
-from sim.paper.search.loop import Budget, Checkpoint, ParkingEvaluator, run_search
-from sim.paper.tasks import Benchmark, Task, find_task
 
 _FINAL = 99
 """Stream of the fresh episodes that a run is judged by."""
@@ -60,7 +58,7 @@ def train_run(name: RunName, state: Path | None = None) -> Result:
     settings: dict[str, Any]
     made = _made_with(task, name.agent)  # before the search: files may change while it lasts
     if name.agent in GRADIENTS:
-        from sim.paper.search.gradients import train_actor  # needs the extra gradients
+        from paper.gradients import train_actor  # needs the extra gradients
 
         assert isinstance(task, Benchmark)
         checkpoint = Checkpoint(None, {})
@@ -106,7 +104,7 @@ def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int, war
         return Score(episodes=1, mean=total, std=0.0, plain_mean=total, success=success)
     seeds = draw_seeds(seed, (_FINAL,), _EPISODES)
     if agent is None:
-        from sim.paper.search.gradients import score_actor
+        from paper.gradients import score_actor
 
         returns, plain = score_actor(task, vector, seeds)
     else:
@@ -145,23 +143,17 @@ def make_runs(
     store: ResultStore,
     *,
     processes: int | None = None,
-    cluster: str | None = None,
     on_result: Callable[[Result], None],
 ) -> None:
-    """Make runs, as many at once as there are processes, or on a Dask cluster; save each as it ends.
+    """Make runs, as many at once as there are processes; save each as it ends.
 
-    After an interruption, a search continues from its last checkpoint when it is requested again, except on a
-    cluster. Raises UsageError before the first run begins; after the others, the error of a run; WorkerDied.
+    After an interruption, a search continues from its last checkpoint when it is requested again. Raises
+    UsageError before the first run begins; after the others, the error of a run; WorkerDied.
     """
     _require(names)
     count = min(processes or available_processes(), len(names))
-    workers = (
-        ProcessPool(count, "; repeat the command to continue") if cluster is None else DaskCluster(cluster)
-    )
-    with workers:
-        runs = [
-            workers.submit(train_run, name, None if cluster else store.checkpoint(name)) for name in names
-        ]
+    with ProcessPool(count, "; repeat the command to continue") as workers:
+        runs = [workers.submit(train_run, name, store.checkpoint(name)) for name in names]
         errors: list[RoverNcpError] = []
         for run in as_completed(runs):
             try:
@@ -181,6 +173,79 @@ def _require(names: Sequence[RunName]) -> None:
     for task_name, agent in dict.fromkeys((name.task, name.agent) for name in names):
         task = find_task(task_name)
         if agent in GRADIENTS:
-            importlib.import_module("stable_baselines3")
+            try:
+                importlib.import_module("stable_baselines3")
+            except ImportError as error:
+                raise UsageError(
+                    f"{agent} needs stable-baselines3: make paper-gradients installs it"
+                ) from error
         if isinstance(task, Benchmark) and task.model:
             importlib.import_module("mujoco")
+
+
+_GRADIENT_TASKS = ("pendulum", "mountain-car")
+"""The tasks of the paper's table of reinforcement learning."""
+_ALGORITHM1_TASKS = ("parking", "pendulum", "mountain-car", "cart-pole")
+_SEEDS = 10
+_PARKING_SEEDS = 48
+"""As many as were measured with the published code itself."""
+
+
+class Group(NamedTuple):
+    """The runs of a task, an agent and a budget, one for each seed from 0 on."""
+
+    task: str
+    agent: str
+    budget: BudgetName
+    runs: int = _SEEDS
+
+    def names(self, seeds: Sequence[int] | None = None) -> list[RunName]:
+        """Return the group's runs, or those of the seeds given."""
+        return [
+            RunName(task=self.task, agent=self.agent, seed=seed, budget=self.budget)
+            for seed in dict.fromkeys(seeds or range(self.runs))
+        ]
+
+
+def grid(*budgets: BudgetName) -> Iterator[Group]:
+    """Yield all groups of some budgets."""
+    for budget in budgets:
+        for name, task in TASKS.items():
+            seeds = _PARKING_SEEDS if (name, budget) == ("parking", BudgetName.PUBLISHED) else _SEEDS
+            yield from (Group(name, agent, budget, seeds) for agent in _agents(task, budget))
+
+
+def _agents(task: Task, budget: BudgetName) -> Sequence[str]:
+    if budget is BudgetName.GRADIENTS:
+        return GRADIENTS if task.name in _GRADIENT_TASKS else ()
+    if budget is BudgetName.ALGORITHM1:
+        return ("circuit",) if task.name in _ALGORITHM1_TASKS else ()
+    return PAPERS if isinstance(task, Benchmark) else ("circuit",)
+
+
+def select(
+    tasks: Sequence[str] | None,
+    agents: Sequence[str] | None,
+    seeds: Sequence[int] | None,
+    budget: BudgetName = BudgetName.PUBLISHED,
+) -> list[RunName]:
+    """Return the selected runs of a budget, circuits first: of the grid, or of any seeds given.
+
+    Raises UsageError for an unknown task or agent, and where nothing is left.
+    """
+    for task in tasks or ():
+        find_task(task)
+    for agent in agents or ():
+        if agent not in AGENTS:
+            raise UsageError(f"no agent {agent!r}; expected one of {', '.join(AGENTS)}")
+    groups = [
+        group
+        for group in grid(budget)
+        if (not agents or group.agent in agents) and (not tasks or group.task in tasks)
+    ]
+    groups.sort(key=lambda group: AGENTS.index(group.agent))
+    if not groups:
+        raise UsageError(
+            f"the budget {budget} has no such runs; rover-ncp paper report --long lists those of each budget"
+        )
+    return [name for group in groups for name in group.names(seeds)]

@@ -1,0 +1,146 @@
+"""The commands ``run``, ``replay`` and ``report``; heavy libraries load only when one of them runs."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from paper import run_command_line
+from paper.store import BudgetName
+from rover_ncp.core.errors import FileError, UsageError
+from rover_ncp.core.files import require_writable, write_atomic
+
+if TYPE_CHECKING:
+    from paper.store import Result
+
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
+RESULTS = Path(__file__).parent / "results"
+Tasks = Annotated[list[str] | None, typer.Option(help="Only this task; may be repeated.", show_default="all")]
+Agents = Annotated[
+    list[str] | None, typer.Option(help="Only this agent; may be repeated.", show_default="all")
+]
+Seeds = Annotated[
+    list[int] | None, typer.Option(min=0, help="Only this seed; may be repeated.", show_default="all")
+]
+Results = Annotated[Path, typer.Option(help="Folder of the runs.", show_default="paper/results")]
+
+
+@app.command()
+def run(
+    *,
+    task: Tasks = None,
+    agent: Agents = None,
+    seed: Seeds = None,
+    budget: Annotated[
+        BudgetName,
+        typer.Option(
+            help="published: the paper's iterations with the search of its code. algorithm1: the same with "
+            "the search as printed. gradients: PPO and A2C. quick: published, but seconds a run."
+        ),
+    ] = BudgetName.PUBLISHED,
+    results: Results = RESULTS,
+    again: Annotated[bool, typer.Option("--again", help="Repeat runs that exist already.")] = False,
+    processes: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=1000,
+            help="Runs at the same time; results do not depend on it.",
+            show_default="one for each core",
+        ),
+    ] = None,
+) -> None:
+    """Make the runs that do not exist yet.
+
+    A run is one line of RESULTS/BUDGET/TASK.jsonl: settings, versions, learning curve, trained parameters.
+
+        python -m paper run --task mountain-car --agent circuit --seed 3 --again
+    """
+    from paper.runs import make_runs, select
+    from paper.store import ResultStore
+
+    store, names = ResultStore(results), select(task, agent, seed, budget)
+    left = [name for name in names if again or store.find(name) is None]
+    for path in {store.path(name.task, budget) for name in left}:
+        require_writable(path, overwrite=True)
+
+    def on_result(result: "Result") -> None:
+        outcome = "" if result.success else ", no success"
+        print(
+            f"{result.name}: {result.mean:.4g} ± {result.std:.3g}{outcome} ({result.cpu_s:.0f} s of a core)",
+            flush=True,
+        )
+
+    if left:
+        make_runs(left, store, processes=processes, on_result=on_result)
+    print(f"{len(left)} runs made, {len(names) - len(left)} found")
+
+
+@app.command()
+def replay(
+    *,
+    task: Tasks = None,
+    agent: Agents = None,
+    seed: Seeds = None,
+    budget: Annotated[
+        BudgetName | None, typer.Option(help="Only runs of this budget.", show_default="all")
+    ] = None,
+    results: Results = RESULTS,
+) -> None:
+    """Score the parameters of stored runs again; exit 1 if a verdict or a return differs.
+
+    python -m paper replay --task mountain-car
+    """
+    from paper.runs import agrees
+    from paper.runs import replay as score_again
+    from paper.store import ResultStore
+
+    wanted = {"task": task, "agent": agent, "seed": seed, "budget": budget and [budget]}
+    replayed = exact = differ = 0
+    for result in ResultStore(results).every():
+        name = result.name
+        if not all(values is None or getattr(name, field) in values for field, values in wanted.items()):
+            continue
+        found = score_again(result)
+        replayed += 1
+        exact += found == result.score
+        if not agrees(result, found):
+            differ += 1
+            print(f"{name}: stored {result.mean!r}, replayed {found.mean!r}", flush=True)
+    if not replayed:
+        raise UsageError(f"{results}: has no such runs to replay")
+    print(f"{replayed} runs replayed, {exact} to the last bit, {differ} differ")
+    raise typer.Exit(1 if differ else 0)
+
+
+@app.command()
+def report(
+    *,
+    results: Results = RESULTS,
+    long: Annotated[
+        bool, typer.Option("--long", help="All claims, the settings and the stored runs.")
+    ] = False,
+    curves: Annotated[
+        Path | None,
+        typer.Option(help="Write the published search's curves to this PNG.", show_default=False),
+    ] = None,
+) -> None:
+    """Report the paper's claims, and whether the stored runs reproduce them.
+
+    Without --long it prints the first part of docs/paper.md.
+    """
+    from paper.claims import judge_claims, load_claims
+    from paper.report import curves_png, long_report, short_report
+    from paper.store import ResultStore
+
+    if not results.is_dir():
+        raise FileError(f"{results}: no such folder")
+    store, file = ResultStore(results), load_claims()
+    if curves is not None:
+        write_atomic(curves, curves_png(store))
+    judged = judge_claims(store, file.claims)
+    print(long_report(store, judged) if long else short_report(store, file, judged))
+
+
+if __name__ == "__main__":
+    run_command_line(app, "paper")

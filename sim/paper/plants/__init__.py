@@ -1,1 +1,0 @@
-"""The benchmarks' environments as lanes of a compiled kernel."""

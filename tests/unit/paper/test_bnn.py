@@ -1,0 +1,128 @@
+"""Published circuits, converted into policies and circuits of this project."""
+
+import shutil
+import subprocess
+import sys
+
+import pytest
+from kit.bnn_text import circuit_to_bnn
+from kit.paths import DATA, ROOT
+
+from paper.bnn import circuit_from_bnn, load_bnn
+from rover_ncp.circuit.motors import parking_motors
+from rover_ncp.circuit.policy_file import (
+    circuit_to_yaml,
+    load_circuit,
+    load_policy,
+    policy_from_yaml,
+    policy_to_yaml,
+)
+from rover_ncp.circuit.runner import Runner
+from rover_ncp.circuit.sensing import parking_sensing
+from rover_ncp.core.errors import ConfigError
+
+GOLDEN = DATA / "golden"
+
+
+def test_a_circuit_read_back_has_the_same_bits():
+    circuit = load_policy("parking").circuit
+    assert circuit_to_yaml(
+        circuit_from_bnn(circuit_to_bnn(circuit), circuit.name, "test")
+    ) == circuit_to_yaml(circuit)
+
+
+def test_command_converts_a_published_circuit_once(tmp_path):
+    out = tmp_path / "parking.yaml"
+    command = [sys.executable, "-m", "paper.bnn", str(GOLDEN / "parking.bnn"), str(out)]
+    assert subprocess.run(command, cwd=ROOT, check=False).returncode == 0
+    assert out.read_text() == policy_to_yaml(load_bnn(GOLDEN / "parking.bnn"))
+    refused = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True)
+    assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
+    assert "--overwrite" in refused.stderr
+
+
+def test_bnn_drives_with_sensors_that_are_not_clamped():
+    policy = load_bnn(GOLDEN / "parking.bnn")
+    assert policy.sensing == parking_sensing(clamp=False)
+    assert policy.motors == parking_motors()
+    assert policy.circuit.weight[0] == 1.55348
+    assert policy.circuit.capacitance[11] == 0.00146423
+
+
+def test_thirteenth_neuron_of_published_files_is_idle(tmp_path):
+    text = (GOLDEN / "parking.bnn").read_text()
+    path = tmp_path / "thirteen.bnn"
+    path.write_text(text.replace("size 12", "size 13"))
+    thirteen, twelve = Runner(load_bnn(path)), Runner(load_bnn(GOLDEN / "parking.bnn"))
+    for _ in range(5):
+        assert thirteen.tick([0.2, 0.3, 0.4, 1.0]) == twelve.tick([0.2, 0.3, 0.4, 1.0])
+
+
+def test_bnn_defaults():
+    circuit = circuit_from_bnn("size 3\n# nothing\n\nex 0 1 1.5 # comment\nconst 2 -33\n", "d", "test")
+    assert circuit.capacitance.tolist() == [0.05] * 3
+    assert circuit.leak.tolist() == [1.0] * 3
+    assert circuit.leak_potential.tolist() == [-70.0] * 3
+    assert circuit.sigma.tolist() == [0.1]
+    assert circuit.held == {2: -33.0}
+
+
+def test_bnn_without_parkings_motor_neurons_is_a_circuit(tmp_path):
+    path = tmp_path / "tap_withdrawal.bnn"
+    path.write_text(circuit_to_bnn(load_circuit("tap_withdrawal")))
+    assert load_bnn(path).size == 11
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("cm 0 0.1\n", "line 1: a size statement must come first"),
+        ("# only a comment\n", "no size statement"),
+        ("size 0\n", "line 1: expected 'size N', N in 1..256, got 'size 0'"),
+        ("size\n", "line 1: expected 'size N', N in 1..256, got 'size'"),
+        ("size 2\nfoo 1\n", "line 2: unknown statement 'foo'"),
+        ("size 2\n\n# x\ncm 2 0.1\n", "line 4: neuron '2' is not in 0..1"),
+        ("size 2\ncm 0.5 0.1\n", "line 2: neuron '0.5' is not in 0..1"),
+        ("size 2\ncm 0\n", "line 2: expected 'cm neuron value', got 1 values"),
+        ("size 2\ncm 0 nan\n", "line 2: expected a number, got 'nan'"),
+        ("size 2\nconst 0 20\n", "PVD: held at 20 mV, outside -90..0 mV"),
+        ("size 2\nex 0 2 1\n", "line 2: neuron '2' is not in 0..1"),
+        ("size 2\nex 0 1 1_0\n", "line 2: expected a number, got '1_0'"),
+        ("size 2\ngj 0 1 1 0.1\n", "line 2: expected 'gj source destination weight', got 4 values"),
+        ("size 2\nex 0 1 1\nex 0 1 2\n", "the synapse excitatory PVD -> PLM appears twice"),
+        ("size 2\ncm 0 0.1\ncm 0 0.1\n", "line 3: cm 0 appears twice"),
+        ("size 2\nfoo\nex 5 0 1\n", "gj); line 3: neuron '5' is not in 0..1"),
+        ("size 2\n" + "foo\n" * 30, "and 10 more"),
+    ],
+)
+def test_bad_bnn_is_one_line_with_the_line_number(text, problem, tmp_path):
+    path = tmp_path / "bad.bnn"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_bnn(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert problem in message
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("stem", "name"),
+    [
+        ("my circuit", "my-circuit"),
+        ("größe", "groe"),
+        ("bi\u202edi", "bidi"),
+        ("x" * 100, "x" * 64),
+        ("日本", "circuit"),
+        ("-..+", "circuit"),
+        ("new\nline", "new-line"),
+        ("\udcff", "circuit"),
+        ("v1.2_a+b-c", "v1.2_a+b-c"),
+    ],
+)
+def test_policy_of_any_bnn_file_is_read_from_what_is_written(tmp_path, stem, name):
+    path = tmp_path / f"{stem}.bnn"
+    shutil.copy(GOLDEN / "parking.bnn", path)
+    policy = load_bnn(path)
+    assert policy.circuit.name == name
+    assert policy_from_yaml(policy_to_yaml(policy), "again").circuit.name == name

@@ -25,6 +25,7 @@ from rover_ncp.wire.protocol import CommandTag, GateStatus, dump_json
 from rover_ncp.wire.zenoh import client_config
 from sim.live.live_run import ROS2DDS, LiveRun
 from sim.live.peers import Peer
+from sim.live.processes import compile_driver
 
 MOCK = "name: mine\nbased_on: turtlebot4\ntopics: {scan: null}\n"
 ROBOT = "name: mine\nbased_on: turtlebot4\ntopics: {stop: {topic: stop, latched: true}}\n"
@@ -129,6 +130,7 @@ class Robot(LiveRun):
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory):
+    compile_driver()
     with Robot(tmp_path_factory.mktemp("robot")) as robot:
         yield robot
 
@@ -194,7 +196,7 @@ def test_gate_driver_and_page_do_as_the_table_says(robot, cell, tmp_path, capsys
                 watcher.ready()
 
                 def inject():
-                    wait_for(lambda: watcher.gate.sequence > 8)
+                    wait_for(lambda: watcher.gate.sequence > 8, 60.0)
                     FAULTS.get(fault, partial(mock, fault=fault))(robot)
 
                 threading.Thread(target=inject, daemon=True).start()

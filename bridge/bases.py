@@ -24,7 +24,8 @@ from bridge.zenoh.link import ZenohLink
 from rover_ncp.core.config import load_yaml, validated
 from rover_ncp.core.errors import NoRobot, RoverNcpError, UsageError
 from rover_ncp.core.files import shipped_names
-from rover_ncp.robot.description import RobotDescription, Topics, load_description
+from rover_ncp.robot.description import RobotDescription, load_description
+from rover_ncp.robot.topics import Topics
 from rover_ncp.wire.address import ROS2
 
 BASES = "rover_ncp.bases"

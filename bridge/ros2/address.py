@@ -6,7 +6,7 @@ from pathlib import Path
 from bridge.ros2.discovery import Convention
 from rover_ncp.core.console import printable
 from rover_ncp.core.errors import UsageError
-from rover_ncp.robot.description import HazardTopic, Topics
+from rover_ncp.robot.topics import HazardTopic, Topics
 from rover_ncp.wire.address import parse_ros_endpoint
 from rover_ncp.wire.messages import (
     BATTERY_STATE,

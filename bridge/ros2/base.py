@@ -40,7 +40,8 @@ from bridge.ros2.scan import ScanRoom
 from bridge.ros2.unused import UnusedMessages
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import STANDSTILL, Velocity
-from rover_ncp.robot.description import RobotDescription, Topics
+from rover_ncp.robot.description import RobotDescription
+from rover_ncp.robot.topics import Topics
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.header import header_of
 from rover_ncp.wire.messages import (

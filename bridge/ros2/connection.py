@@ -19,7 +19,7 @@ from bridge.ros2.discovery import Announced, Convention, read_topic_token
 from bridge.ros2.rmw import Attachment, read_token
 from bridge.ros2.ros_node import RosNode
 from rover_ncp.core.errors import FormatError, NoRobot
-from rover_ncp.robot.description import Topics
+from rover_ncp.robot.topics import Topics
 from rover_ncp.wire.messages import TWIST, TWIST_STAMPED
 from rover_ncp.wire.probe import Listener, listener_at
 from rover_ncp.wire.zenoh import client_config, reason

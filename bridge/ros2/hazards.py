@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from bridge.ros2.announced import MAX_NAMES
 from bridge.ros2.discovery import Announced
 from rover_ncp.core.errors import FormatError
-from rover_ncp.robot.description import HazardTopic, Topics
+from rover_ncp.robot.topics import HazardTopic, Topics
 from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.messages import BOOL, read_hazards
 

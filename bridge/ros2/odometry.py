@@ -21,7 +21,8 @@ from rover_ncp.core.geometry import (
     same_frame,
     wrap_angle,
 )
-from rover_ncp.robot.description import Motion, Topics
+from rover_ncp.robot.description import Motion
+from rover_ncp.robot.topics import Topics
 from rover_ncp.wire.messages import OdometrySample, read_odometry
 
 RATE_S, MIN_IN_RATE = 1.0, 5

@@ -16,6 +16,7 @@ from rover_ncp.core.config import StrictModel, read_yaml, validated
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.files import read_text, resolve
 from rover_ncp.core.geometry import Pose
+from rover_ncp.robot.topics import Topics
 
 _DEPTH = 4
 """Largest number of files that are based on each other."""
@@ -27,7 +28,6 @@ Metres = Annotated[float, Field(ge=0.001, le=5)]
 Range = Annotated[float, Field(ge=0.001, le=1000)]
 Degrees = Annotated[float, Field(ge=-360, le=360)]
 Offset = Annotated[float, Field(ge=-5, le=5)]
-TopicName = Annotated[str, Field(pattern=r"^[A-Za-z_]\w*(/[A-Za-z_]\w*)*$")]
 
 
 class Rectangle(StrictModel):
@@ -109,6 +109,17 @@ class Motion(StrictModel):
     slow_wheels: Literal["stand", "turn"] = "stand"
     """Whether a mock's wheel that is commanded slower than `wheel_min` stands, or turns at `wheel_min`."""
 
+    @model_validator(mode="after")
+    def _can_move(self) -> Self:
+        for name, least, most in (
+            ("dead_band.v", self.dead_band.v, self.v_max),
+            ("dead_band.omega", self.dead_band.omega, self.omega_max),
+            ("wheel_min", self.wheel_min, self.v_max),
+        ):
+            if least >= most:
+                raise ValueError(f"{name} is {least:g}, expected less than the largest speed, {most:g}")
+        return self
+
 
 class Delays(StrictModel):
     """Times from a command's arrival at the base."""
@@ -165,6 +176,12 @@ class Scan(StrictModel):
     range_m: tuple[Range, Range] = (0.12, 3.5)
     """Smallest and largest range."""
 
+    @model_validator(mode="after")
+    def _is_ordered(self) -> Self:
+        if self.range_m[0] >= self.range_m[1]:
+            raise ValueError(f"range_m is {list(self.range_m)}, expected the smaller range first")
+        return self
+
 
 class Battery(StrictModel):
     """Voltages of the whole pack."""
@@ -174,67 +191,13 @@ class Battery(StrictModel):
     min_v: float = Field(ge=0, le=100)
     """Below this voltage the gate stops the robot."""
 
-
-class HazardTopic(StrictModel):
-    """A topic that reports hazards, and how its silence is noticed. A name alone has a period of 1 s."""
-
-    topic: TopicName
-    """The topic's name."""
-    periodic_s: float | None = Field(default=None, ge=0.01, le=5)
-    """Longest time between two messages; three times that without one is a hazard. None = 1, or `latched`."""
-    latched: bool = False
-    """Published at changes only, reliably and transient local; a publisher that is gone is a hazard."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_name(cls, value: Any) -> Any:
-        return {"topic": value} if isinstance(value, str) else value
-
     @model_validator(mode="after")
-    def _is_one_of_both(self) -> Self:
-        if self.latched and self.periodic_s is not None:
-            raise ValueError("either periodic_s or latched: a topic with a period needs no latch")
+    def _can_drive(self) -> Self:
+        if self.min_v > self.nominal_v:
+            raise ValueError(
+                f"min_v is {self.min_v:g}, above nominal_v {self.nominal_v:g}: it could never drive"
+            )
         return self
-
-    @property
-    def max_silence_s(self) -> float:
-        """Longest time without a message; infinite for a latched topic."""
-        return math.inf if self.latched else 3.0 * (self.periodic_s or 1.0)
-
-
-class Topics(StrictModel):
-    """ROS 2 topics without a leading slash; None = the robot has none."""
-
-    odom: TopicName = "odom"
-    """nav_msgs/Odometry."""
-    cmd_vel: TopicName = "cmd_vel"
-    """Topic of the commands."""
-    cmd_vel_type: Literal["Twist", "TwistStamped"] = "Twist"
-    """Type of the commands, of geometry_msgs."""
-    imu: TopicName | None = None
-    """sensor_msgs/Imu."""
-    battery_state: TopicName | None = None
-    """sensor_msgs/BatteryState."""
-    scan: TopicName | None = None
-    """sensor_msgs/LaserScan; needs the section `scan`."""
-    stop: HazardTopic | None = None
-    """std_msgs/Bool, true while an emergency stop is pressed."""
-    hazards: HazardTopic | None = None
-    """irobot_create_msgs/HazardDetectionVector: bumps, cliffs, stalls and wheels in the air."""
-    docked: TopicName | None = None
-    """Says whether the robot is docked, again and again; for the proof `topic` of a place."""
-    docked_field: Literal["data", "is_docked"] = "data"
-    """Its field: `data` of std_msgs/Bool, or `is_docked` of irobot_create_msgs/DockStatus."""
-    pose: TopicName | None = None
-    """Pose by the robot's own localiser, passed on to drivers as `pose`; the frame must be the place's."""
-    pose_type: Literal["PoseWithCovarianceStamped", "PoseStamped"] = "PoseWithCovarianceStamped"
-    """Type of that topic, of geometry_msgs."""
-    odom_frame: str = "odom"
-    """frame_id of the odometry, of which the part behind the last slash counts; an empty one fits always."""
-    base_frame: str = "base_link"
-    """child_frame_id of the odometry, by the same rule, and frame_id of the commands."""
-    cmd_vel_timeout_s: float | None = Field(default=None, ge=0.01, le=10)
-    """Vendor's figure for the base timeout: the mock halts after it. The bridge does not rely on it."""
 
 
 class Sonars(StrictModel):

@@ -14,7 +14,7 @@ from bridge.ros2.base import LoopSeen, TokenSeen
 from bridge.ros2.discovery import Announced
 from rover_ncp.core.config import validated
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.robot.description import Topics
+from rover_ncp.robot.topics import Topics
 from rover_ncp.wire.cdr import decode, encode
 from rover_ncp.wire.messages import (
     BATTERY_STATE,

@@ -10,7 +10,8 @@ from bridge.ros2.base import TokenSeen
 from bridge.ros2.discovery import Announced
 from rover_ncp.core.config import validated
 from rover_ncp.core.errors import ConfigError
-from rover_ncp.robot.description import HazardTopic, load_description
+from rover_ncp.robot.description import load_description
+from rover_ncp.robot.topics import HazardTopic
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import BATTERY_STATE, BOOL, IMU, hazards
 

@@ -5,22 +5,22 @@ a second. It never reports the release of a key. Rules of this file:
 
 1. A key counts for `HOLD_S` after it was last read. Then the command is zero.
 2. A single key drives at `NUDGE` of the speed, and at full speed from its first repeat on.
-3. Any other key stops the rover at once. `teleop.py` discards stale keys.
-4. A key is one character or one whole sequence, which may arrive in parts. A part of a sequence is no key:
-   Shift+Enter is ``ESC [ 1 3 ; 2 u`` in many terminals, and that u does not drive. Sequences are those of
-   ECMA-48 in 7 and 8 bits, mouse reports, function keys of the Linux console, Alt with a key, pasted text.
+3. What a terminal sends at once is one key or repeats of it. Anything else stops the rover, and no key drives
+   for `IGNORED_S`: an escape sequence may arrive in parts, and a part of it is no key. Shift+Enter is
+   ``ESC [ 1 3 ; 2 u`` in many terminals.
 """
 
 import re
-from enum import StrEnum
 
 from rover_ncp.core.geometry import STANDSTILL, Velocity
 
 HOLD_S = 0.4
+IGNORED_S = 0.1
 NUDGE = 0.5
 V_M_S, OMEGA_RAD_S = 0.12, 0.14
 """Three quarters of what the circuits' motors can do, so that a recorded drive makes a course."""
 
+_ARROWS = {"A": (1, 0), "B": (-1, 0), "C": (0, -1), "D": (0, 1)}
 # The place of a key is the direction of the drive, as in ROS's teleop_twist_keyboard; arrows alike.
 KEYS: dict[str, tuple[int, int]] = {
     "u": (1, 1),
@@ -31,12 +31,8 @@ KEYS: dict[str, tuple[int, int]] = {
     "m": (-1, -1),
     ",": (-1, 0),
     ".": (-1, 1),
-    "\x1b[a": (1, 0),
-    "\x1b[b": (-1, 0),
-    "\x1b[c": (0, -1),
-    "\x1b[d": (0, 1),
-}
-"""Share of speed and share of turn rate (left is positive) of each key; arrows in small letters."""
+} | {f"\x1b{introducer}{arrow}": way for introducer in "[O" for arrow, way in _ARROWS.items()}
+"""Share of speed and share of turn rate (left is positive) of each key; arrows as terminals send them."""
 QUIT = frozenset("qQ\x03\x04\x1a")
 """q, and Ctrl-C, Ctrl-D, Ctrl-Z where the terminal hands them on."""
 HELP = """hold a key to drive, release it to stop:
@@ -45,83 +41,7 @@ HELP = """hold a key to drive, release it to stop:
     m , .     backward: left, straight, right
 the arrows do as i , j l; q or Ctrl-C ends"""
 
-_ARROW = re.compile(r"\x1b[\[O]([A-D])")
-# Introducers in 8 bits are one character, or a byte that is no UTF-8, which is decoded to a surrogate.
-_CSI, _SS3 = r"(?:\x1b\[|[\x9b\udc9b])", r"(?:\x1b[NO]|[\x8e\x8f\udc8e\udc8f])"
-_STRING = r"(?:\x1b[PX\]^_]|[\x90\x98\x9d-\x9f\udc90\udc98\udc9d-\udc9f])"
-_CANCELS = r"\x03\x04\x18\x1a\x1b"
-_SEQUENCE = re.compile(
-    rf"\x1b*?(?:{_CSI}(?:M(?:[^\x1b]{{3}}|[^\x1b]{{0,2}}(?=\x1b))|\[.|(?![M\[])[ -?]*(?:[@-~]|(?=[^ -~])))"
-    rf"|{_SS3}[0-?]*[^0-?]"
-    rf"|{_STRING}[^\x07\x9c\udc9c{_CANCELS}]*(?:[\x07\x9c\udc9c]|\x1b\\|(?=[{_CANCELS}]))"
-    r"|\x1b[ -/]+[^ -/]"
-    r"|\x1b[^\x1b\[NOPX\]^_ -/])",
-    re.DOTALL,
-)
-_INTRODUCER = re.compile(rf"\x1b|{_CSI}|{_SS3}|{_STRING}")
-_PASTE_BEGIN, _PASTE_END = re.compile(rf"\x1b*?{_CSI}200~"), re.compile(rf"{_CSI}201~")
-_PASTE_END_LENGTH = 6
-_KEPT, _KEPT_LONG = 64, 3
-"""A beginning of a sequence is kept; of one that is longer, the first characters, which make no key."""
-
-
-class Press(StrEnum):
-    """Meaning of a key that does not drive."""
-
-    STOP = "stop"
-    QUIT = "quit"
-
-
-class KeyReader:
-    """Splits the text of one terminal into keys."""
-
-    def __init__(self) -> None:
-        self._rest = ""
-        """The beginning of a sequence whose end has not arrived."""
-        self._pasting = False
-
-    def keys(self, text: str) -> list[str]:
-        """Return the keys in the terminal's next text: `KEYS`, or what they mean by `Press`.
-
-        Keys in one text with keys that stop do not drive: it may be pasted text that the terminal does not
-        mark. The beginning of a sequence stops, too.
-        """
-        found: list[str] = []
-        self._rest += text
-        while self._rest and (key := self._next()):
-            found.append(key)
-        if self._rest or self._pasting:
-            found.append(Press.STOP)
-        if Press.STOP in found:
-            return [key if key is Press.QUIT else Press.STOP for key in found]
-        return found
-
-    def _next(self) -> str | None:
-        """Take the next key off the text; None if its end has not arrived."""
-        rest = self._rest
-        if begin := None if self._pasting else _PASTE_BEGIN.match(rest):
-            self._pasting, rest = True, rest[begin.end() :]
-        if self._pasting:
-            end = _PASTE_END.search(rest)
-            self._pasting = end is None
-            self._rest = rest[end.end() :] if end else rest[-_PASTE_END_LENGTH:]
-            return Press.STOP if end else None
-        sequence = _SEQUENCE.match(rest)
-        if sequence is None and _INTRODUCER.match(rest):
-            self._rest = rest if len(rest) <= _KEPT else rest[:_KEPT_LONG]
-            return None
-        unit = sequence[0] if sequence else rest[0]
-        self._rest = rest[len(unit) :]
-        return _meaning(unit)
-
-
-def _meaning(unit: str) -> str:
-    if unit in QUIT or (len(unit) == 2 and unit[1] in QUIT):  # also with Alt: to end is safe
-        return Press.QUIT
-    if arrow := _ARROW.fullmatch(unit):
-        return f"\x1b[{arrow[1].lower()}"
-    key = unit.lower()
-    return key if len(unit) == 1 and key in KEYS else Press.STOP
+_REPEATS = re.compile(r"(\x1b[\[O][A-D]|.)\1*", re.DOTALL)
 
 
 class Keyboard:
@@ -129,17 +49,24 @@ class Keyboard:
 
     def __init__(self) -> None:
         self._key = ""
-        self._at = float("-inf")
+        self._at = self._ignored_until = float("-inf")
         self._repeats = False
 
-    def press(self, key: str, now: float) -> None:
-        """Take in a key that was read at ``now``."""
+    def take(self, text: str, now: float) -> bool:
+        """Take in what the terminal sent at ``now``, and return whether it is a key that ends the drive."""
+        repeats = _REPEATS.fullmatch(text)
+        key = repeats[1] if repeats else ""
+        if key in QUIT:
+            return True
+        key = key if key in KEYS else key.lower() if len(key) == 1 else ""
         if key not in KEYS:
             self.release()
-            return
-        # Changing from one held key to another continues the drive; it is not a new press.
-        self._repeats = now - self._at <= HOLD_S
-        self._key, self._at = key, now
+            self._ignored_until = now + IGNORED_S
+        elif now >= self._ignored_until:
+            # Changing from one held key to another continues the drive; it is not a new press.
+            self._repeats = now - self._at <= HOLD_S
+            self._key, self._at = key, now
+        return False
 
     def release(self) -> None:
         """Clear the key: the rover stands from now on."""

@@ -8,7 +8,6 @@ Rules of this file:
 3. After a delay, the loop discards the keys that arrived meanwhile and commands zero.
 """
 
-import codecs
 import contextlib
 import os
 import select
@@ -25,7 +24,7 @@ from deploy.drive.link import Link
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.zenoh_link import ZenohLink
-from deploy.keyboard import HELP, Keyboard, KeyReader, Press
+from deploy.keyboard import HELP, Keyboard
 from deploy.recorder import Recorder, RecordingResult
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml
@@ -62,8 +61,6 @@ class Terminal:
     """
 
     def __init__(self) -> None:
-        # Bytes that are no UTF-8 stay distinct: some of them begin a sequence.
-        self._decoder = codecs.getincrementaldecoder("utf-8")("surrogateescape")
         self._fd = sys.stdin.fileno() if sys.stdin is not None else -1
         if self._fd < 0 or not os.isatty(self._fd):
             raise UsageError("teleop reads keys: expected a terminal as standard input")
@@ -98,7 +95,7 @@ class Terminal:
             data = os.read(self._fd, READ_BYTES)
         except OSError:
             return None
-        return self._decoder.decode(data) if data else None
+        return data.decode(errors="replace") if data else None
 
     def discard(self) -> None:
         """Discard unread keys."""
@@ -137,7 +134,6 @@ class Teleop:
         self._measurements = Measurements(link)
         self._monitor = SafetyMonitor(link, self._measurements, interrupted, clock=clock)
         self._keyboard = Keyboard()
-        self._reader = KeyReader()
         self.seconds = 0.0
         self._command = STANDSTILL
 
@@ -182,10 +178,8 @@ class Teleop:
             read = now
             if text is None:
                 return
-            for key in self._reader.keys(text):
-                if key is Press.QUIT:
-                    return
-                self._keyboard.press(key, now)
+            if text and self._keyboard.take(text, now):
+                return
             self._measurements.odometry(0)  # the safety monitor judges the newest
             self._monitor.check()
             velocity = self._keyboard.velocity(now)

@@ -1,30 +1,13 @@
 """The dead-man of the keyboard, on virtual time."""
 
-import codecs
-import re
-from itertools import pairwise
-
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.keyboard import (
-    HOLD_S,
-    KEYS,
-    NUDGE,
-    OMEGA_RAD_S,
-    V_M_S,
-    Keyboard,
-    KeyReader,
-    Press,
-)
+from deploy.keyboard import HOLD_S, IGNORED_S, KEYS, NUDGE, OMEGA_RAD_S, V_M_S, Keyboard
 from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.course.course import OMEGA_MAX, V_MAX
-
-
-def presses(text):
-    return KeyReader().keys(text)
 
 
 def held(key, until_s, delay_s, rate_hz, end_s=5.0):
@@ -33,7 +16,7 @@ def held(key, until_s, delay_s, rate_hz, end_s=5.0):
     asked = []
     for now in np.arange(0.0, end_s, 0.01):
         while times and times[0] <= now:
-            keyboard.press(key, now)
+            keyboard.take(key, now)
             times.pop(0)
         asked.append((now, keyboard.velocity(now)))
     return asked
@@ -53,7 +36,7 @@ def test_a_held_key_drives_and_keys_up_means_stop(delay_s, rate_hz):
 
 def test_a_single_press_is_a_small_step():
     keyboard = Keyboard()
-    keyboard.press("l", 1.0)
+    keyboard.take("l", 1.0)
     assert keyboard.velocity(1.0) == keyboard.velocity(1.0 + HOLD_S) == Velocity(0.0, -NUDGE * OMEGA_RAD_S)
     assert keyboard.velocity(1.0 + HOLD_S + 1e-6) == keyboard.velocity(0.9) == STANDSTILL
 
@@ -62,125 +45,69 @@ def test_a_single_press_is_a_small_step():
 def test_another_driving_key_continues_and_any_other_key_stops_at_once(other):
     keyboard = Keyboard()
     for now in (0.0, 0.1):
-        keyboard.press("i", now)
-    for key in presses(other):
-        keyboard.press(key, 0.15)
+        keyboard.take("i", now)
+    keyboard.take(other, 0.15)
     assert keyboard.velocity(0.15) == (Velocity(V_M_S, OMEGA_RAD_S) if other == "u" else STANDSTILL)
 
 
-def test_keys_by_name():
-    assert presses("iU,") == ["i", "u", ","]
-    assert presses("\x1b[A\x1bOD") == ["\x1b[a", "\x1b[d"]
-    assert presses("iq") == ["i", Press.QUIT]
-    assert [presses(key) for key in ("Q", "\x03", "\x04", "\x1a")] == [[Press.QUIT]] * 4
-    # Each key drives to where it lies beside k; backward, it is the rear that goes there.
+def test_each_key_drives_to_where_it_lies_beside_k():
     assert (KEYS["u"], KEYS["o"], KEYS["m"], KEYS["."]) == ((1, 1), (1, -1), (-1, -1), (-1, 1))
+    for text, key in (("I", "i"), ("iii", "i"), ("\x1b[A", "i"), ("\x1bOD", "j"), ("\x1b[B\x1b[B", ",")):
+        typed, same = Keyboard(), Keyboard()
+        assert not typed.take(text, 0.0)
+        assert not same.take(key, 0.0)
+        assert typed.velocity(0.0) == same.velocity(0.0) != STANDSTILL
 
 
-@given(st.text(max_size=40), st.floats(0, 1))
-def test_any_keys_keep_the_rover_within_the_speeds_of_a_circuit(text, later):
+@pytest.mark.parametrize("key", ["q", "Q", "\x03", "\x04", "\x1a"])
+def test_a_key_that_ends_the_drive_ends_it_also_while_others_are_ignored(key):
     keyboard = Keyboard()
-    for number, key in enumerate(presses(text)):
-        keyboard.press(key, 0.03 * number)
-    v, omega = keyboard.velocity(0.03 * len(text) + later)
+    assert not keyboard.take("\x1b", 0.0)
+    assert keyboard.take(key, 0.01)
+
+
+@given(st.lists(st.text("ijq \x1b[OAB2~é", max_size=6), max_size=20), st.floats(0, 1))
+def test_any_keys_keep_the_rover_within_the_speeds_of_a_circuit(texts, later):
+    keyboard = Keyboard()
+    for number, text in enumerate(texts):
+        keyboard.take(text, 0.03 * number)
+    v, omega = keyboard.velocity(0.03 * len(texts) + later)
     assert abs(v) <= V_M_S < V_MAX
     assert abs(omega) <= OMEGA_RAD_S < OMEGA_MAX
     if later > HOLD_S:
         assert (v, omega) == STANDSTILL
 
 
-def read(*chunks):
-    """Return the keys in bytes that a terminal sends in these chunks, decoded as `Terminal` does."""
-    decoder, reader = codecs.getincrementaldecoder("utf-8")("surrogateescape"), KeyReader()
-    return [key for chunk in chunks for key in reader.keys(decoder.decode(chunk))]
-
-
 SEQUENCES = {
-    "Shift+Enter": b"\x1b[13;2u",
-    "CSI u with event": b"\x1b[105;1:3u",
-    "u, as CSI u": b"\x1b[117u",
-    "Ctrl+Up": b"\x1b[1;5A",
-    "Shift+Up of rxvt": b"\x1b[a",
-    "Ctrl+Up of rxvt": b"\x1bOa",
-    "Ctrl+Up of old xterm": b"\x1bO5A",
-    "Alt+Up": b"\x1b\x1b[A",
-    "Alt+i": b"\x1bi",
-    "Esc twice, then i": b"\x1b\x1bi",
-    "F3": b"\x1bOR",
-    "comma of the keypad": b"\x1bOl",
-    "minus of the keypad": b"\x1bOm",
-    "digit of the keypad": b"\x1bOu",
-    "F5": b"\x1b[15~",
-    "F1 of the Linux console": b"\x1b[[A",
-    "8-bit CSI": b"\x9b13;2u",
-    "8-bit CSI in UTF-8": "\x9b13;2u".encode(),
-    "8-bit SS3": b"\x8fu",
-    "mouse of X10": b"\x1b[M iu",
-    "mouse, 8-bit": b"\x1b[M\xa0\xe9i",
-    "mouse, UTF-8": b"\x1b[M \xc2\xa1i",
-    "mouse of SGR": b"\x1b[<0;20;10M\x1b[<0;20;10m",
-    "mouse of urxvt": b"\x1b[32;20;10M",
-    "focus": b"\x1b[I\x1b[O",
-    "cursor position": b"\x1b[10;20R",
-    "device attributes": b"\x1b[?62;1;6c",
-    "mode report": b"\x1b[?2004;1$y",
-    "title": b"\x1b]0;uiojlm,.\x07",
-    "colour": b"\x1b]11;rgb:1e1e/1e1e/1e1e\x1b\\",
-    "status string": b"\x1bP1$r0m\x1b\\",
-    "8-bit string": b"\x90uio\x9c",
-    "character set": b"\x1b(u",
-    "paste": b"\x1b[200~uiojlm,.\x1b[201~",
-    "8-bit paste": b"\x9b200~uiojlm,.\x9b201~",
-    "Esc, then paste": b"\x1b\x1b[200~uio\x1b[201~",
-    "paste of a command": b"\x1b[200~ls -l\n./run.sh\n\x1b[201~",
-    "paste without marks": b"look, a jug of oil",
-    "long": b"\x1b[" + b"1;" * 5000 + b"u",
-    "long string": b"\x1b]" + b"uio" * 5000 + b"\x07",
-    "letters beyond ASCII": "ìöü，．ｉ".encode(),
-    "no UTF-8": bytes(range(0xA0, 0x100)),
+    "Shift+Enter": "\x1b[13;2u",
+    "Ctrl+Up": "\x1b[1;5A",
+    "Shift+Up of rxvt": "\x1b[a",
+    "Alt+Up": "\x1b\x1b[A",
+    "Alt+i": "\x1bi",
+    "comma of the keypad": "\x1bOl",
+    "F1 of the Linux console": "\x1b[[A",
+    "8-bit CSI": "\ufffd13;2u",
+    "mouse of X10": "\x1b[M iu",
+    "title": "\x1b]0;uiojlm,.\x07",
+    "paste": "\x1b[200~iiii\x1b[201~",
+    "letters beyond ASCII": "ìöü，．ｉ",
 }
 
 
 @pytest.mark.parametrize("name", SEQUENCES)
 def test_only_a_whole_drive_key_drives(name):
-    data = SEQUENCES[name]
-    places = range(1, len(data)) if len(data) < 100 else range(1, len(data), 997)
-    for chunks in ([data], *([data[:at], data[at:]] for at in places)):
-        if name == "paste without marks" and len(chunks) > 1:
-            continue  # half of it may be a key
-        keys = read(*chunks)
-        assert keys
-        assert set(keys) == {Press.STOP}
-    reader_goes_on = read(data, b"i", b"\x1b[A", b"\x1bOC", b"q")
-    assert reader_goes_on[-4:] == ["i", "\x1b[a", "\x1b[c", Press.QUIT]
+    text = SEQUENCES[name]
+    for at in range(len(text)):
+        keyboard = Keyboard()
+        for part in (text[:at], text[at:]) if at else (text,):
+            keyboard.take(part, 0.0)
+            assert keyboard.velocity(0.0) == STANDSTILL
+        keyboard.take("i", IGNORED_S)
+        assert keyboard.velocity(IGNORED_S) == Velocity(NUDGE * V_M_S, 0.0)
 
 
-def test_an_arrow_may_arrive_in_parts_and_a_lone_escape_stops():
-    assert read(b"\x1b", b"[", b"A") == [Press.STOP, Press.STOP, "\x1b[a"]
-    assert read(b"\x1b") == [Press.STOP]
-    assert read(b"\x1b", b"q") == [Press.STOP, Press.QUIT]
-    assert read(b"\x1b[200~i", b"i", b"i\x1b[20", b"1~", b"i") == [Press.STOP] * 4 + ["i"]
-
-
-_DRIVES = re.compile(rb"\x1b[\[O][A-D]")
-_PRINTED = st.characters(codec="utf-8", exclude_characters="uiojlmUIOJLM,.qQ\x03\x04\x1a").map(str.encode)
-_PARAMETERS = st.text("0123456789;:<=>?", max_size=8).map(str.encode)
-_FINAL = st.characters(min_codepoint=0x40, max_codepoint=0x7E).map(str.encode)
-_COORDINATE = st.sampled_from([b" ", b"i", b"~", b"\xa0", b"\xb5", "\xa1".encode(), "\u07ff".encode()])
-_UNITS = st.one_of(
-    _PRINTED,
-    st.tuples(st.sampled_from([b"\x1b[", b"\x9b", "\x9b".encode()]), _PARAMETERS, _FINAL).map(b"".join),
-    st.tuples(st.sampled_from([b"\x1bO", b"\x8f"]), _FINAL).map(b"".join),
-    st.lists(_COORDINATE, min_size=3, max_size=3).map(lambda three: b"\x1b[M" + b"".join(three)),
-    st.binary(max_size=10).map(lambda text: b"\x1b[200~" + text + b"\x1b[201~"),
-    st.text("uiojlm,. 0", max_size=10).map(lambda text: f"\x1b]{text}\x07".encode()),
-    st.sampled_from(sorted(set(SEQUENCES.values()) - {SEQUENCES["paste without marks"]}, key=len)[:-2]),
-)
-
-
-@given(st.lists(_UNITS, max_size=8).map(b"".join), st.lists(st.integers(0, 100), max_size=4))
-def test_bytes_without_a_drive_key_move_nothing(data, places):
-    assume(not _DRIVES.search(data))
-    cuts = [0, *sorted(min(place, len(data)) for place in places), len(data)]
-    chunks = [data[a:b] for a, b in pairwise(cuts)]
-    assert not set(read(*chunks)) & set(KEYS)
+def test_pasted_text_without_marks_moves_nothing():
+    keyboard = Keyboard()
+    for number, part in enumerate(("look, ", "i", "a jug", "u", " of oil")):
+        keyboard.take(part, 0.05 * number)
+        assert keyboard.velocity(0.05 * number) == STANDSTILL

@@ -17,12 +17,23 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.kernels.jit import kernel
 from rover_ncp.kernels.vectors import WIDTH
-from sim.learn.engine.environment import Play
 from sim.learn.engine.lane_runner import circuit_lane_runner
 from sim.learn.engine.lanes import IDLE
 from sim.learn.search.base import Seeds
 
 FloatArray = NDArray[np.float64]
+
+
+class Play(NamedTuple):
+    """One episode of T steps."""
+
+    outputs: FloatArray
+    """(T, outputs)."""
+    potentials: FloatArray
+    """(T, n) mV, after each tick."""
+    rewards: FloatArray
+    """(T,)."""
+
 
 _LANES, _MUJOCO_LANES = WIDTH, 16
 """The kernel computes all lanes while one of them has an episode: fewer lanes, fewer idle ones."""

@@ -7,7 +7,6 @@ bits. All random numbers that follow from a seed come from here, except those of
 from enum import Enum, unique
 
 import numpy as np
-from numpy.typing import NDArray
 
 
 @unique
@@ -23,9 +22,6 @@ class Domain(Enum):
     COURSE = (5,)
     TRAINING = (7,)
     CMA_GENERATION = (8,)
-    TRAINING_EPISODES = (9,)
-    SCORING_EPISODES = (10,)
-    EXPLAINED_EPISODES = (11,)
     MOCK_FAULTS = (12,)
     SOAK_ORDER = (13,)
     SOAK_MOMENTS = (14,)
@@ -54,8 +50,3 @@ def random_stream(seed: int, domain: Domain, index: int = 0) -> np.random.Genera
 def integer_seed(seed: int, domain: Domain, index: int = 0) -> int:
     """Return 32 bits of stream ``index`` of a domain, as the seed of a generator that numpy does not make."""
     return int(stream_seed(seed, domain, index).generate_state(1)[0])
-
-
-def episode_seeds(seed: int, domain: Domain, count: int, index: int = 0) -> NDArray[np.uint64]:
-    """Return the seeds (count,) of episodes, from stream ``index`` of a domain."""
-    return stream_seed(seed, domain, index).generate_state(count, np.uint64).astype(np.uint64, copy=False)

@@ -54,11 +54,11 @@ LEAK_MV = 5.0
 class Phase(ResultModel):
     """One phase: ticks ``first`` up to, not including, ``last``."""
 
-    label: str = Field(description="what the rover does; with --task the signs of the outputs")
+    label: str = Field(description="what the rover does")
     signs: tuple[int, ...] = Field(exclude=True, description="of each output, as the policy means it")
     first: int = Field(exclude=True)
     last: int = Field(exclude=True)
-    start_s: float = Field(description="time at its beginning; with --task in the time of the circuit")
+    start_s: float = Field(description="time at its beginning")
     end_s: float = Field(description="time at its end")
     driven_m: float = Field(description="length of the path")
     turned_rad: float = Field(description="change of heading, left positive")

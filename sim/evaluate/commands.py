@@ -1,6 +1,5 @@
 """The command ``eval``; heavy libraries load only when it runs."""
 
-import dataclasses
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -46,7 +45,7 @@ class EvalOptions:
             min=1,
             max=10**6,
             help="Number of trials, at least one for each course.",
-            show_default="one for each course; 100 with --task",
+            show_default="one for each course",
         ),
     ] = None
     seed: Annotated[
@@ -121,13 +120,6 @@ class EvalOptions:
             show_default="one for each core",
         ),
     ] = None
-    task: Annotated[
-        str | None,
-        typer.Option(
-            help="Play episodes of a Gymnasium environment by its id.",
-            show_default=False,
-        ),
-    ] = None
     json: Json = False
 
     @property
@@ -183,10 +175,6 @@ def evaluate(options: EvalOptions) -> int:
 
         rover-ncp eval my_policy:Follow --trials 100 --randomize full
 
-    --task plays episodes (--trials, 100) of a Gymnasium environment with a policy (see 'train').
-
-        rover-ncp eval runs/reach/policy.yaml --task my_task:Reach-v0
-
     --to docks at a place with a camera on the robot that sees tags there, by a noise model (docs/place.md).
     Docked is judged by the true pose.
 
@@ -194,8 +182,6 @@ def evaluate(options: EvalOptions) -> int:
 
     Ends with 1 if a single trial was driven and did not park, else with 0.
     """
-    if options.task is not None:
-        return _play_task(options, options.task)
     if not options.stack:
         if options.body is Body.MUJOCO:
             raise UsageError("--body mujoco needs --stack: plain simulation is pymunk's")
@@ -331,30 +317,3 @@ def driver_sensors(sensors: Sensors | None, robot: "RobotDescription | None") ->
     if gyro and robot is not None and robot.arcos is None and robot.gyro is None:
         raise UsageError(f"--sensors {sensors}: {robot.name} has no gyro")
     return gyro, sensors in {Sensors.CAMERA, Sensors.BOTH}
-
-
-def _play_task(options: EvalOptions, task: str) -> int:
-    """Play a task; return 1 if a single episode was played and no success."""
-    from rover_ncp.circuit.policy_file import load_policy
-    from sim.evaluate.results import EnvironmentResult
-    from sim.learn.engine.environment import make_environment
-    from sim.learn.environment_run import score_task
-
-    if ":" in options.policy and not Path(options.policy).exists():
-        raise UsageError(f"{options.policy} follows a course: --task needs a policy file")
-    own = {"policy", "task", "trials", "seed", "json"}
-    others = {
-        field.name: getattr(options, field.name)
-        for field in dataclasses.fields(options)
-        if field.name not in own
-    }
-    others["body"] = None if options.body is Body.PYMUNK else options.body
-    reject("--task goes with --trials and --seed alone", **others)
-    trials = options.trials or 100
-    environment = make_environment(task)
-    score = score_task(task, load_policy(options.policy), trials, options.seed, environment)
-    result = EnvironmentResult(
-        task=task, episodes=trials, return_=score.mean, std=score.std, successes=score.successes
-    )
-    Output(options.json).result(result, f"{task}: {score}")
-    return 1 if trials == 1 and score.successes == 0 else 0

@@ -3,7 +3,7 @@
 from pydantic import BaseModel, Field
 
 from sim.evaluate.evaluate import Evaluation
-from sim.learn.results import EpisodesResult, VerdictFields
+from sim.learn.results import VerdictFields
 from sim.stack.estimates import EstimateSummary
 
 
@@ -54,9 +54,3 @@ class StackResult(BaseModel):
 
 class StackTrialsResult(StackResult, TrialsResult):
     """Result of random trials through the stack."""
-
-
-class EnvironmentResult(EpisodesResult):
-    """Result of episodes of a Gymnasium environment."""
-
-    task: str = Field(description="its name")

@@ -1,7 +1,6 @@
 """Commands of this package; heavy libraries load only when one runs."""
 
 import dataclasses
-import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,8 +16,8 @@ from sim.world.bodies import PRESETS, Body
 
 if TYPE_CHECKING:
     from sim.learn.agents import Snapshot
-    from sim.learn.record import RobustSettings, Settings, TaskSettings, TrainSettings
-    from sim.learn.results import RobustResult, TaskResult, TrainResult
+    from sim.learn.record import RobustSettings, Settings, TrainSettings
+    from sim.learn.results import RobustResult, TrainResult
     from sim.learn.robust import Generation
 
 
@@ -55,15 +54,8 @@ class TrainOptions:
         typer.Option(
             min=1,
             max=10**9,
-            help="Candidates that each agent tries; generations if random, or of a task.",
-            show_default="20000, 2600 if random, 200 of a task",
-        ),
-    ] = None
-    task: Annotated[
-        str | None,
-        typer.Option(
-            help="Gymnasium environment to learn in place of a course: an id, or MODULE:ID.",
-            show_default=False,
+            help="Candidates that each agent tries; generations if random.",
+            show_default="20000, 2600 if random",
         ),
     ] = None
     search: Annotated[
@@ -86,8 +78,8 @@ class TrainOptions:
         typer.Option(
             min=1,
             max=100_000,
-            help="Trials of a candidate, or episodes.",
-            show_default="144 if random, 8 of a task",
+            help="Trials of a candidate.",
+            show_default="144 if random",
         ),
     ] = None
     worst: Annotated[
@@ -151,7 +143,7 @@ def train(options: TrainOptions) -> None:
     In the folder: policy.yaml (the best agent's circuit, ready for deploy and eval), curve.csv and curve.png
     (best return so far of each agent), settings.yaml, agents/. The same settings give the same bytes, for
     any number of processes. A run can be interrupted at any time: with --resume it ends in the same files,
-    and needs none of the options again but a --task that imports a module. It stays with the course, circuit,
+    and needs none of the options again. It stays with the course, circuit,
     robot, randomization and profile that it began with: a file that has changed is an error. Other versions
     of the software are a warning.
 
@@ -178,32 +170,23 @@ def train(options: TrainOptions) -> None:
 
         rover-ncp train --randomize full --circuit course --refine --iterations 450
 
-    With --task, a circuit learns any Gymnasium environment. The circuit is a policy file: an entry of the
-    observation is an input of it, an entry of the action an output. A score is the mean return of the
-    rollouts, and the search is CMA-ES. MODULE:ID imports a module first, also from the working folder.
-
-        rover-ncp train --task my_task:Reach-v0 --circuit reach.yaml --out runs/reach
     """
-    from sim.learn.record import RobustSettings, TaskSettings
+    from sim.learn.record import RobustSettings
 
     output, settings = Output(options.json), _settings(options)
     if options.cluster is not None and (
-        options.processes is not None or isinstance(settings, RobustSettings | TaskSettings)
+        options.processes is not None or isinstance(settings, RobustSettings)
     ):
-        other = "processes" if options.processes is not None else _NAMED_BY[type(settings).__name__]
+        other = "processes" if options.processes is not None else "randomize"
         raise UsageError(f"--{other} and --cluster do not go together")
-    found: TrainResult | RobustResult | TaskResult
-    if isinstance(settings, TaskSettings):
-        found, words = _train_task(output, options, settings)
-    elif isinstance(settings, RobustSettings):
+    found: TrainResult | RobustResult
+    if isinstance(settings, RobustSettings):
         found, words = _train_robust(output, options, settings)
     else:
         found, words = _train_ensemble(output, options, settings)
     output.result(found, f"{words}\n{found.policy}")
 
 
-_NAMED_BY = {"TaskSettings": "task", "RobustSettings": "randomize"}
-"""The option that chooses each kind of training; without one it is an ensemble on a course."""
 _OF_THE_RUN = ("out", "resume", "processes", "cluster", "json")
 """Options that do not decide the result."""
 
@@ -211,7 +194,7 @@ _OF_THE_RUN = ("out", "resume", "processes", "cluster", "json")
 def _settings(options: TrainOptions) -> "Settings":
     """Return the settings of a command's options, and of the run to go on with."""
     from rover_ncp.core.config import validated
-    from sim.learn.record import RobustSettings, TaskSettings, TrainSettings
+    from sim.learn.record import RobustSettings, TrainSettings
     from sim.learn.run_folder import saved_settings
 
     given: dict[str, Any] = {
@@ -224,21 +207,15 @@ def _settings(options: TrainOptions) -> "Settings":
         if out is None:
             raise UsageError("--resume needs --out, the folder of the run to go on with")
         saved = saved_settings(out)
-    if "task" not in given and isinstance(saved, TaskSettings) and ":" in saved.task:
-        # The folder may come from others, and its module would run: only the command line names code.
-        problem = f"the task of {out} imports a module; name it again with --task, as MODULE:ID"
-        raise UsageError(f"--resume: {problem}")
     kind: type[Settings] = type(saved) if saved is not None else TrainSettings
-    if "task" in given or "randomize" in given:
-        kind = TaskSettings if "task" in given else RobustSettings
+    if "randomize" in given:
+        kind = RobustSettings
     if foreign := [name for name in given if name not in kind.model_fields]:
         option = f"--{foreign[0].replace('_', '-')}"
         if kind is TrainSettings:
-            raise UsageError(f"{option} needs --randomize{' or --task' * (foreign[0] == 'rollouts')}")
-        raise UsageError(f"--{_NAMED_BY[kind.__name__]} and {option} do not go together")
+            raise UsageError(f"{option} needs --randomize")
+        raise UsageError(f"--randomize and {option} do not go together")
     before = saved.model_dump() if isinstance(saved, kind) else {}
-    if kind is TaskSettings and "circuit" not in before | given:
-        raise UsageError("--task needs --circuit, a policy file with the task's inputs and outputs")
     return validated(before | given, kind, "train")
 
 
@@ -251,13 +228,12 @@ def _progress(
     from sim.learn.run_folder import new_run_path
     from sim.learn.workers import WorkerDied
 
-    out, task = options.out or new_run_path(), getattr(settings, "task", "")
-    again = f" --task {shlex.quote(task)}" if ":" in task else ""
+    out = options.out or new_run_path()
     try:
         with train_progress(settings.iterations) as show:
             yield out, show
     except (KeyboardInterrupt, WorkerDied):
-        output.say(f"Go on with: rover-ncp train --out {out} --resume{again}")
+        output.say(f"Go on with: rover-ncp train --out {out} --resume")
         raise
 
 
@@ -314,26 +290,3 @@ def _train_robust(
         **settings.model_dump(), generations=last.iterations, cost=last.best, policy=str(path)
     )
     return found, f"cost {last.best:.3f} after {last.iterations} generations"
-
-
-def _train_task(output: Output, options: TrainOptions, settings: "TaskSettings") -> "tuple[TaskResult, str]":
-    """Train on a Gymnasium environment, and score the policy in fresh episodes."""
-    from sim.learn.environment_run import score_task, start_of, train_task
-    from sim.learn.results import TaskResult
-
-    start_of(settings)  # before a folder is made, so that a typo leaves none behind
-    with _progress(output, options, settings) as (out, show):
-        policy, path, last = train_task(
-            settings, out, resume=options.resume, processes=options.processes, on_generation=show
-        )
-    score = score_task(settings.task, policy)
-    found = TaskResult(
-        **settings.model_dump(),
-        episodes=score.episodes,
-        return_=score.mean,
-        std=score.std,
-        successes=score.successes,
-        generations=last.iterations,
-        policy=str(path),
-    )
-    return found, f"{score} after {last.iterations} generations"

@@ -126,16 +126,6 @@ class RobustSettings(_CourseSettings):
         return self
 
 
-class TaskSettings(_Settings):
-    """Settings that decide the result of a training on a Gymnasium environment."""
-
-    task: str = Field(description="its name")
-    circuit: str = Field(description="its name")
-    seed: int = Field(default=0, ge=0, description="of random numbers")
-    iterations: int = Field(default=200, ge=1, description="generations")
-    rollouts: int = Field(default=8, ge=1, description="episodes of a candidate")
-
-
 class Task(NamedTuple):
     """The course, and the policy whose parameters are the untuned start."""
 
@@ -143,8 +133,8 @@ class Task(NamedTuple):
     policy: Policy
 
 
-Settings: TypeAlias = TrainSettings | RobustSettings | TaskSettings
-SettingsT = TypeVar("SettingsT", TrainSettings, RobustSettings, TaskSettings)
+Settings: TypeAlias = TrainSettings | RobustSettings
+SettingsT = TypeVar("SettingsT", TrainSettings, RobustSettings)
 
 
 class Record(StrictModel, Generic[SettingsT]):
@@ -154,8 +144,7 @@ class Record(StrictModel, Generic[SettingsT]):
     command: str
     settings: SettingsT
     made_with: dict[str, str]
-    course: dict[str, Any] | None = Field(default=None, exclude_if=lambda course: course is None)
-    """None for a task that is no course."""
+    course: dict[str, Any]
     circuit: dict[str, Any]
     model: dict[str, Any] | None = Field(default=None, exclude_if=lambda model: model is None)
     """The robot's description, if the settings name one; older records have none, nor what follows."""
@@ -164,15 +153,15 @@ class Record(StrictModel, Generic[SettingsT]):
     profile: dict[str, Any] | None = Field(default=None, exclude_if=lambda profile: profile is None)
 
     @classmethod
-    def of(cls, settings: SettingsT, policy: Policy, course: Course | None) -> Self:
+    def of(cls, settings: SettingsT, policy: Policy, course: Course) -> Self:
         """Record a run that starts now. Raises FileError, ConfigError or UsageError for a file it names."""
-        robot = settings.robot if isinstance(settings, _CourseSettings) else None
+        robot = settings.robot
         ranges = settings.ranges if isinstance(settings, RobustSettings) else None
         return cls(
             command=settings.command(),
             settings=settings,
             made_with=made_with(),
-            course=None if course is None else course.model_dump(mode="json"),
+            course=course.model_dump(mode="json"),
             circuit=_start_data(settings.circuit, policy),
             model=_content(robot, "sources"),
             randomize=_content(ranges, "rover"),

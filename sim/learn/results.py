@@ -3,7 +3,7 @@
 from pydantic import BaseModel, Field
 
 from rover_ncp.course.scoring import Failure
-from sim.learn.record import RobustSettings, TaskSettings
+from sim.learn.record import RobustSettings
 
 
 class VerdictFields(BaseModel):
@@ -36,20 +36,4 @@ class RobustResult(RobustSettings):
 
     generations: int = Field(description="how many were made")
     cost: float = Field(description="lowest of the last generation")
-    policy: str = Field(description="its file")
-
-
-class EpisodesResult(BaseModel):
-    """Returns of a policy in episodes."""
-
-    episodes: int = Field(description="how many scored the policy")
-    return_: float = Field(serialization_alias="return", description="mean of the episodes")
-    std: float = Field(description="standard deviation")
-    successes: int | None = Field(description="episodes past the threshold; null without one")
-
-
-class TaskResult(TaskSettings, EpisodesResult):
-    """Result of a training on a Gymnasium environment; the episodes are fresh ones."""
-
-    generations: int = Field(description="how many were made")
     policy: str = Field(description="its file")

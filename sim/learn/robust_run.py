@@ -1,4 +1,4 @@
-"""Trainings by generations: on random trials here, on Gymnasium environments in ``environment_run.py``."""
+"""Training on random trials, generation by generation."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,7 +16,7 @@ from rover_ncp.core.errors import UsageError
 from rover_ncp.course.course import Course
 from rover_ncp.course.reference import plan_reference
 from sim.learn.engine.evaluator import Evaluator
-from sim.learn.record import Record, RobustSettings, TaskSettings, course_of
+from sim.learn.record import Record, RobustSettings, course_of
 from sim.learn.robust import (
     REFINING,
     TRAINING,
@@ -112,7 +112,7 @@ class SearchRun:
 
     def __init__(
         self,
-        folder: RunFolder[RobustSettings] | RunFolder[TaskSettings],
+        folder: RunFolder[RobustSettings],
         start: Policy,
         search: RobustSearch,
     ) -> None:

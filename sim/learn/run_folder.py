@@ -29,7 +29,7 @@ from rover_ncp.core.config import dump_yaml, load_yaml
 from rover_ncp.core.console import printable
 from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
 from rover_ncp.core.files import read_text, write_atomic
-from sim.learn.record import Record, RobustSettings, Settings, SettingsT, TaskSettings, TrainSettings
+from sim.learn.record import Record, RobustSettings, Settings, SettingsT, TrainSettings
 from sim.learn.search.base import SearchState, dump_state
 
 _LOGGER = logging.getLogger(__name__)
@@ -70,8 +70,6 @@ def saved_settings(path: Path) -> Settings:
     kind = load_yaml(saved, _Kind).settings
     if "randomize" in kind:
         return load_yaml(saved, Record[RobustSettings]).settings
-    if "task" in kind:
-        return load_yaml(saved, Record[TaskSettings]).settings
     return load_yaml(saved, Record[TrainSettings]).settings
 
 

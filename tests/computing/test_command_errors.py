@@ -31,7 +31,6 @@ LINES = {
     "eval": "eval course {}",
     "eval policy": "eval {}",
     "explain": "explain parking {}",
-    "explain --runs": "explain --task mountain-car {}",
     "explain source": "explain {}",
     "export": "export parking --to c --out new {}",
     "export policy": "export {} --to c --out new",

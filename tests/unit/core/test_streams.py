@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rover_ncp.core.streams import Domain, episode_seeds, integer_seed, random_stream, stream_seed
+from rover_ncp.core.streams import Domain, integer_seed, random_stream, stream_seed
 from sim.world.described import default_rover
 from sim.world.random_course import random_course
 from sim.world.randomization import draw_trials, load_randomization
@@ -33,8 +33,6 @@ def test_a_stream_is_that_of_its_seed_domain_and_index():
     first = random_stream(3, Domain.COURSE, 7).random(4)
     assert np.array_equal(first, random_stream(3, Domain.COURSE, 7).random(4))
     assert integer_seed(3, Domain.COURSE, 7) == integer_seed(3, Domain.COURSE, 7) < 2**32
-    seeds = episode_seeds(3, Domain.SCORING_EPISODES, 5)
-    assert np.array_equal(seeds[:3], episode_seeds(3, Domain.SCORING_EPISODES, 3))
 
 
 def test_course_robot_skid_and_ground_of_a_trial_are_independent():

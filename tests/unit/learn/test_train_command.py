@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 from kit.paths import DATA, content
 
-from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
+from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
-from rover_ncp.core.config import dump_yaml
 from sim.learn import progress
 
 COURSE = DATA / "short_course.yaml"
@@ -57,23 +56,6 @@ def test_resume_needs_no_options_and_refuses_others(tmp_path, capsys):
     assert run(f"train {out} --resume --seed 9 --agents 2".split()) == 2
     assert "--seed was 0 when this run began, now 9" in capsys.readouterr().err
     assert content(tmp_path) == before
-
-
-def test_resuming_a_folder_of_strangers_imports_no_module_that_it_names(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    (tmp_path / "evil_task.py").write_text("from pathlib import Path\nPath('imported').touch()\n")
-    (tmp_path / "circuit.yaml").write_text(policy_to_yaml(load_policy("course")))
-    settings = {"task": "evil_task:Env-v0", "circuit": "circuit.yaml"}
-    record = {"format": 1, "command": "x", "settings": settings, "made_with": {}, "circuit": {}}
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "settings.yaml").write_text(dump_yaml(record))
-    assert run(["train", "--out", "run", "--resume"]) == 2
-    assert "name it again with --task, as MODULE:ID" in capsys.readouterr().err
-    assert not (tmp_path / "imported").exists()
-    # The command line names it: then it is imported, and holds no environment.
-    assert run(["train", "--out", "run", "--resume", "--task", "evil_task:Env-v0"]) == 2
-    assert (tmp_path / "imported").exists()
 
 
 @pytest.mark.parametrize("kind", ["--agents 2", "--randomize mild --rollouts 2 --random-courses 0"])

@@ -64,9 +64,6 @@ def bridge(
             show_default="ros2dds",
         ),
     ] = None,
-    accept_ros: Annotated[
-        bool, typer.Option("--accept-ros", help="Also accept plain ROS cmd_vel (Twist, TwistStamped).")
-    ] = False,
     insecure: Annotated[
         bool,
         typer.Option(
@@ -125,7 +122,6 @@ def bridge(
             namespace=namespace,
             zenoh_config=zenoh_config,
             ros=ros,
-            accept_ros=accept_ros,
             insecure=insecure,
             no_base_watchdog=no_base_watchdog,
         )
@@ -158,7 +154,7 @@ def bridge(
                 output.say(note)
             output.announce(f"ready zenoh={link.locator} base={base}")
 
-        node = Node(driven, link, inbox, limits=allowed, accept_ros=accept_ros, ready=ready)
+        node = Node(driven, link, inbox, limits=allowed, ready=ready)
         node.run(lambda: interrupts.raised)
     status = gate_status(node.gate)
     result = BridgeResult(

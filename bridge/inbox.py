@@ -16,11 +16,10 @@ MAX_MESSAGES = 2048
 
 @dataclass(frozen=True)
 class CommandMessage:
-    """A command from Zenoh, with its attachment and the time of sending, if it has them."""
+    """A command from Zenoh, with its attachment, if it has one."""
 
     payload: bytes
     attachment: bytes | None = None
-    sent_ns: int | None = None
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,6 @@ def measure(
         Unserved(),
         inbox,
         limits=limits,
-        accept_ros=False,
         ready=lambda: None,
         clock=clock,
         suspended_s=total_suspended_s,

@@ -107,15 +107,13 @@ class Node:
         inbox: Arrivals,
         *,
         limits: Limits,
-        accept_ros: bool,
         ready: Callable[[], None],
         clock: Clock = time,
         suspended_s: Callable[[], float] = suspended_s,
     ) -> None:
         self._base, self._link, self._inbox, self._clock = GuardedBase(base), link, inbox, clock
         self._total_suspended_s, self._suspended_s = suspended_s, suspended_s()
-        self._limits, self._accept_ros = limits, accept_ros
-        self._ready = ready
+        self._limits, self._ready = limits, ready
         self._log: list[str] = []
         """Events to log after the base has got its setpoint."""
         self._requests = 0
@@ -193,16 +191,13 @@ class Node:
         """
         tag, lease = read_tag(message.attachment), self.gate.lease
         key = self._link.key("cmd_vel")
-        signed = lease is not None and lease.signed(tag, Signed.COMMAND, key, message.payload)
-        if not (signed or (tag is None and self._accepts_ros)):
+        if lease is None or not lease.signed(tag, Signed.COMMAND, key, message.payload):
             return VelocityCommand(None, tag)
         try:
-            velocity, stamp_ns = read_twist(message.payload)
+            velocity, _ = read_twist(message.payload)
         except FormatError:
-            return VelocityCommand(None, tag, signed=signed)
-        sent_ns = stamp_ns if stamp_ns is not None else message.sent_ns
-        age_s = (self._clock.time_ns() - sent_ns) * 1e-9 if sent_ns is not None and tag is None else None
-        return VelocityCommand(velocity, tag, age_s, signed)
+            return VelocityCommand(None, tag, signed=True)
+        return VelocityCommand(velocity, tag, signed=True)
 
     def _handle(self, events: Sequence[BaseEvent], arrived_s: float) -> None:
         for event in events:
@@ -244,7 +239,7 @@ class Node:
     def judge(self, event: GateEvent, now: float) -> Verdict:
         """Pass an event through the gate."""
         before = self.gate
-        self.gate, self._verdict = step(before, event, now, self._limits, self._accepts_ros)
+        self.gate, self._verdict = step(before, event, now, self._limits)
         # Neither a stop nor an accepted command waits for the next tick.
         self._act_now |= self._verdict.held is not None and before.held is None
         self._commanded |= self.gate.accepted > before.accepted
@@ -252,10 +247,6 @@ class Node:
             self._status_due_s = -math.inf
             self._log += _log_lines(before, self.gate)
         return self._verdict
-
-    @property
-    def _accepts_ros(self) -> bool:
-        return self._accept_ros and not self._base.base_timeout.refusal
 
     def _log_request(self, line: str) -> None:
         self._requests += 1

@@ -105,7 +105,7 @@ class Answers:
         if (version := requested_version(query.payload)) != PROTOCOL:
             return MotorsRefusal(reason=VERSION_REASON, detail=other_version(PROTOCOL, version))
         request = parse_json(MotorsRequest, query.payload)
-        sequence = tag.sequence if tag is not None and signed else None
+        sequence = tag.sequence if signed else None
         if request.enable and (detail := self._base.base_timeout.refusal):
             return MotorsRefusal(reason=UNCHECKED, detail=detail)
         if not request.enable:

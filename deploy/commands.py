@@ -265,6 +265,13 @@ def check(
 def teleop(
     *,
     robot: Robot,
+    topic: Annotated[
+        str | None,
+        typer.Option(
+            help="Pass on the commands of a ROS node on this topic, such as cmd_vel, instead of keys.",
+            show_default=False,
+        ),
+    ] = None,
     model: Model = None,
     record: Record = None,
     overwrite: Overwrite = False,
@@ -272,20 +279,26 @@ def teleop(
     zenoh_config: ZenohConfig = None,
     json: Json = False,
 ) -> int:
-    """Drive the robot behind a bridge with the keyboard: hold a key to drive, release it to stop.
+    """Drive the robot behind a bridge with the keyboard or by a ROS node, through a lease.
 
-    u i o, j k l and m , . drive in the direction in which they lie around k, which stops; the arrows do as
-    i , j l. A terminal reports a held key only by repeating it, so a key counts for 0.4 s after it was last
-    sent. A single press is a small step at half speed. q and Ctrl-C stop the rover and release the lease.
+    Hold a key to drive, release it to stop. u i o, j k l and m , . drive in the direction in which they lie
+    around k, which stops; the arrows do as i , j l. A terminal reports a held key only by repeating it, so a
+    key counts for 0.4 s after it was last sent. A single press is a small step at half speed. q and Ctrl-C
+    stop the rover and release the lease.
     With --model, commands that are too slow for the robot's motors become pulses.
 
     Standard input has to be a terminal, whose settings are restored at the end.
+
+    With --topic, each Twist or TwistStamped of one ROS node at a time is passed on. The motors are requested
+    with a zero command, or with the first command after 1 s without one, and released after 1 s without one,
+    so that another driver can follow. Ctrl-C ends it.
 
     It drives through the same lease, gate and limits as 'rover-ncp deploy'; 'rover-ncp course new' makes a
     course of a recording. Ends with 0, 3 no bridge, no robot, not authorised or another driver, 4 stopped by
     a safety rule, which is named, 130 Ctrl-C.
 
         rover-ncp teleop --robot tcp/192.168.1.20 --record taught.mcap
+        rover-ncp teleop --robot tcp/192.168.1.20 --topic cmd_vel
     """
     from deploy.recorder import Recorder
     from deploy.teleop import run
@@ -294,9 +307,11 @@ def teleop(
 
     if record is None:
         reject("needs --record", overwrite=overwrite)
+    if topic is not None:
+        reject("does not go with --topic, which passes commands on as they are", model=model)
     address = BridgeAddress(robot, namespace, zenoh_config)
     recorder, output = Recorder(record, overwrite=overwrite), Output(json, controls=True)
-    return run(address, recorder, output, robot=load_description(model) if model else None)
+    return run(address, recorder, output, robot=load_description(model) if model else None, topic=topic)
 
 
 def identify(

@@ -20,12 +20,13 @@ from typing import Self
 
 from pydantic import Field
 
-from deploy.drive.link import Link
+from deploy.drive.link import Inbox, Link, RosCommand
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.keyboard import HELP, Keyboard
 from deploy.recorder import Recorder, RecordingResult
+from deploy.topic_teleop import TopicTeleop
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.console import Output, printable
@@ -193,23 +194,40 @@ class Teleop:
 
 
 def run(
-    address: BridgeAddress, recorder: Recorder, output: Output, *, robot: RobotDescription | None = None
+    address: BridgeAddress,
+    recorder: Recorder,
+    output: Output,
+    *,
+    robot: RobotDescription | None = None,
+    topic: str | None = None,
 ) -> int:
-    """Let a person drive, and return the exit code. Raises RoverNcpError if the drive could not begin."""
+    """Let a person or the commands on a ROS ``topic`` drive, and return the exit code.
+
+    Raises RoverNcpError if the drive could not begin.
+    """
     stop: SafetyStop | None = None
     code, ending = 0, "ended"
     with (
         Interrupts() as interrupts,
         recorder,
-        Terminal() as terminal,
+        Terminal() if topic is None else contextlib.nullcontext() as terminal,
         ZenohLink(address, recorder.put) as link,
     ):
-        teleop = Teleop(link, terminal, lambda: interrupts.raised, begin=recorder.begin, robot=robot)
+        teleop: Teleop | TopicTeleop
+        if terminal is not None:
+            teleop = Teleop(link, terminal, lambda: interrupts.raised, begin=recorder.begin, robot=robot)
+            words = HELP
+        else:
+            assert topic is not None
+            commands = Inbox[RosCommand]()
+            where = link.subscribe_commands(topic, commands.put)
+            teleop = TopicTeleop(link, commands.take, lambda: interrupts.raised, time, begin=recorder.begin)
+            words = f"passes on the commands of a ROS node on {where}"
         teleop.wait()
         output.say(link.other_model(robot))
         about = {"version": version("rover-ncp"), "robot": address.robot}
         recorder.open({TELEOP_FILE: dump_yaml(about).encode()})
-        for line in HELP.splitlines():
+        for line in words.splitlines():
             output.say(line)
         try:
             with output.live(lambda: teleop.progress):

@@ -126,7 +126,7 @@ class ZenohClient(ClosedAtExit):
         """
 
         def receive(sample: zenoh.Sample) -> None:
-            note(str(sample.key_expr), _source(sample), sample.payload.to_bytes())
+            note(str(sample.key_expr), source_of(sample), sample.payload.to_bytes())
 
         # Access control rejects the first, and a peer in another namespace then cannot send either.
         for key_expr in ("**", *map(self.key, names)):
@@ -167,7 +167,7 @@ class ZenohClient(ClosedAtExit):
         self.bridge_alive = sample.kind == zenoh.SampleKind.PUT
 
 
-def _source(sample: zenoh.Sample) -> str:
+def source_of(sample: zenoh.Sample) -> str:
     """Return the id of a sample's publisher, else of the process that stamped it first; "" without either."""
     if sample.source_info is not None:
         return str(sample.source_info.source_id.zid)

@@ -7,13 +7,12 @@ Rules of this file:
 2. The verdict's velocity is always finite and within the limits. It is sent, published and recorded.
 3. The output is zero unless all of these hold: the base reports in time, no stop is latched, no hazard is
    flagged, the motors are on, there is a lease, and its holder sent a command that is fresh, new and finite.
-4. A hazard revokes the lease: the driver must request it again, and plain ROS commands must pause or be
-   zero. In contact, a new lease allows driving away only (`motion.py`). Stale commands or odometry only
-   hold the rover. So do fence and sonars: the rover may be driven away from them.
+4. A hazard revokes the lease: the driver must request it again. In contact, a new lease allows driving away
+   only (`motion.py`). Stale commands or odometry only hold the rover. So do fence and sonars: the rover may
+   be driven away from them.
 5. The gate limits the speeds and how fast they grow. It never delays braking.
-6. While a signed lease is held, commands, renewals and releases without its signature are dropped. First
-   requests, stops and, with ``accept_ros``, untagged commands act without one. The caller verifies digests
-   and makes keys: `step` draws no random numbers.
+6. Commands, renewals and releases without the lease's signature are dropped. First requests and stops act
+   without one. The caller verifies digests and makes keys: `step` draws no random numbers.
 """
 
 import math
@@ -54,12 +53,7 @@ from bridge.gate.state import (
 )
 from rover_ncp.core.clock_offset import update_clock_offset
 from rover_ncp.core.geometry import STANDSTILL, Velocity
-from rover_ncp.wire.protocol import CommandTag
 
-ROS_AGE_S = 0.3
-"""The gate accepts a stamped command without a tag if its stamp is no farther from our clock than this."""
-UNTAGGED_PAUSE_S = 1.0
-"""How long untagged commands must pause, or be zero, after a lease or a hazard."""
 MOTORS_GRACE_S = 1.0
 """How long after ENABLE the base may still report its motors off."""
 COAST_S = 2.0
@@ -74,9 +68,7 @@ STEP_MAX_S = 0.1
 """A loop that was delayed gains no acceleration for the time of the delay."""
 
 
-def step(
-    state: GateState, event: GateEvent, now: float, limits: Limits, accept_ros: bool
-) -> tuple[GateState, Verdict]:
+def step(state: GateState, event: GateEvent, now: float, limits: Limits) -> tuple[GateState, Verdict]:
     """Process one event at ``now`` and return the new state and the verdict for the base."""
     elapsed = min(max(now - state.now, 0.0), STEP_MAX_S)
     state = _expire(replace(state, now=max(now, state.now)))
@@ -97,7 +89,7 @@ def step(
         case ReleaseStop():
             state = replace(state, stop_reason=None)
         case VelocityCommand():
-            state, dropped = _command(state, event, limits, accept_ros)
+            state, dropped = _command(state, event, limits)
         case _:  # time alone, or a release that was repeated or came after the lease ended
             pass
     hazard = _hazard(state, limits, known_contact(state))
@@ -292,19 +284,12 @@ class _Admitted(NamedTuple):
     """Estimated time of sending, on our clock."""
 
 
-def _command(
-    state: GateState, command: VelocityCommand, limits: Limits, accept_ros: bool
-) -> tuple[GateState, Reason | None]:
+def _command(state: GateState, command: VelocityCommand, limits: Limits) -> tuple[GateState, Reason | None]:
     """Put a command in force, or return the reason for dropping it."""
-    velocity = command.velocity
-    admitted: _Admitted | Reason = Reason.FOREIGN
-    if command.tag is not None:
-        admitted = _tagged(state, command.tag, command.signed, limits)
-    elif accept_ros:
-        admitted = _untagged(state, command, limits)
+    velocity, admitted = command.velocity, _admit(state, command, limits)
     if isinstance(admitted, Reason):
-        return replace(_noted(state, command), dropped=_count(state.dropped, admitted)), admitted
-    state, flaw = _noted(admitted.state, command), _flaw(velocity)
+        return replace(state, dropped=_count(state.dropped, admitted)), admitted
+    state, flaw = admitted.state, _flaw(velocity)
     if flaw is not None:
         # The driver that holds the lease is faulty: the command before this one is not carried out further.
         return replace(state, target=None, no_command=flaw, dropped=_count(state.dropped, flaw)), flaw
@@ -326,16 +311,16 @@ def _command(
     ), None
 
 
-def _tagged(state: GateState, tag: CommandTag, signed: bool, limits: Limits) -> _Admitted | Reason:
+def _admit(state: GateState, command: VelocityCommand, limits: Limits) -> _Admitted | Reason:
     """Check signature, sequence number and age.
 
     The offset between the two clocks is unknown. The smallest (arrival − stamp) of the last minute is the
     best estimate of it; the excess over it is this command's age.
     """
-    lease = state.lease
+    lease, tag = state.lease, command.tag
     if lease is None:
         return _hazard(state, limits, NO_CONTACT) or Reason.NO_LEASE
-    if not signed:
+    if not command.signed:
         return Reason.FOREIGN
     if tag.sequence <= lease.last_sequence:
         return Reason.REPEATED
@@ -345,38 +330,6 @@ def _tagged(state: GateState, tag: CommandTag, signed: bool, limits: Limits) -> 
         return Reason.STALE
     lease = replace(lease, last_sequence=tag.sequence)
     return _Admitted(replace(state, lease=lease, minima=minima), lease, state.now - age)
-
-
-def _untagged(state: GateState, command: VelocityCommand, limits: Limits) -> _Admitted | Reason:
-    """Check a plain ROS command by its stamp, if it has one, on synchronised wall clocks.
-
-    A valid one gets its lease without a request. A pause or a zero command must come first, as when a user
-    releases a stick: a publisher that never paused drives nothing after a lease or a hazard. The time before
-    the base's first report counts as a hazard: a restart of the bridge forgets a stop.
-    """
-    age = 0.0 if command.age_s is None else command.age_s
-    if not abs(age) <= ROS_AGE_S:
-        return Reason.STALE
-    if state.lease is None:
-        known = one_sided_contact(state) if command.velocity == STANDSTILL else NO_CONTACT
-        refusal = _hazard(state, limits, known) or _flaw(command.velocity)
-        paused = state.now - state.untagged_s >= UNTAGGED_PAUSE_S or command.velocity == STANDSTILL
-        if refusal is None and not paused:
-            refusal = Reason.NO_LEASE
-        if refusal is None:
-            state, refusal = _enable(state, Enable("ros"), limits)
-        if refusal is not None:
-            return refusal
-    lease = state.lease
-    if lease is None or lease.secret is not None:
-        return Reason.FOREIGN
-    return _Admitted(state, lease, state.now - max(age, 0.0))
-
-
-def _noted(state: GateState, command: VelocityCommand) -> GateState:
-    """Note when an untagged command that is not zero came."""
-    plain = command.tag is None and command.velocity != STANDSTILL
-    return replace(state, untagged_s=state.now) if plain else state
 
 
 def _flaw(velocity: Velocity | None) -> Reason | None:

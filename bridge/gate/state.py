@@ -71,13 +71,11 @@ class BaseLost:
 class VelocityCommand:
     """A velocity command; None = the bytes were not a velocity, or were not read.
 
-    ``signed`` is whether the tag's digest is valid under the key of the current lease. ``age_s`` is only for
-    a command without a tag: its age by its own stamp, None without a stamp.
+    ``signed`` is whether the tag's digest is valid under the key of the current lease.
     """
 
     velocity: Velocity | None
-    tag: CommandTag | None = None
-    age_s: float | None = None
+    tag: CommandTag
     signed: bool = False
 
 
@@ -85,13 +83,13 @@ class VelocityCommand:
 class Enable:
     """A driver's request for the lease; ``sent_ns`` is its own monotonic clock.
 
-    ``secret`` is the key of the lease if it is a new one, None for plain ROS commands. ``sequence`` is the
-    request's number if it is a renewal, signed with the key of the current lease; else None.
+    ``secret`` is the key of the lease if it is a new one. ``sequence`` is the request's number if it is a
+    renewal, signed with the key of the current lease; else None.
     """
 
-    name: str = ""
-    sent_ns: int = 0
-    secret: bytes | None = field(default=None, repr=False)
+    name: str
+    sent_ns: int
+    secret: bytes = field(repr=False)
     sequence: int | None = None
 
 
@@ -134,8 +132,8 @@ class Lease:
 
     number: int
     """From 1, in the order of the grants."""
-    secret: bytes | None = field(repr=False)
-    """The signing key; None for plain ROS commands, which are not signed."""
+    secret: bytes = field(repr=False)
+    """The signing key."""
     name: str
     sent_ns: int
     """The driver's clock at its request: a command sent before that does not belong to this lease."""
@@ -146,21 +144,17 @@ class Lease:
     contact: Contact
     """The contact in which it was granted, as far as it lasted until the last command that led away."""
 
-    def signed(self, tag: CommandTag | None, kind: Signed, key_expr: str, payload: bytes) -> bool:
+    def signed(self, tag: CommandTag, kind: Signed, key_expr: str, payload: bytes) -> bool:
         """Return whether a message's digest is valid under the key of this lease."""
-        if tag is None or self.secret is None or tag.lease != self.number:
-            return False
-        return tag.verify(self.secret, kind, key_expr, payload)
+        return tag.lease == self.number and tag.verify(self.secret, kind, key_expr, payload)
 
 
-def read_tag(attachment: bytes | None) -> CommandTag | None:
-    """Return the tag of a message; None only without an attachment."""
-    if attachment is None:
-        return None
+def read_tag(attachment: bytes | None) -> CommandTag:
+    """Return the tag of a message; without a valid attachment one that is valid under no lease."""
     try:
-        return CommandTag.unpack(attachment)
+        return CommandTag.unpack(attachment or b"")
     except FormatError:
-        return CommandTag(0, 0, 0)  # no lease has the number 0, so this tag is valid under none
+        return CommandTag(0, 0, 0)  # no lease has the number 0
 
 
 @dataclass(frozen=True)
@@ -209,8 +203,6 @@ class GateState:
     """Second of arrival, and the smallest (arrival − stamp) in it."""
     motors: bool = False
     motors_until_s: float = -math.inf
-    untagged_s: float = -math.inf
-    """When an untagged command that was not zero came last, accepted or not."""
     accepted: int = 0
     dropped: Mapping[Reason, int] = field(default_factory=dict)
     """Commands that the gate dropped, by reason."""

@@ -1,6 +1,5 @@
 """A node of a ROS graph on a Zenoh session, in the form of either Zenoh integration."""
 
-import contextlib
 import time
 from collections.abc import Callable
 from typing import Any
@@ -8,11 +7,8 @@ from typing import Any
 import zenoh
 import zenoh.ext
 
-from bridge.inbox import CommandMessage
 from bridge.ros2.discovery import Convention, bridge_token, topic_token
 from bridge.ros2.rmw import NODE_NAME, Attachment, Graph, Topic, gid
-from rover_ncp.core.errors import FormatError
-from rover_ncp.wire.key_table import spec
 
 HEARTBEAT_S = 0.5
 """Period of heartbeats, which give a publisher's last sequence number after a change; as in rmw_zenoh."""
@@ -144,24 +140,3 @@ class RosNode:
                 self._zid, topic.name, topic.ros_type, published, topic.latched, reliable=reliable
             )
         return self._graph.topic_token(len(self._tokens), topic, published=published)
-
-
-def command_bytes(sample: zenoh.Sample) -> bytes:
-    """Return the payload of a command; of one that is too long, one byte too many, which makes it invalid.
-
-    The loop so digests no megabytes, and its queue holds none.
-    """
-    return sample.payload.to_bytes()[: spec("cmd_vel").max_bytes + 1]
-
-
-def read_command(sample: zenoh.Sample) -> CommandMessage:
-    """Return a ROS node's command: without a tag, sent at the time in its attachment.
-
-    Without a valid attachment it is not a message of rmw_zenoh, and becomes an unreadable command.
-    """
-    attachment = sample.attachment
-    with contextlib.suppress(FormatError):
-        if attachment is not None:
-            stamp_ns = Attachment.unpack(attachment.to_bytes()).stamp_ns
-            return CommandMessage(command_bytes(sample), None, stamp_ns)
-    return CommandMessage(b"")

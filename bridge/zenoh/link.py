@@ -16,12 +16,11 @@ import zenoh
 from bridge.inbox import CommandMessage, Inbox, Query
 from bridge.ros2.discovery import Convention, bridge_token, topic_token
 from bridge.ros2.rmw import domain_id
-from bridge.ros2.ros_node import RosNode, command_bytes, declare_publisher, read_command
+from bridge.ros2.ros_node import RosNode, declare_publisher
 from bridge.zenoh.config import any_port, configured
 from rover_ncp.core.errors import PortInUse, UsageError
 from rover_ncp.core.process import ClosedAtExit
-from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, Role, key
-from rover_ncp.wire.messages import TWIST, TWIST_STAMPED
+from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, Role, key, spec
 from rover_ncp.wire.protocol import TAG_BYTES
 from rover_ncp.wire.zenoh import reason
 
@@ -128,19 +127,11 @@ class ZenohLink(ClosedAtExit):
             self._rmw_publishers = {
                 row.name: self._rmw.publisher(row.name, row.type, row.latched) for row in ours
             }
-            commanded = self._inbox.guarded(lambda sample: self._inbox.put(read_command(sample)))
-            for ros_type in (TWIST, TWIST_STAMPED):
-                self._rmw.subscribe("cmd_vel", ros_type, commanded)
 
     def _command(self, sample: zenoh.Sample) -> None:
-        stamp = sample.timestamp
-        self._inbox.put(
-            CommandMessage(
-                command_bytes(sample),
-                _bytes(sample.attachment),
-                round(stamp.get_time().timestamp() * 1e9) if stamp is not None else None,
-            )
-        )
+        # Of a command that is too long, one byte too many: the loop digests no megabytes.
+        payload = sample.payload.to_bytes()[: spec("cmd_vel").max_bytes + 1]
+        self._inbox.put(CommandMessage(payload, _bytes(sample.attachment)))
 
     def _query(self, row: KeySpec, query: zenoh.Query) -> None:
         def reply(answer: bytes) -> None:

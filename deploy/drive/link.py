@@ -29,6 +29,19 @@ class Arrival(NamedTuple):
     arrival_ns: int
 
 
+class RosCommand(NamedTuple):
+    """A command of a ROS node, and when it arrived on the monotonic clock.
+
+    ``source`` identifies its publisher, "" if nothing does. ``stamp_ns`` is when it was sent, by its sender's
+    wall clock, if that is known.
+    """
+
+    data: bytes
+    arrived_s: float
+    source: str = ""
+    stamp_ns: int | None = None
+
+
 class Bumpers(NamedTuple):
     """The front and the rear bumper."""
 

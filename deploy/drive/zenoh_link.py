@@ -7,12 +7,13 @@ bounded.
 import contextlib
 import time
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
 import zenoh
 
-from deploy.drive.link import Arrival, Link
-from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
+from deploy.drive.link import Arrival, Link, RosCommand
+from deploy.zenoh_client import BridgeAddress, ZenohClient, matches, source_of
 from rover_ncp.core.errors import (
     AnotherDriver,
     FormatError,
@@ -25,7 +26,7 @@ from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.recording.recording import Recorded, header_stamp_ns
 from rover_ncp.robot.description import RobotDescription
-from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, Role, spec
+from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, Role, spec, topic_key
 from rover_ncp.wire.messages import twist_stamped
 from rover_ncp.wire.protocol import (
     PROTOCOL,
@@ -219,6 +220,29 @@ class ZenohLink(Link, ZenohClient):
         """Send and record one of the driver's own messages."""
         self._publishers[name].put(data)
         self._record(Recorded(name, spec(name).type, data, time.time_ns(), wall_ns))
+
+    def subscribe_commands(self, topic: str, receive: Callable[[RosCommand], None]) -> str:
+        """Call ``receive`` with each command of a ROS node on a topic, and return its full name.
+
+        Both Zenoh integrations of ROS are received. Messages with an attachment on the plain key are those of
+        drivers with a lease, such as our own. Raises UsageError for a name that is none of a topic.
+        """
+        where = topic_key(self.address.namespace, topic)
+
+        def take(sample: zenoh.Sample, plain: bool) -> None:
+            stamp = sample.timestamp
+            if plain and sample.attachment is not None:
+                return
+            stamp_ns = None if stamp is None else round(stamp.get_time().timestamp() * 1e9)
+            data = sample.payload.to_bytes()[: spec("cmd_vel").max_bytes + 1]
+            receive(RosCommand(data, time.monotonic(), source_of(sample), stamp_ns))
+
+        declare = self._session.declare_subscriber
+        self._subscribe(declare, where, partial(take, plain=True))
+        for name in ("Twist", "TwistStamped"):
+            key_expr = f"*/{where}/geometry_msgs::msg::dds_::{name}_/*"
+            self._subscribe(declare, key_expr, partial(take, plain=False))
+        return f"/{where}"
 
     def close(self) -> None:
         """Release the lease and end the session."""

@@ -123,10 +123,23 @@ def key(namespace: str, name: str) -> str:
 
     Slashes around the namespace, as ROS writes them, are removed. Raises UsageError for an invalid one.
     """
-    row = _BY_NAME[name]
+    return _below(namespace, _BY_NAME[name].name)
+
+
+def topic_key(namespace: str, topic: str) -> str:
+    """Return the key of a ROS topic, which is not in the table; one that begins with / has no namespace.
+
+    Raises UsageError for a name that is none.
+    """
+    if not _NAMESPACE.fullmatch(topic.removeprefix("/")):
+        raise UsageError(f"topic {topic!r}: expected names of letters, digits, _ and -, joined by /")
+    return topic[1:] if topic.startswith("/") else _below(namespace, topic)
+
+
+def _below(namespace: str, name: str) -> str:
     stripped = namespace.strip("/")
     if not stripped:
-        return row.name
+        return name
     if not _NAMESPACE.fullmatch(stripped):
         raise UsageError(f"namespace {namespace!r}: expected names of letters, digits, _ and -, joined by /")
-    return f"{stripped}/{row.name}"
+    return f"{stripped}/{name}"

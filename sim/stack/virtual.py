@@ -46,9 +46,7 @@ class VirtualBridge:
     the driver.
     """
 
-    def __init__(
-        self, robot: Firmware | Ros2Robot, limits: Limits | None = None, *, accept_ros: bool = False
-    ) -> None:
+    def __init__(self, robot: Firmware | Ros2Robot, limits: Limits | None = None) -> None:
         self.connection = (
             ArcosConnection(robot, limits) if isinstance(robot, Firmware) else Ros2Connection(robot, limits)
         )
@@ -61,7 +59,6 @@ class VirtualBridge:
             self,
             self,
             limits=self.connection.limits,
-            accept_ros=accept_ros,
             ready=lambda: None,
             clock=self,
             suspended_s=self.suspended_s,

@@ -31,16 +31,16 @@ BOX = Fence(x_min=-1.0, x_max=2.0, y_min=-1.0, y_max=1.0)
 class Gate:
     """A gate with its state. Times are the bridge's; the driver's clock differs by ``ahead_s``."""
 
-    def __init__(self, limits=LIMITS, accept_ros=False, ahead_s=1234.5):
-        self.state, self.limits, self.accept_ros, self.ahead_s = GateState(), limits, accept_ros, ahead_s
+    def __init__(self, limits=LIMITS, ahead_s=1234.5):
+        self.state, self.limits, self.ahead_s = GateState(), limits, ahead_s
         self.sequence = 0
         self.report = None
         """The base repeats this report, if there is one, before each command and request."""
 
     def at(self, now, event):
         if self.report is not None and isinstance(event, Enable | VelocityCommand):
-            self.state, _ = step(self.state, self.report, now, self.limits, self.accept_ros)
-        self.state, verdict = step(self.state, event, now, self.limits, self.accept_ros)
+            self.state, _ = step(self.state, self.report, now, self.limits)
+        self.state, verdict = step(self.state, event, now, self.limits)
         return verdict
 
     def place(self, now, base):
@@ -115,7 +115,7 @@ def timelines():
 def follow(timeline):
     """Drive a gate along a timeline and compare each verdict with the expected one."""
     settings = dict(word.partition("=")[::2] for word in timeline.start)
-    gate = Gate(_limits(settings), "ros" in settings, _number(settings.get("ahead", "1234.5")))
+    gate = Gate(_limits(settings), _number(settings.get("ahead", "1234.5")))
     if "driving" in settings:
         gate.driving(_number(settings["driving"] or "0"))
     for times, events, each, expected in timeline.rows:
@@ -193,7 +193,6 @@ def _happen(gate, now, kind, *words):
     events = {
         "report": lambda: _report(options, now),
         "keep": lambda: gate.report,
-        "plain": lambda: VelocityCommand(velocity, age_s=age.get("age")),
         "lost": lambda: BaseLost(restarted="restarted" in options),
         "stop": lambda: Stop(" ".join(words)),
         "unstop": ReleaseStop,
@@ -205,7 +204,7 @@ def _found(gate, verdict, word):
     """Return what a word of an expectation asks for, and what it expects."""
     state, (name, _, wanted) = gate.state, word.partition("=")
     lease = verdict.lease
-    secret = None if lease is None else lease.secret
+    secret = lease and lease.secret
     counts = {"stops": state.stops, "drops": state.dropped, "limited": state.limited}
     if name in counts:
         found = ",".join(f"{reason}:{count}" for reason, count in counts[name].items())

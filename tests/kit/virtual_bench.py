@@ -14,10 +14,10 @@ STEP_S = 0.01
 class VirtualRig(VirtualBridge):
     """The bridge of one robot among ``walls``; each driver receives all that it publishes."""
 
-    def __init__(self, robot, *, accept_ros=False, limits=None, walls=()):
+    def __init__(self, robot, *, limits=None, walls=()):
         self.rover = PymunkRover(described_rover(robot), Ground(walls))
         self.base = Firmware(robot, self.rover) if robot.arcos else Ros2Robot(robot, self.rover)
-        super().__init__(self.base, limits, accept_ros=accept_ros)
+        super().__init__(self.base, limits)
         self.drivers = []
 
     def publish(self, name, data):

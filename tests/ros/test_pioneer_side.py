@@ -1,4 +1,4 @@
-"""ROS nodes beside a Pioneer: what they see, and how they drive it under --accept-ros."""
+"""ROS nodes beside a Pioneer: what they see, and how they drive it by teleop --topic."""
 
 import json
 from contextlib import contextmanager
@@ -10,6 +10,7 @@ from ros.rig import RunWithRos, free_address
 from deploy.place.place import load_place
 from rover_ncp import cli
 from rover_ncp.wire.messages import POSE_STAMPED, POSE_WITH_COVARIANCE, TWIST, TWIST_STAMPED
+from sim.live.processes import Process
 
 # teleop_twist_keyboard's first message of its key i: speed 0.5, turn 1.0, and no frame.
 LINEAR = {"x": 0.5, "y": 0.0, "z": 0.0}
@@ -42,8 +43,10 @@ class Pioneer(RunWithRos):
 
 @pytest.fixture(scope="module")
 def pioneer(tmp_path_factory):
-    options = ["--accept-ros", "--ros", "ros2dds", "--ros", "rmw-zenoh"]
+    options = ["--ros", "ros2dds", "--ros", "rmw-zenoh"]
     with Pioneer(tmp_path_factory.mktemp("pioneer"), bridge=options) as run:
+        arguments = ["--robot", run.robot, "--topic", "cmd_vel"]
+        run.start_process(lambda: Process("teleop", arguments, run.folder)).wait_for_line("passes on")
         yield run
 
 

@@ -2,7 +2,6 @@
 
 import json
 import math
-import struct
 from collections import Counter
 
 import pytest
@@ -143,8 +142,8 @@ def test_odometry_is_reset_only_without_a_lease(rig, driver):
 
 @pytest.fixture
 def requester():
-    """A driver of a bridge that accepts plain ROS commands."""
-    driver = VirtualDriver(VirtualRig(load_description(DEFAULT_ROBOT), accept_ros=True))
+    """A driver that requests the motors itself."""
+    driver = VirtualDriver(VirtualRig(load_description(DEFAULT_ROBOT)))
     driver.rig.wait_for(lambda: driver.odom is not None)
     return driver
 
@@ -224,41 +223,18 @@ def test_an_older_driver_gets_both_versions(requester):
     assert "the bridge uses protocol version 2, the driver version 3" in later["detail"]
 
 
-OLD_ZEROS = struct.pack("<16sQq", bytes(16), 2**63, 2**62)
-"""A tag of protocol version 1 with the id under which plain ROS commands drove."""
-
-
-@pytest.mark.parametrize("tag", [OLD_ZEROS, bytes(40), CommandTag(0, 2**63, 2**62).pack(), b""])
-def test_a_tag_of_zeros_neither_drives_nor_releases_under_accept_ros(requester, tag):
+@pytest.mark.parametrize("tag", [bytes(40), CommandTag(0, 2**63, 2**62).pack(), b"", None])
+def test_a_tag_of_zeros_neither_drives_nor_releases(requester, tag):
+    """No lease has the number 0, also while none is held."""
     rig = requester.rig
-
-    def plain():
-        rig.command(twist_stamped(Velocity(0.0, 0.0), rig.time_ns()))
-        return requester.gate.driver_name == "ros"
-
-    rig.wait_for(plain)
-    for _ in range(5):
-        plain()
-        rig.command(twist_stamped(Velocity(0.2, 0.0), rig.time_ns()), tag)
-        for request in (OLD_REQUEST | {"driver": "0" * 32, "enable": False}, {"version": 2, "enable": False}):
-            refused = {"granted": False, "reason": "another-driver"}
-            assert answer(requester, request, tag).items() >= refused.items()
-    rig.wait_for(lambda: requester.gate.dropped == {"foreign": 5})
-    assert (requester.gate.driver_name, requester.out) == ("ros", Velocity(0.0, 0.0))
-
-
-def test_silence_of_plain_ros_commands_stops_the_rover(requester):
-    rig = requester.rig
-
-    def drives():
-        rig.command(twist_stamped(Velocity(0.15, 0.0), rig.time_ns()))
-        rig.sleep(PERIOD_S)
-        return requester.odom.velocity.v > 0.14
-
-    rig.wait_for(drives)
-    assert requester.gate.driver_name == "ros"
-    assert rig.stands_after(STOP_S + braking_s(0.15) - PERIOD_S)
-    assert requester.gate.stops == {"silence": 1}
+    for held in (False, True):
+        if held:
+            assert requester.motors().granted
+        for _ in range(5):
+            rig.command(twist_stamped(Velocity(0.2, 0.0), rig.time_ns()), tag)
+            answer(requester, {"version": 2, "enable": False}, tag)
+            rig.sleep(PERIOD_S)
+        assert (bool(requester.gate.lease), requester.out) == (held, Velocity(0.0, 0.0))
 
 
 # The key of a lease

@@ -59,7 +59,7 @@ class FailingBase:
 class Loop:
     """A node with such a base, on a virtual clock: each turn takes 20 ms and brings a report."""
 
-    def __init__(self, accept_ros=False, limits=None, turns=0):
+    def __init__(self, limits=None, turns=0):
         self.now_ns, self.base, self.driver = 10**9, FailingBase(), DriverClient(self)
         self.arrivals, self.silent = [], False
         self.node = Node(
@@ -67,7 +67,6 @@ class Loop:
             self,
             self,
             limits=limits or Limits(),
-            accept_ros=accept_ros,
             ready=lambda: None,
             clock=self,
             suspended_s=lambda: 0.0,
@@ -214,7 +213,7 @@ def test_base_that_cannot_be_reached_later_does_not_end_the_bridge(driving):
 
 @pytest.mark.parametrize("fails", ["health", "base_timeout", "reset_odometry"])
 def test_exception_of_another_call_of_the_base_ends_nothing(fails):
-    loop = Loop(accept_ros=True, turns=3)
+    loop = Loop(turns=3)
     loop.base.fails[fails] = OSError("gone")
     loop.turn(60)
     assert b"gone" in loop.query("rover/reset_odometry", b"{}") or fails != "reset_odometry"

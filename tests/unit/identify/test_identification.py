@@ -216,7 +216,7 @@ def made(delay, gain, acceleration, deceleration=None, *, rounded=False):
 
 
 @pytest.mark.parametrize(
-    ("delay", "gain", "acceleration"), [(0.0, 1.0, 0.3), (0.31, 0.9, 0.25), (0.57, 1.2, 1.5)]
+    ("delay", "gain", "acceleration"), [(0.0, 1.0, 0.3), (0.31, 0.9, 0.25), (0.57, 1.2, 0.6)]
 )
 def test_fit_finds_delay_gain_and_acceleration(delay, gain, acceleration):
     found = identify(made(delay, gain, acceleration), "exact")
@@ -237,7 +237,7 @@ def followed(sent_s, sent, delay, accel, decel):
 
 def test_a_command_that_reverses_first_brakes():
     # No rest between forward and back: the base brakes to 0 and then speeds up.
-    log = followed(1.0 + 3.03 * np.arange(12), 0.2 * (-1.0) ** np.arange(12), 0.2, 0.3, 0.6)
+    log = followed(1.0 + 3.03 * np.arange(12), np.tile([0.2, -0.2, 0.0], 4), 0.2, 0.3, 0.6)
     found = identify_axis(log, 0, OdometryErrors(np.array([1.0, 0.0]), np.zeros((2, 2))))
     assert found.values[1] == pytest.approx(1.0, abs=0.002)
     assert found.values[2:] == pytest.approx([0.3, 0.6], rel=0.02)
@@ -276,7 +276,8 @@ def test_intervals_cover_the_truth(bases):
     """Intervals of 95 % of random bases, eight values each.
 
     If those of 40 bases are exact, 85 % or fewer hold the truth with a probability below 1e-8 if all are
-    independent, and of 0.4 % if the eight of a base always miss together.
+    independent, and of 0.4 % if the eight of a base always miss together. At most one value in five is left
+    out: a ramp shorter than the time between two reports shows no acceleration.
     """
     random = np.random.default_rng(20261122)
     ratios = []
@@ -287,8 +288,10 @@ def test_intervals_cover_the_truth(bases):
         for axis in range(2):
             found = identify_axis(log, axis, known)
             ratios.append((found.values - true) / found.std)
-    assert np.mean(np.abs(ratios) < 1.96) > 0.85
-    assert np.median(np.abs(ratios)) > 0.3  # 0.67 if exact: intervals are not wide for safety
+    known = np.abs(np.ravel(ratios)[np.isfinite(np.ravel(ratios))])
+    assert len(known) > 0.8 * np.size(ratios)
+    assert np.mean(known < 1.96) > 0.85
+    assert np.median(known) > 0.3  # 0.67 if exact: intervals are not wide for safety
 
 
 def test_acceleration_that_no_command_asks_for_is_left_out():

@@ -199,14 +199,14 @@ class Preflight:
         self._rooms.append(self._link.about_base())
         ahead = relative(before.pose, after.pose).x
         if not follows(after.velocity.v, V_M_S) or ahead <= 0.0:
-            moved = f"commanded {V_M_S} m/s, the base reports {after.velocity.v:.2f} m/s and {ahead:.2f} m"
+            moved = f"commanded {V_M_S} m/s, the base reports {after.velocity.v:.3g} m/s and {ahead:.3g} m"
             return False, f"{moved}: {gate_did}"
-        words = f"{ahead:.3f} m by its pose, {by_speed.v:.3f} m by its speed"
+        words = f"{ahead:.3g} m by its pose, {by_speed.v:.3g} m by its speed"
         if problem := comparisons.jump(self._straight, Velocity(V_M_S, 0.0)):
             return False, problem
         most = FAST * V_M_S * MOVE_S
         if ahead > most:
-            return False, f"{words}, at most {most:.3f} m was commanded: has odometry another unit or scale?"
+            return False, f"{words}, at most {most:.3g} m was commanded: has odometry another unit or scale?"
         if self._speed_mean_s:
             return True, f"{words}, which is a mean over {self._speed_mean_s:g} s"
         return abs(ahead - by_speed.v) <= SCALE * by_speed.v, f"{words} (right: ±{SCALE:.0%})"
@@ -218,7 +218,7 @@ class Preflight:
         gate_did = self._gate_since(gate)
         self._moves.rest()
         turned = relative(before.pose, after.pose).theta
-        reported = f"{after.velocity.omega:.2f} rad/s and {turned:.2f} rad"
+        reported = f"{after.velocity.omega:.3g} rad/s and {turned:.3g} rad"
         words = f"commanded {omega:.2g} rad/s, the base reports {reported}"
         if not follows(after.velocity.omega, omega) or turned <= 0.0:
             return False, f"{words}: {gate_did}"
@@ -230,7 +230,7 @@ class Preflight:
         if not self._speed_mean_s and not low <= turned / by_speed.omega <= high:
             return (
                 False,
-                f"{words}, but {by_speed.omega:.2f} rad by its turn rates: one of them has another unit",
+                f"{words}, but {by_speed.omega:.3g} rad by its turn rates: one of them has another unit",
             )
         return True, words
 

@@ -148,10 +148,10 @@ class InputSteps:
             return False, f"no battery_state arrived within {BATTERY_WAIT_S:g} s, expected one a second"
         if volts <= 0.0:  # as to the gate
             return True, "the base reports no voltage: a low battery would stop nothing"
-        words = f"{volts:.1f} V (at least {minimum:.1f} V"
+        words = f"{volts:.3g} V (at least {minimum:.3g} V"
         if self._robot is not None:
             most = 2.0 * self._robot.battery.nominal_v
-            words += f", at most {most:.1f} V"
+            words += f", at most {most:.3g} V"
         return minimum <= volts <= most, f"{words})"
 
     def holds(self) -> Answer:

@@ -41,6 +41,8 @@ NOTHING = 0.1
 _LAGS_S = np.arange(-0.3, 1.0, 0.01)
 _SPAN = 9.0
 """Squared standard deviations by which the sum of squares may exceed its minimum: 3 sigma of the lag."""
+_LARGEST = 1e9
+"""No sensor shows more, in m or rad; squares of it are finite."""
 _NOISE = 1e-4
 """Least noise that a fit assumes, m and rad."""
 
@@ -81,7 +83,7 @@ def jump(samples: Samples, command: Velocity) -> str:
             way_m > JUMP_M + 2.0 * abs(command.v) * span_s
             or turned > JUMP_RAD + 2.0 * abs(command.omega) * span_s
         ):
-            by = f"{way_m:.2f} m and {turned:.2f} rad within {span_s:.2f} s"
+            by = f"{way_m:.3g} m and {turned:.3g} rad within {span_s:.2f} s"
             return f"the pose of odometry jumps by {by}: something sets it anew, or two publishers send it"
     return ""
 
@@ -91,7 +93,7 @@ def gyro_at_rest(rest: Samples) -> Answer:
     if not rest.gyro:
         return False, "no reading arrives on imu"
     gap_s = _longest_gap_s(rest.gyro, rest.odometry)
-    words = f"{_bias(rest):+.3f} rad/s at rest, longest gap {gap_s:.2f} s (at most {GYRO_GAP_S:g} s)"
+    words = f"{_bias(rest):+.3g} rad/s at rest, longest gap {gap_s:.2f} s (at most {GYRO_GAP_S:g} s)"
     return gap_s <= GYRO_GAP_S, words
 
 
@@ -105,8 +107,8 @@ def gyro_in_turn(rest: Samples, turn: Samples, shares: tuple[float, float], *, o
     fit = _fit(turn, _turned(turn), times, angles[:, None])
     turned = float(_turned(turn)[-1])
     share = float(fit.scales[0])
-    words = f"the gyro turned {share * turned:.2f} rad where odometry turned {turned:.2f} rad"
-    bias = f"{_bias(rest):+.2f} rad/s at rest (at most {MAX_GYRO_BIAS_RAD_S:g})"
+    words = f"the gyro turned {share * turned:.3g} rad where odometry turned {turned:.3g} rad"
+    bias = f"{_bias(rest):+.3g} rad/s at rest (at most {MAX_GYRO_BIAS_RAD_S:g})"
     biased = abs(_bias(rest)) > MAX_GYRO_BIAS_RAD_S
     if abs(share) < NOTHING:
         return (False, f"{words}, {bias}") if biased else _still(words, on_floor)
@@ -135,7 +137,7 @@ def poses_at_rest(rest: Samples, frames: Sequence[str], age_s: float) -> Answer:
     if len(set(frames)) > 1:
         return False, f"{words}: expected one frame; do two localisers send pose?"
     scatter_m = float(np.hypot(*np.std([(pose.x, pose.y) for _, pose in rest.poses], axis=0)))
-    words += f", {age_s:.2f} s old by their stamps, scatter {scatter_m:.3f} m (at most {MAX_SCATTER_M:g} m)"
+    words += f", {age_s:.3g} s old by their stamps, scatter {scatter_m:.3g} m (at most {MAX_SCATTER_M:g} m)"
     return rate >= MIN_POSE_HZ and scatter_m <= MAX_SCATTER_M, words
 
 
@@ -148,7 +150,7 @@ def poses_on_way(straight: Samples, *, on_floor: bool) -> Answer:
     way = _driven(straight)
     fit = _fit(straight, way, times, places)
     scale, driven = float(np.hypot(*fit.scales)), float(way[-1])
-    words = f"the poses moved {scale * driven:.3f} m where odometry drove {driven:.3f} m"
+    words = f"the poses moved {scale * driven:.3g} m where odometry drove {driven:.3g} m"
     if scale < NOTHING + 2.0 * fit.std:
         return _still(words, on_floor)
     headings = np.array([pose.theta for _, pose in straight.poses])
@@ -176,7 +178,7 @@ def poses_in_turn(turn: Samples, shares: tuple[float, float], *, on_floor: bool)
     turned = _turned(turn)
     fit = _fit(turn, turned, times, headings[:, None])
     share, angle = float(fit.scales[0]), float(turned[-1])
-    words = f"the poses turned {share * angle:.2f} rad where odometry turned {angle:.2f} rad"
+    words = f"the poses turned {share * angle:.3g} rad where odometry turned {angle:.3g} rad"
     low, high = shares
     if abs(share) < NOTHING + 2.0 * fit.std:
         return _still(words, on_floor)
@@ -243,6 +245,7 @@ def _driven(samples: Samples) -> FloatArray:
 def _fit(samples: Samples, reference: FloatArray, times: FloatArray, shown: FloatArray) -> Fit:
     """Fit ``shown`` (samples, directions) to odometry's motion, by scales and one lag (least squares)."""
     at_s = np.array([at_s for at_s, _ in samples.odometry])
+    shown = np.clip(shown, -_LARGEST, _LARGEST)
     shown = shown - shown.mean(axis=0)
     sums, scales, spreads = [], [], []
     for lag_s in _LAGS_S:

@@ -158,7 +158,7 @@ def test_robot_that_is_well_passes_all_checks_and_stands(robot):
         ({"faults": ["stop-button"]}, "stop", "held by stop-button"),
         (
             {"faults": ["freeze-odometry@0"]},
-            *("forward", "reports 0.00 m/s and 0.00 m: the gate passed all commands on"),
+            *("forward", "reports 0 m/s and 0 m: the gate passed all commands on"),
         ),
         ({"faults": ["bumper@0.5"]}, "forward", "the gate stopped the robot: bumper"),
         ({"while_turning": "bumper@0-5"}, "left", "the gate stopped the robot: bumper"),

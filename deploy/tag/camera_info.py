@@ -1,27 +1,23 @@
 """A camera's intrinsics as other programs write them.
 
-ROS's camera_calibration (YAML) and ``ros2 topic echo camera_info``, OpenCV's FileStorage (YAML, XML), and
-Kalibr's camchain.
+ROS's camera_calibration (YAML), ``ros2 topic echo camera_info``, and OpenCV's FileStorage (YAML).
 """
 
-import itertools
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from deploy.tag.tag_map import Intrinsics
-from rover_ncp.core.config import MAX_CHARACTERS, MAX_DEPTH, read_yaml, validated
+from rover_ncp.core.config import read_yaml, validated
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import read_text
 
 MODELS = {
     "plumb_bob": "pinhole",
     "rational_polynomial": "pinhole",
-    "radtan": "pinhole",
     "thin_prism": "pinhole",
     "pinhole": "pinhole",
     "equidistant": "fisheye",
@@ -46,25 +42,20 @@ NAMES: Mapping[str, Sequence[str]] = {
 }
 """What programs call a picture's size, the camera matrix and the distortion."""
 EXPECTED = (
-    "expected a calibration of ROS (ost.yaml, or 'ros2 topic echo --once camera_info'), OpenCV or Kalibr, "
-    "with image_width, image_height, camera_matrix and distortion_coefficients"
+    "expected a calibration of ROS (ost.yaml, or 'ros2 topic echo --once camera_info'), or of OpenCV in "
+    "YAML, with image_width, image_height, camera_matrix and distortion_coefficients"
 )
 
 
 def load_camera_info(path: Path) -> Intrinsics:
     """Read intrinsics from a file. Raises FileError and ConfigError."""
     text, source = read_text(path), str(path)
-    if text.lstrip().startswith(("<?xml", "<opencv_storage")):
-        data: Any = _opencv(text, source)
-    else:
-        text = re.sub(r"^%YAML.*$|!!opencv[\w-]*", "", text, flags=re.MULTILINE)  # OpenCV's own
-        # A topic's messages end with a line of dashes.
-        documents = [each for each in re.split(r"^---.*$", text, flags=re.MULTILINE) if each.strip()]
-        if not documents or text.lstrip().startswith("# oST"):
-            raise ConfigError(source, [EXPECTED])
-        data = read_yaml(documents[0], source)
-    if isinstance(data, dict) and any(str(name).startswith("cam0") for name in data):
-        data = _kalibr(data, source)
+    text = re.sub(r"^%YAML.*$|!!opencv[\w-]*", "", text, flags=re.MULTILINE)  # OpenCV's own
+    # A topic's messages end with a line of dashes.
+    documents = [each for each in re.split(r"^---.*$", text, flags=re.MULTILINE) if each.strip()]
+    if not documents or text.lstrip().startswith(("# oST", "<")):
+        raise ConfigError(source, [EXPECTED])
+    data = read_yaml(documents[0], source)
     if not isinstance(data, dict):
         raise ConfigError(source, [EXPECTED])
     given = {name: _first(data, names) for name, names in NAMES.items()}
@@ -76,8 +67,6 @@ def load_camera_info(path: Path) -> Intrinsics:
         words = f"no {', '.join(missing)}" if missing else f"not numbers: {error}"
         raise ConfigError(source, [f"{words}; {EXPECTED}"]) from error
     model, camera = (str(data.get(key) or "") for key in ("distortion_model", "camera_model"))
-    if data.get("fisheye_model") == 1:
-        camera = "fisheye"
     if camera == "fisheye":
         if MODELS.get(model, "fisheye") != "fisheye":
             raise ConfigError(source, [f"camera_model fisheye contradicts distortion_model {model}"])
@@ -123,45 +112,3 @@ def _numbers(value: Any) -> list[float]:
     """Return the numbers of a matrix: a list, a list of rows, or a mapping with ``data``."""
     found = np.array(value["data"] if isinstance(value, Mapping) else value, np.float64)
     return [float(each) for each in found.ravel()]
-
-
-def _opencv(text: str, source: str) -> dict[str, Any]:
-    """Return what is known by name in a FileStorage in XML: numbers, words and matrices."""
-    # OpenCV's reader ends the process on a deep nesting.
-    steps = (1 if mark[0] not in {"</", "/>"} else -1 for mark in re.finditer(r"<\w|</|/>", text))
-    if len(text) > MAX_CHARACTERS or max(itertools.accumulate(steps), default=0) > MAX_DEPTH:
-        raise ConfigError(source, ["too long, or elements too deep in each other, for a calibration"])
-    try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        data: dict[str, Any] = {}
-        for key in ("distortion_model", "camera_model", "fisheye_model", *itertools.chain(*NAMES.values())):
-            node = storage.getNode(key)
-            if node.isInt() or node.isReal():
-                data[key] = node.real()
-            elif node.isString():
-                data[key] = node.string()
-            elif not node.empty():
-                data[key] = node.mat()
-    except (cv2.error, SystemError) as error:
-        raise ConfigError(source, ["not a FileStorage that OpenCV reads"]) from error
-    return data
-
-
-def _kalibr(data: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """Return Kalibr's only camera under the names of ROS."""
-    if len(data) != 1:
-        raise ConfigError(source, [f"{len(data)} cameras, expected one: leave the others out"])
-    (camera,) = data.values()
-    try:
-        if camera["camera_model"] != "pinhole":
-            raise ConfigError(source, [f"camera_model {camera['camera_model']}: expected pinhole"])
-        (fx, fy, cx, cy), size = camera["intrinsics"], camera["resolution"]
-        return {
-            "image_width": size[0],
-            "image_height": size[1],
-            "camera_matrix": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
-            "distortion_model": camera["distortion_model"],
-            "distortion_coefficients": camera["distortion_coeffs"],
-        }
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise ConfigError(source, [f"not a camchain of Kalibr ({error})"]) from error

@@ -73,7 +73,7 @@ def calibrate(
     camera: Camera,
     camera_file: Annotated[Path, typer.Option(help="The camera's file to write, or to improve.")],
     camera_info: Annotated[
-        Path | None, typer.Option(help="Take the intrinsics from a file of ROS, OpenCV or Kalibr.")
+        Path | None, typer.Option(help="Take the intrinsics from a YAML file of ROS or OpenCV.")
     ] = None,
     map: Annotated[Path | None, typer.Option(help="Measure the yaw of the mount: the tags (YAML).")] = None,
     size: Annotated[

@@ -33,24 +33,8 @@ distortion_coefficients: !!opencv-matrix
    dt: d
    data: {list(D)}
 """
-XML = f"""<?xml version="1.0"?>
-<opencv_storage>
-<image_width>640</image_width><image_height>480</image_height>
-<cameraMatrix type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>d</dt>
-  <data>500.5 0. 320. 0. 501. 241. 0. 0. 1.</data></cameraMatrix>
-<distCoeffs type_id="opencv-matrix"><rows>1</rows><cols>5</cols><dt>d</dt>
-  <data>{" ".join(map(str, D))}</data></distCoeffs>
-</opencv_storage>
-"""
 ECHO = f"height: 480\nwidth: 640\ndistortion_model: plumb_bob\nd: {list(D)}\nk: {K}\nr: [1]\n---\n"
 ECHO_ROS1 = ECHO.replace("\nd:", "\nD:").replace("\nk:", "\nK:")
-KALIBR = """cam0:
-  camera_model: pinhole
-  distortion_coeffs: [0.1, -0.2, 0.001, 0.002]
-  distortion_model: radtan
-  intrinsics: [500.5, 501.0, 320.0, 241.0]
-  resolution: [640, 480]
-"""
 RATIONAL = (*D, 0.4, 0.1, 0.02, *[0.0] * 6)
 
 
@@ -66,9 +50,6 @@ RATIONAL = (*D, 0.4, 0.1, 0.02, *[0.0] * 6)
         pytest.param(f"---\n{ECHO}{ECHO}", "pinhole", D, id="echo of several"),
         pytest.param(ECHO_ROS1, "pinhole", D, id="ROS 1"),
         pytest.param(OPENCV, "pinhole", D, id="OpenCV's YAML"),
-        pytest.param(XML, "pinhole", D, id="OpenCV's XML"),
-        pytest.param(KALIBR, "pinhole", D[:4], id="Kalibr"),
-        pytest.param(KALIBR.replace("radtan", "equidistant"), "fisheye", D[:4], id="Kalibr's fisheye"),
     ],
 )
 def test_calibration_of_each_format_is_read(tmp_path, text, model, distortion):
@@ -109,11 +90,10 @@ def test_calibration_of_each_format_is_read(tmp_path, text, model, distortion):
         ),
         ("image_width: 640\ncamera_matrix: 3\n", "no image_height, distortion_coefficients"),
         ("# oST version 5.0 parameters\n\n\n[image]\n\nwidth\n640\n", "expected a calibration of ROS"),
-        (KALIBR + KALIBR.replace("cam0", "cam1"), "2 cameras, expected one"),
         ("%YAML:1.0\n---\nnothing: [", "not valid YAML"),
         ("%YAML:1.0\n---\nnothing: " + "[" * 100_000, "in each other"),
         ("%YAML:1.0\n---\nnothing:\n  " + "- " * 100_000, "in each other"),
-        ('<?xml version="1.0"?>\n<opencv_storage>' + "<a>" * 60_000, "in each other"),
+        ('<?xml version="1.0"?>\n<opencv_storage>' + "<a>" * 60_000, "expected a calibration of ROS"),
     ],
 )
 def test_calibration_that_cannot_be_right_is_refused(tmp_path, text, words):

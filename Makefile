@@ -142,7 +142,7 @@ lock: ## Write requirements/: the versions of constraints.txt with hashes, for e
 	done
 
 .PHONY: files
-files: $(FILES_STAMP) ## Workflows, compose file, Dockerfile, CITATION.cff and declared dependencies by their linters.
+files: $(FILES_STAMP) ## Workflows, compose file, Dockerfile, CITATION.cff, declared dependencies and locks by their linters.
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-issue-forms .github/ISSUE_TEMPLATE/[!c]*.yml
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-issue-config .github/ISSUE_TEMPLATE/config.yml
@@ -150,6 +150,8 @@ files: $(FILES_STAMP) ## Workflows, compose file, Dockerfile, CITATION.cff and d
 	$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec packaging/compose.yaml
 	$(BIN)/check-jsonschema --builtin-schema vendor.citation-file-format CITATION.cff
 	$(BIN)/deptry .
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(MAKE) lock
+	git diff --exit-code --stat requirements
 	$(BIN)/zizmor --offline --quiet .github
 	$(BIN)/hadolint packaging/Dockerfile
 

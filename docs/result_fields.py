@@ -50,6 +50,8 @@ def result_fields(command: str) -> dict[str, str]:
     found: dict[str, str] = {}
     for path, meaning in model_fields(getattr(importlib.import_module(module), name)):
         found[path] = found.get(path) or meaning
+    if unknown := [path for path, meaning in found.items() if not meaning]:
+        raise ValueError(f"{RESULTS[command]}: fields without a description: {', '.join(unknown)}")
     return found
 
 

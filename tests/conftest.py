@@ -7,10 +7,8 @@ import signal
 
 import pytest
 from hypothesis import Phase, settings
-from result_fields import RESULTS
 
 from rover_ncp import cli
-from rover_ncp.core.console import Output
 
 # Two processes test on two cores: threads for matrices as small as ours would only wait for each other, fifty
 # times as long as the work takes. Read by numpy and scipy when they are loaded, also by what the tests start.
@@ -43,18 +41,6 @@ def log_of_its_own():
     yield
     logger.handlers = handlers
     logger.setLevel(level)
-
-
-@pytest.fixture(autouse=True)
-def documented_results(monkeypatch):
-    """The page of results describes the class of every result that a command prints in this process."""
-    described, printed = set(RESULTS.values()), Output.result
-
-    def result(output, found, text):
-        assert described & {f"{kind.__module__}:{kind.__qualname__}" for kind in type(found).__mro__}
-        printed(output, found, text)
-
-    monkeypatch.setattr(Output, "result", result)
 
 
 @pytest.fixture

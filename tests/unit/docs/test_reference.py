@@ -1,7 +1,6 @@
 """The generated pages of the documentation, and its examples of YAML files."""
 
 import re
-from importlib.metadata import entry_points
 
 import numpy as np
 import paper_tables
@@ -9,10 +8,8 @@ import pytest
 import reference_pages
 import yaml
 from kit.paths import ROOT
-from result_fields import RESULTS, result_fields
 
 from paper.claims import load_claims
-from rover_ncp import cli
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.core.config import parse_yaml
 from rover_ncp.course.course import load_course
@@ -36,24 +33,6 @@ def test_an_example_is_valid_and_has_every_key_that_its_file_needs(name):
         assert set(model.model_fields) == {*yaml.safe_load(text), *commented} & set(model.model_fields)
 
 
-def test_a_line_that_links_to_a_measured_table_becomes_the_table():
-    page = "Before.\n\n[matrix](measured/ros2.csv)\n\nA [link](measured/ros2.csv)."
-    text = reference_pages.on_page_markdown(page)
-    _, table, after = text.split("\n\n")
-    assert table.startswith("| layer | fault | standstill after (ros2dds) |")
-    assert {line.count(" | ") for line in table.splitlines()} == {4}
-    assert after == "A [link](measured/ros2.csv)."
-
-
-def test_results_of_every_command_are_on_the_page_of_json():
-    assert {name.split()[0] for name in RESULTS} == {point.name for point in entry_points(group=cli.GROUP)}
-
-
-@pytest.mark.parametrize("command", RESULTS)
-def test_every_field_of_a_result_has_a_meaning(command):
-    assert [path for path, meaning in result_fields(command).items() if not meaning] == []
-
-
 def test_the_example_of_a_policy_drives_forward_until_it_sees_one_metre():
     run = rollout(load_policy(EXAMPLES / "policy.yaml"), load_course("parking"))
     assert 0.05 < run.poses[-1, 0] < 1.5
@@ -66,20 +45,6 @@ def test_the_example_of_a_circuit_can_be_trained_on_the_example_of_a_course():
     task = resolve_task(TrainSettings(course=course, circuit=circuit))
     assert load_circuit(circuit).held
     assert rollout(task.policy, load_course(course)).total < 0
-
-
-def test_pages_have_the_options_bounds_and_notes_of_the_code():
-    pages = reference_pages.reference_pages()
-    page = pages["commands.md"]
-    assert page.count("\n## ") == len(set(re.findall(r"^## (.+)$", page, re.MULTILINE)))
-    assert "| 130 | interrupted" in page
-    for option in ("--random-courses <int range>`", "--robot", "--cluster", "--fault", "--ros"):
-        assert f"\n| `{option}" in page
-    page = pages["files.md"]
-    assert re.search(
-        r"\| `command_timeout_s` \| number, ≥ 0\.05, ≤ 0\.4 \| `0\.3` \| A command is in force", page
-    )
-    assert re.search(r"\| `kind` \| `excitatory`, `inhibitory`, `gap` \| required", page)
 
 
 def test_page_on_the_paper_has_the_present_tables_and_cites_claims_that_exist():

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from paper.agents import random_circuit
+from paper.tasks import random_circuit
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.runner import Runner

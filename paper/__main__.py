@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from paper import run_command_line
-from paper.store import BudgetName
+from paper.runs import BudgetName
 from rover_ncp.core.errors import FileError, UsageError
-from rover_ncp.core.files import require_writable, write_atomic
+from rover_ncp.core.files import require_writable
 
 if TYPE_CHECKING:
-    from paper.store import Result
+    from paper.runs import Result
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
 RESULTS = Path(__file__).parent / "results"
@@ -56,8 +56,7 @@ def run(
 
         python -m paper run --task mountain-car --agent circuit --seed 3 --again
     """
-    from paper.runs import make_runs, select
-    from paper.store import ResultStore
+    from paper.runs import ResultStore, make_runs, select
 
     store, names = ResultStore(results), select(task, agent, seed, budget)
     left = [name for name in names if again or store.find(name) is None]
@@ -72,7 +71,7 @@ def run(
         )
 
     if left:
-        make_runs(left, store, processes=processes, on_result=on_result)
+        make_runs(left, store, processes, on_result)
     print(f"{len(left)} runs made, {len(names) - len(left)} found")
 
 
@@ -91,9 +90,8 @@ def replay(
 
     python -m paper replay --task mountain-car
     """
-    from paper.runs import agrees
+    from paper.runs import ResultStore, agrees
     from paper.runs import replay as score_again
-    from paper.store import ResultStore
 
     wanted = {"task": task, "agent": agent, "seed": seed, "budget": budget and [budget]}
     replayed = exact = differ = 0
@@ -130,14 +128,14 @@ def report(
     Without --long it prints the first part of docs/paper.md.
     """
     from paper.claims import judge_claims, load_claims
-    from paper.report import curves_png, long_report, short_report
-    from paper.store import ResultStore
+    from paper.report import draw_curves, long_report, short_report
+    from paper.runs import ResultStore
 
     if not results.is_dir():
         raise FileError(f"{results}: no such folder")
     store, file = ResultStore(results), load_claims()
     if curves is not None:
-        write_atomic(curves, curves_png(store))
+        draw_curves(store, curves)
     judged = judge_claims(store, file.claims)
     print(long_report(store, judged) if long else short_report(store, file, judged))
 

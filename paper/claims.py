@@ -18,14 +18,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from paper.agents import build_agent
-from paper.networks import NetKind, net_for
+from paper.runs import Result, ResultStore
 from paper.statistics import LEVEL, Summary, even_odds, fisher, holm, mean_text, summary, welch, wilson
-from paper.store import Result, ResultStore
-from paper.tasks import TASKS, find_task
+from paper.tasks import TASKS, Net, Vector, build_agent, find_task
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.config import StrictModel, parse_yaml
 from rover_ncp.core.files import read_text
@@ -242,7 +239,8 @@ def sign(store: ResultStore, *, source: str, destination: str, expected: str) ->
 def parameters(_: ResultStore, *, task: str, other: str) -> Outcome:
     """Ask whether the circuit has fewer parameters than a network of as many cells."""
     circuit = TASKS[task].policy(TASKS[task].circuit())
-    ours, theirs = circuit.layout().size, net_for(circuit, NetKind(other)).layout().size
+    net = Net(other, len(circuit.sensing.inputs), len(circuit.motors.outputs), cells=11)
+    ours, theirs = circuit.layout().size, net.layout().size
     verdict = Verdict.REPRODUCED if ours < theirs else Verdict.DIFFERS
     return Outcome(f"{ours} against {theirs}", verdict=verdict)
 
@@ -255,8 +253,6 @@ _TESTS: Mapping[str, Callable[..., Outcome]] = {
     "parameters": parameters,
 }
 
-
-FloatArray = NDArray[np.float64]
 
 THRESHOLDS = (1.0, 1.5, 2.0)
 """One count must exceed the other by this factor; the paper's words allow several readings."""
@@ -284,7 +280,7 @@ def drives(store: ResultStore) -> tuple[tuple[Policy, Rollout], ...]:
     return tuple((policy, rollout(policy, load_course("parking"))) for policy in policies)
 
 
-def counts(a: FloatArray, b: FloatArray, *, vertical: bool) -> tuple[int, int]:
+def counts(a: Vector, b: Vector, *, vertical: bool) -> tuple[int, int]:
     """Return P and Q of two rows of potential differences: slopes above and below 0.
 
     A vertical step (b changes, a does not) has the sign of b's change; without ``vertical`` it is left out.

@@ -11,17 +11,15 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from paper.loop import Found
-from paper.tasks import Benchmark
-from sim.learn.search.base import Vector, draw_seeds
+from paper.search import Found
+from paper.tasks import Benchmark, Vector, draw_seeds
 
-FloatArray = NDArray[np.float64]
 Training = tuple[int, int, dict[str, Any]]
 """Steps in all, environments side by side, and options that differ from the library's defaults."""
 
 CELLS = 11
 _TRAINING = 2
-"""Stream of random numbers, beside those of ``loop.py`` and ``runs.py``."""
+"""Stream of random numbers, beside those of ``search.py`` and ``runs.py``."""
 # stable_baselines3.common.vec_env.VecNormalize
 _VARIANCE_EPSILON, _CLIP = 1e-8, 10.0
 _BY_STATE = {"use_sde": True, "sde_sample_freq": 16}
@@ -52,11 +50,11 @@ class WithBonus(gymnasium.Wrapper[Any, Any, Any, Any]):
 class Actor(NamedTuple):
     """Result of a training: means and variances of observations, weights of cells and of the output."""
 
-    center: FloatArray
-    variance: FloatArray
-    hidden: FloatArray
+    center: Vector
+    variance: Vector
+    hidden: Vector
     """(CELLS, observations + 1), the last column the biases."""
-    output: FloatArray
+    output: Vector
     """(actions, CELLS + 1)."""
 
     def vector(self) -> Vector:
@@ -70,11 +68,11 @@ class Actor(NamedTuple):
         parts = np.split(vector, np.cumsum([int(np.prod(shape)) for shape in shapes[:-1]]))
         return cls(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
 
-    def act(self, seen: FloatArray) -> FloatArray:
+    def act(self, seen: Vector) -> Vector:
         """Return the action for an observation."""
         normal = np.clip((seen - self.center) / np.sqrt(self.variance + _VARIANCE_EPSILON), -_CLIP, _CLIP)
         cells = np.tanh(self.hidden[:, :-1] @ normal + self.hidden[:, -1])
-        action: FloatArray = self.output[:, :-1] @ cells + self.output[:, -1]
+        action: Vector = self.output[:, :-1] @ cells + self.output[:, -1]
         return action
 
 
@@ -107,7 +105,7 @@ def train_actor(task: Benchmark, agent: str, seed: int) -> tuple[Found, dict[str
     return Found(actor.vector(), 0, int(model.num_timesteps)), settings
 
 
-def score_actor(task: Benchmark, vector: Vector, seeds: NDArray[np.uint64]) -> tuple[FloatArray, FloatArray]:
+def score_actor(task: Benchmark, vector: Vector, seeds: NDArray[np.uint64]) -> tuple[Vector, Vector]:
     """Return an actor's returns with bonus, and Gymnasium's, (n,) each, in episodes of seeds (n,)."""
     world = WithBonus(task)
     observed: Any = world.observation_space

@@ -3,19 +3,17 @@
 from collections import Counter
 from collections.abc import Sequence
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, Field
 
-from paper.agents import AGENTS, GRADIENTS, PAPERS
 from paper.claims import ClaimsFile, Judged, Verdict, clear_signs, drives, readings, time_constants
-from paper.runs import grid
+from paper.runs import BudgetName, Result, ResultStore, grid
 from paper.statistics import improvement, interquartile_mean, mean_text, summary
-from paper.store import BudgetName, Result, ResultStore
-from paper.tasks import TASKS
-from sim.learn.curve import png_of
-from sim.learn.search.base import Vector
+from paper.tasks import AGENTS, GRADIENTS, PAPERS, TASKS, Vector
+from rover_ncp.core.errors import FileError
 
 Row = Sequence[object]
 LAYOUTS = {
@@ -232,8 +230,8 @@ _COLORS = dict(zip(PAPERS, ("tab:blue", "tab:orange", "tab:green", "tab:red"), s
 _PANELS_A_ROW = 3
 
 
-def curves_png(store: ResultStore) -> bytes:
-    """Return the learning curves as PNG. Raises FileError."""
+def draw_curves(store: ResultStore, path: Path) -> None:
+    """Draw the learning curves of the published search, as in the paper's figure 4. Raises FileError."""
     from matplotlib.figure import Figure
 
     found = {
@@ -262,7 +260,10 @@ def curves_png(store: ResultStore) -> bytes:
         axes.set_visible(False)
     figure.supxlabel("iterations", fontsize=9)
     figure.supylabel("estimated return of the best so far", fontsize=9)
-    return png_of(figure)
+    try:
+        figure.savefig(path, format="png", metadata={"Software": None})
+    except OSError as error:
+        raise FileError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def average(runs: Sequence[Result]) -> tuple[Any, Any, Any]:

@@ -1,28 +1,49 @@
-"""Runs of the grid: training one, scoring its parameters, and making many on all cores."""
+"""The grid of runs, their results as stored, the training of a run, and its replay.
 
-import importlib
+A results folder has one JSON-lines file for each budget and task, ``BUDGET/TASK.jsonl``, with a line
+for each run.
+"""
+
+import json
 import math
+import multiprocessing
+import os
+import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import as_completed
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
+from enum import StrEnum
 from functools import cache
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+from pydantic import ConfigDict, ValidationError, model_validator
 
-from paper.agents import AGENTS, GRADIENTS, NETWORKS, PAPERS, build_agent
-from paper.evaluator import Evaluator
-from paper.loop import Budget, Checkpoint, ParkingEvaluator, run_search
-from paper.networks import Net
-from paper.store import BudgetName, Packed, Result, ResultStore, RunName, Score
-from paper.tasks import TASKS, Benchmark, Task, find_task
+from paper.episodes import Evaluator
+from paper.gradients import score_actor, train_actor
+from paper.search import Budget, ParkingEvaluator, run_search
+from paper.tasks import (
+    AGENTS,
+    GRADIENTS,
+    NETWORKS,
+    PAPERS,
+    TASKS,
+    Benchmark,
+    Net,
+    Task,
+    Vector,
+    build_agent,
+    draw_seeds,
+    find_task,
+)
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.errors import RoverNcpError, UsageError
+from rover_ncp.core.config import StrictModel
+from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
+from rover_ncp.core.files import read_text
 from sim.learn.record import made_with
-from sim.learn.search.base import Vector, draw_seeds
-from sim.learn.workers import ProcessPool, available_processes
 
 _FINAL = 99
 """Stream of the fresh episodes that a run is judged by."""
@@ -34,161 +55,167 @@ _source = cache(made_with)  # a process loads its code once
 TOLERANCE = 1e-9
 """Difference in a return that another machine may make. A half-cheetah's contacts amplify a last bit, so its
 replay is compared by its verdict."""
-
-
-def budget_for(task: Task, name: BudgetName, agent: str = "circuit") -> Budget:
-    """Return the budget of a search: the paper's, or one of seconds."""
-    if agent in NETWORKS:
-        budget = Budget(*_NETWORK_SETTINGS)
-    else:
-        iterations, rollouts, worst = task.settings
-        strategy = "algorithm1" if name is BudgetName.ALGORITHM1 else task.published_search
-        budget = Budget(rollouts, worst, strategy, iterations, task.warm_up)
-    return replace(budget, iterations=_QUICK_ITERATIONS) if name is BudgetName.QUICK else budget
-
-
-def train_run(name: RunName, state: Path | None = None) -> Result:
-    """Make one run. The same name gives the same parameters and returns, to the last bit.
-
-    ``state`` is the file in which a search saves its state, to continue from there. Raises UsageError
-    for a run that is not possible, and FileError.
-    """
-    task = find_task(name.task)
-    agent: Policy | Net | None = None
-    settings: dict[str, Any]
-    made = _made_with(task, name.agent)  # before the search: files may change while it lasts
-    if name.agent in GRADIENTS:
-        from paper.gradients import train_actor  # needs the extra gradients
-
-        assert isinstance(task, Benchmark)
-        checkpoint = Checkpoint(None, {})
-        found, settings = train_actor(task, name.agent, name.seed)
-    else:
-        agent = build_agent(task, name.agent, name.seed)
-        budget = budget_for(task, name.budget, name.agent)
-        settings = vars(budget)
-        checkpoint = Checkpoint(state, {**settings, **made})
-        found = run_search(task, agent, name.seed, budget, checkpoint)
-    wall_s, cpu_s = checkpoint.times()
-    return Result(
-        name=name,
-        settings=settings,
-        made_with=made,
-        wall_s=wall_s,
-        cpu_s=cpu_s,
-        evaluations=found.evaluations,
-        steps=found.steps,
-        curve=found.curve,
-        parameters=Packed.of(found.vector),
-        **score(task, agent, found.vector, name.seed, settings.get("warm_up", 0)).model_dump(),
-    )
-
-
-def _made_with(task: Task, agent: str) -> dict[str, str]:
-    libraries = ["stable-baselines3", "torch"] if agent in GRADIENTS else []
-    if isinstance(task, Benchmark):
-        libraries += ["gymnasium", "mujoco"] if task.model else ["gymnasium"]
-    return _source() | {library: metadata.version(library) for library in libraries}
-
-
-def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int, warm_up: int) -> Score:
-    """Return the score of parameters (P,) in fresh episodes.
-
-    Without an agent, the parameters are those of an actor (``search/gradients.py``). Parking is
-    deterministic: one episode is enough.
-    """
-    if not isinstance(task, Benchmark):
-        assert isinstance(agent, Policy)
-        total, parked = ParkingEvaluator(task, agent).outcome(vector)
-        success = parked and total >= task.success
-        return Score(episodes=1, mean=total, std=0.0, plain_mean=total, success=success)
-    seeds = draw_seeds(seed, (_FINAL,), _EPISODES)
-    if agent is None:
-        from paper.gradients import score_actor
-
-        returns, plain = score_actor(task, vector, seeds)
-    else:
-        evaluator = Evaluator(task, agent, warm_up=warm_up)
-        found = evaluator.run(np.tile(vector, (_EPISODES, 1)), seeds)
-        returns, plain = found[:, :2].sum(axis=1), found[:, 0]
-    plain_mean = float(plain.mean())
-    return Score(
-        episodes=_EPISODES,
-        mean=float(returns.mean()),
-        std=float(returns.std()),
-        plain_mean=plain_mean,
-        success=plain_mean >= task.success,
-    )
-
-
-def replay(result: Result) -> Score:
-    """Return the score of a stored run's parameters now."""
-    name = result.name
-    agent: Policy | Net | None = None
-    task = find_task(name.task)
-    if name.agent not in GRADIENTS:
-        agent = build_agent(task, name.agent, name.seed)
-    return score(task, agent, result.parameters.array(), name.seed, result.settings.get("warm_up", 0))
-
-
-def agrees(result: Result, replayed: Score) -> bool:
-    """Whether a replay has the stored verdict, and returns within ``TOLERANCE`` except a half-cheetah's."""
-    pairs = ((now, getattr(result, field)) for field, now in replayed)
-    close = all(math.isclose(now, stored, rel_tol=TOLERANCE, abs_tol=TOLERANCE) for now, stored in pairs)
-    return replayed.success == result.success and (close or result.name.task == "half-cheetah")
-
-
-def make_runs(
-    names: Sequence[RunName],
-    store: ResultStore,
-    *,
-    processes: int | None = None,
-    on_result: Callable[[Result], None],
-) -> None:
-    """Make runs, as many at once as there are processes; save each as it ends.
-
-    After an interruption, a search continues from its last checkpoint when it is requested again. Raises
-    UsageError before the first run begins; after the others, the error of a run; WorkerDied.
-    """
-    _require(names)
-    count = min(processes or available_processes(), len(names))
-    with ProcessPool(count, "; repeat the command to continue") as workers:
-        runs = [workers.submit(train_run, name, store.checkpoint(name)) for name in names]
-        errors: list[RoverNcpError] = []
-        for run in as_completed(runs):
-            try:
-                result = run.result()
-            except RoverNcpError as error:  # the others go on
-                errors.append(error)
-                continue
-            store.save(result)
-            store.checkpoint(result.name).unlink(missing_ok=True)
-            on_result(result)
-        if errors:
-            raise errors[0]
-
-
-def _require(names: Sequence[RunName]) -> None:
-    """Raise the errors of runs before they begin in processes of their own."""
-    for task_name, agent in dict.fromkeys((name.task, name.agent) for name in names):
-        task = find_task(task_name)
-        if agent in GRADIENTS:
-            try:
-                importlib.import_module("stable_baselines3")
-            except ImportError as error:
-                raise UsageError(
-                    f"{agent} needs stable-baselines3: make paper-gradients installs it"
-                ) from error
-        if isinstance(task, Benchmark) and task.model:
-            importlib.import_module("mujoco")
-
-
 _GRADIENT_TASKS = ("pendulum", "mountain-car")
 """The tasks of the paper's table of reinforcement learning."""
 _ALGORITHM1_TASKS = ("parking", "pendulum", "mountain-car", "cart-pole")
 _SEEDS = 10
 _PARKING_SEEDS = 48
 """As many as were measured with the published code itself."""
+
+
+class BudgetName(StrEnum):
+    """Budget of a run, and the search that spends it."""
+
+    PUBLISHED = "published"
+    """The paper's iterations and rollouts with the search of its published code."""
+    ALGORITHM1 = "algorithm1"
+    """The paper's iterations and rollouts with Algorithm 1 as it is printed."""
+    GRADIENTS = "gradients"
+    """Training by PPO or A2C, for which the paper gives no settings."""
+    QUICK = "quick"
+    """A few iterations of the published search."""
+
+
+class RunName(StrictModel):
+    """Coordinates of a run in the grid."""
+
+    task: str
+    agent: str
+    seed: int
+    budget: BudgetName = BudgetName.PUBLISHED
+
+    def __str__(self) -> str:
+        return f"{self.budget} {self.task} {self.agent} {self.seed}"
+
+
+class Packed(StrictModel):
+    """An array of float64 as its shape and its little-endian bytes in hexadecimal digits."""
+
+    shape: tuple[int, ...]
+    float64: str
+
+    @model_validator(mode="after")
+    def _can_be_unpacked(self) -> Self:
+        self.array()
+        return self
+
+    @classmethod
+    def of(cls, array: Vector) -> "Packed":
+        """Pack an array."""
+        return cls(shape=array.shape, float64=array.astype("<f8").tobytes().hex())
+
+    def array(self) -> Vector:
+        """Return the array."""
+        return np.frombuffer(bytes.fromhex(self.float64), "<f8").astype(np.float64).reshape(self.shape)
+
+
+class Score(StrictModel):
+    """Returns of trained parameters in fresh episodes."""
+
+    episodes: int
+    mean: float
+    std: float
+    plain_mean: float
+    success: bool
+
+
+class Result(Score):
+    """A finished run: its score and cost, and the trained parameters."""
+
+    model_config = ConfigDict(extra="ignore")
+    """Lines of other versions may say more."""
+
+    name: RunName
+    settings: dict[str, Any]
+    made_with: dict[str, str]
+    wall_s: float
+    cpu_s: float
+    evaluations: int
+    steps: int
+    """Of the environment, in all episodes."""
+    curve: tuple[tuple[int, int, float], ...]
+    """Changes of the incumbent's estimate: (iterations, environment steps, estimate); of PPO and A2C none."""
+    parameters: Packed
+    """The trained vector (P,)."""
+
+    @property
+    def score(self) -> Score:
+        """The score alone."""
+        return Score(**self.model_dump(include=set(Score.model_fields)))
+
+    def value_after(self, iterations: int) -> float:
+        """Return the incumbent's estimate after so many iterations of a search."""
+        return [value for count, _, value in self.curve if count <= iterations][-1]
+
+
+class ResultStore:
+    """The results in a folder, ``BUDGET/TASK.jsonl``. Of two runs of one name the last one counts."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._read: dict[Path, dict[tuple[str, int], Result]] = {}
+
+    def path(self, task: str, budget: str) -> Path:
+        """Return the file of a task and a budget."""
+        return self.folder / budget / f"{task}.jsonl"
+
+    def find(self, name: RunName) -> Result | None:
+        """Return a run. Raises FileError."""
+        return self._runs(self.path(name.task, name.budget)).get((name.agent, name.seed))
+
+    def results(self, task: str, agent: str, budget: str = BudgetName.PUBLISHED) -> list[Result]:
+        """Return the finished runs of an agent, by seed. Raises FileError."""
+        runs = self._runs(self.path(task, budget)).values()
+        return sorted((run for run in runs if run.name.agent == agent), key=lambda run: run.name.seed)
+
+    def returns(self, task: str, agent: str, budget: str = BudgetName.PUBLISHED) -> Vector:
+        """Return the mean returns (n,) of these runs. Raises FileError."""
+        return np.array([run.mean for run in self.results(task, agent, budget)])
+
+    def every(self) -> Iterator[Result]:
+        """Yield all runs, file by file. Raises FileError; OSError for a folder that cannot be read."""
+        for budget in BudgetName:
+            try:  # since Python 3.13, glob finds nothing where a folder cannot be read
+                paths = sorted((self.folder / budget).iterdir())
+            except FileNotFoundError:
+                continue
+            for path in paths:
+                if path.suffix == ".jsonl":
+                    yield from self._runs(path).values()
+
+    def save(self, result: Result) -> None:
+        """Append a result to its file, after a line that was cut off too. Raises FileError."""
+        path = self.path(result.name.task, result.name.budget)
+        line = json.dumps(result.model_dump(), allow_nan=False) + "\n"
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open("a+b") as file:
+                if file.seek(0, os.SEEK_END) and file.seek(-1, os.SEEK_END) and file.read(1) != b"\n":
+                    line = f"\n{line}"
+                file.write(line.encode())
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise FileError(f"{path}: cannot be written: {error.strerror}") from error
+        self._read.pop(path, None)
+
+    def _runs(self, path: Path) -> dict[tuple[str, int], Result]:
+        if path not in self._read:
+            self._read[path] = _load(path) if path.is_file() else {}
+        return self._read[path]
+
+
+def _load(path: Path) -> dict[tuple[str, int], Result]:
+    found = {}
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        try:
+            result = Result.model_validate(json.loads(line))
+        except (ValueError, ValidationError) as error:
+            raise FileError(f"{path}: line {number} is damaged or is no run; delete the line") from error
+        if (result.name.budget, result.name.task) != (path.parent.name, path.stem):
+            raise FileError(f"{path}: line {number} is the run {result.name}, which belongs to another file")
+        found[result.name.agent, result.name.seed] = result
+    return found
 
 
 class Group(NamedTuple):
@@ -246,6 +273,125 @@ def select(
     groups.sort(key=lambda group: AGENTS.index(group.agent))
     if not groups:
         raise UsageError(
-            f"the budget {budget} has no such runs; rover-ncp paper report --long lists those of each budget"
+            f"the budget {budget} has no such runs; python -m paper report --long lists those of each budget"
         )
     return [name for group in groups for name in group.names(seeds)]
+
+
+def budget_for(task: Task, name: BudgetName, agent: str = "circuit") -> Budget:
+    """Return the budget of a search: the paper's, or one of seconds."""
+    if agent in NETWORKS:
+        budget = Budget(*_NETWORK_SETTINGS)
+    else:
+        iterations, rollouts, worst = task.settings
+        strategy = "algorithm1" if name is BudgetName.ALGORITHM1 else task.published_search
+        budget = Budget(rollouts, worst, strategy, iterations, task.warm_up)
+    return replace(budget, iterations=_QUICK_ITERATIONS) if name is BudgetName.QUICK else budget
+
+
+def train_run(name: RunName) -> Result:
+    """Make one run. The same name gives the same parameters and returns, to the last bit.
+
+    Raises UsageError.
+    """
+    task, began, cpu = find_task(name.task), time.monotonic(), time.process_time()
+    made = _made_with(task, name.agent)  # before the search: files may change while it lasts
+    agent: Policy | Net | None = None
+    settings: dict[str, Any]
+    if name.agent in GRADIENTS:
+        assert isinstance(task, Benchmark)
+        found, settings = train_actor(task, name.agent, name.seed)
+    else:
+        agent = build_agent(task, name.agent, name.seed)
+        budget = budget_for(task, name.budget, name.agent)
+        settings, found = vars(budget), run_search(task, agent, name.seed, budget)
+    return Result(
+        name=name,
+        settings=settings,
+        made_with=made,
+        wall_s=time.monotonic() - began,
+        cpu_s=time.process_time() - cpu,
+        evaluations=found.evaluations,
+        steps=found.steps,
+        curve=found.curve,
+        parameters=Packed.of(found.vector),
+        **score(task, agent, found.vector, name.seed, settings.get("warm_up", 0)).model_dump(),
+    )
+
+
+def _made_with(task: Task, agent: str) -> dict[str, str]:
+    libraries = ["stable-baselines3", "torch"] if agent in GRADIENTS else []
+    if isinstance(task, Benchmark):
+        libraries += ["gymnasium", "mujoco"] if task.model else ["gymnasium"]
+    return _source() | {library: metadata.version(library) for library in libraries}
+
+
+def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int, warm_up: int) -> Score:
+    """Return the score of parameters (P,) in fresh episodes.
+
+    Without an agent, the parameters are those of an actor (``gradients.py``). Parking is
+    deterministic: one episode is enough.
+    """
+    if not isinstance(task, Benchmark):
+        assert isinstance(agent, Policy)
+        total, parked = ParkingEvaluator(task, agent).outcome(vector)
+        success = parked and total >= task.success
+        return Score(episodes=1, mean=total, std=0.0, plain_mean=total, success=success)
+    seeds = draw_seeds(seed, (_FINAL,), _EPISODES)
+    if agent is None:
+        returns, plain = score_actor(task, vector, seeds)
+    else:
+        evaluator = Evaluator(task, agent, warm_up=warm_up)
+        found = evaluator.run(np.tile(vector, (_EPISODES, 1)), seeds)
+        returns, plain = found[:, :2].sum(axis=1), found[:, 0]
+    plain_mean = float(plain.mean())
+    return Score(
+        episodes=_EPISODES,
+        mean=float(returns.mean()),
+        std=float(returns.std()),
+        plain_mean=plain_mean,
+        success=plain_mean >= task.success,
+    )
+
+
+def replay(result: Result) -> Score:
+    """Return the score of a stored run's parameters now."""
+    name = result.name
+    agent: Policy | Net | None = None
+    task = find_task(name.task)
+    if name.agent not in GRADIENTS:
+        agent = build_agent(task, name.agent, name.seed)
+    return score(task, agent, result.parameters.array(), name.seed, result.settings.get("warm_up", 0))
+
+
+def agrees(result: Result, replayed: Score) -> bool:
+    """Whether a replay has the stored verdict, and returns within ``TOLERANCE`` except a half-cheetah's."""
+    pairs = ((now, getattr(result, field)) for field, now in replayed)
+    close = all(math.isclose(now, stored, rel_tol=TOLERANCE, abs_tol=TOLERANCE) for now, stored in pairs)
+    return replayed.success == result.success and (close or result.name.task == "half-cheetah")
+
+
+def make_runs(
+    names: Sequence[RunName], store: ResultStore, processes: int | None, on_result: Callable[[Result], None]
+) -> None:
+    """Make runs, as many at once as there are processes; save each as it ends.
+
+    An interruption loses the unfinished ones. Raises UsageError before the first run begins; after the
+    others, the error of a run.
+    """
+    if {name.agent for name in names} & set(GRADIENTS) and not find_spec("stable_baselines3"):
+        raise UsageError("ppo and a2c need stable-baselines3: make paper-gradients installs it")
+    count = min(processes or len(os.sched_getaffinity(0)), len(names))
+    errors: list[RoverNcpError] = []
+    # Spawned, never forked: numba does not survive a fork.
+    with ProcessPoolExecutor(count, multiprocessing.get_context("spawn")) as workers:
+        for run in as_completed([workers.submit(train_run, name) for name in names]):
+            try:
+                result = run.result()
+            except RoverNcpError as error:  # the others go on
+                errors.append(error)
+                continue
+            store.save(result)
+            on_result(result)
+    if errors:
+        raise errors[0]

@@ -1,25 +1,53 @@
-"""The paper's tasks (``tasks.yaml``): environment, mappings, settings, and success."""
+"""The paper's tasks (``tasks.yaml``) and the agents that are compared on them.
+
+circuit    the tap-withdrawal circuit, untuned
+random     a random wiring of its size, another one for each seed
+mlp, lstm  networks of the published code: 12 cells (the paper: eleven), raw inputs, outputs clipped at ±1
+ppo, a2c   a network trained by gradients (``gradients.py``)
+"""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from rover_ncp.circuit.circuit import Circuit
+from rover_ncp.circuit.circuit import BOUNDS, DEFAULTS, Circuit, ParameterKind, SynapseKind
 from rover_ncp.circuit.motors import Motors
-from rover_ncp.circuit.policy import Policy, parking_policy
+from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout, Policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.sensing import Sensing
 from rover_ncp.core.config import StrictModel, load_yaml
 from rover_ncp.core.errors import UsageError
 
-FloatArray = NDArray[np.float64]
+Vector = NDArray[np.float64]
 Plant = Literal["mountain-car", "cart-pole", "written-pendulum", "pendulum", "half-cheetah"]
+PLANTS: tuple[Plant, ...] = get_args(Plant)
+"""In the order of ``native.c``."""
+GRADIENTS = ("ppo", "a2c")
+"""Agents of which only an actor is kept; only torch can train them."""
+NETWORKS = ("mlp", "lstm")
+PAPERS = ("circuit", "random", *NETWORKS)
+AGENTS = (*PAPERS, *GRADIENTS)
+SENSORY = ("PVD", "PLM", "AVM", "ALM")
+"""Touch sensors: no synapse leads to them, here as in the tap-withdrawal circuit."""
 
-_STARTS: Mapping[str, Callable[[np.random.Generator], FloatArray]] = {
+
+def rng_of(seed: int, key: Sequence[int]) -> np.random.Generator:
+    """Return the random numbers of a stream of a seed."""
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=tuple(key))))
+
+
+def draw_seeds(root: int, key: Sequence[int], count: int) -> NDArray[np.uint64]:
+    """Return the seeds (count,) of a stream."""
+    sequence = np.random.SeedSequence(root, spawn_key=tuple(key))
+    return sequence.generate_state(count, np.uint64).astype(np.uint64, copy=False)
+
+
+_STARTS: Mapping[str, Callable[[np.random.Generator], Vector]] = {
     "pendulum": lambda rng: rng.uniform(-0.01, 0.01, 4),
     "mountain-car": lambda rng: np.array([rng.uniform(-0.6, -0.4), 0.0]),
     "half-cheetah": lambda rng: np.concatenate([rng.uniform(-0.1, 0.1, 9), 0.1 * rng.standard_normal(9)]),
@@ -59,7 +87,7 @@ class Task(StrictModel):
     wiring: str = "tap_withdrawal"
     """Name of the tap-withdrawal circuit with the task's motor neurons."""
     published_search: str = "published-parking"
-    """A name of ``SEARCHES`` (``search/published.py``)."""
+    """A name of ``STRATEGIES`` (``search.py``)."""
     warm_up: int = 0
     """Ticks of a circuit before the first step of an episode, in the task's published code."""
 
@@ -97,7 +125,7 @@ class Benchmark(Task):
         into, out_of = np.zeros((2, len(sensing.inputs))), np.zeros((len(motors.outputs), 2))
         return Policy(circuit, sensing, motors, input_layer=into, output_layer=out_of)
 
-    def start(self, rng: np.random.Generator) -> FloatArray:
+    def start(self, rng: np.random.Generator) -> Vector:
         """Draw the first state as the environment's reset does."""
         return _STARTS[self.name](rng)
 
@@ -116,3 +144,91 @@ def find_task(name: str) -> Task:
     if name not in TASKS:
         raise UsageError(f"no task {name!r}; there are {', '.join(TASKS)}")
     return TASKS[name]
+
+
+@dataclass(frozen=True)
+class Net:
+    """A network of the published code in place of a circuit.
+
+    Its parameters (P,): for each sum the weights of all inputs, in an LSTM those of all cells, and a bias;
+    then for each output the weights of all cells and a bias.
+    """
+
+    kind: str
+    inputs: int
+    outputs: int
+    cells: int = 12
+
+    @property
+    def gates(self) -> int:
+        """Sums that a cell makes of its inputs."""
+        return 1 if self.kind == "mlp" else 4
+
+    def layout(self) -> ParameterLayout:
+        """Return where the cells' weights and the outputs' stand in the parameter vector."""
+        recurrent = 0 if self.kind == "mlp" else self.cells
+        first = self.gates * self.cells * (self.inputs + recurrent + 1)
+        last = first + self.outputs * (self.cells + 1)
+        kinds = ((ParameterKind.INPUT_LAYER, 0, first), (ParameterKind.OUTPUT_LAYER, first, last))
+        return ParameterLayout(
+            tuple(ParameterBlock(kind, slice(a, b), *BOUNDS[kind][:2]) for kind, a, b in kinds)
+        )
+
+
+def build_agent(task: Task, agent: str, seed: int) -> Policy | Net:
+    """Return an untuned agent. Raises UsageError."""
+    own = task.circuit()
+    policy = task.policy(own)
+    if agent == "circuit":
+        return policy
+    if agent == "random":
+        return task.policy(random_circuit(seed, own.neurons, own.synapse_count))
+    if agent in NETWORKS:
+        return Net(agent, len(policy.sensing.inputs), len(policy.motors.outputs))
+    raise UsageError(f"no agent {agent!r} to search for; there are {', '.join(PAPERS)}")
+
+
+def random_circuit(seed: int, neurons: Sequence[str], synapses: int) -> Circuit:
+    """Return the random circuit of a seed, with exactly so many different synapses.
+
+    As in the supplement: synapses of random kind, from any neuron to any but a sensory one, with weights
+    uniform in 0..2 S and all else at its default. The published generator drops a synapse that it has drawn
+    before, and so ends with 23 to 28; this one draws another. Raises UsageError for more than there are.
+    """
+    targets = [number for number, name in enumerate(neurons) if name not in SENSORY]
+    possible = len(SynapseKind) * len(neurons) * len(targets)
+    if not 0 <= synapses <= possible:
+        raise UsageError(f"a random circuit of these neurons has 0..{possible} synapses, not {synapses}")
+    generator = rng_of(seed, ())
+    rows: dict[tuple[SynapseKind, int, int], float] = {}
+    while len(rows) < synapses:
+        kind = SynapseKind(int(generator.integers(len(SynapseKind))))
+        source = int(generator.integers(len(neurons)))
+        target = targets[int(generator.integers(len(targets)))]
+        weight = float(generator.uniform(0.0, 2.0))
+        rows.setdefault((kind, source, target), weight)
+    table = [(*ends, weight) for ends, weight in rows.items()]
+    return build_circuit(f"random-{seed}", neurons, table)
+
+
+def build_circuit(
+    name: str,
+    neurons: Sequence[str],
+    synapses: Sequence[tuple[SynapseKind, int, int, float]],
+    sigma: ArrayLike = DEFAULTS[ParameterKind.SIGMA],
+) -> Circuit:
+    """Build a circuit from rows (kind, source, destination, weight in S), everything else at its default."""
+    n, m = len(neurons), len(synapses)
+    columns = [np.array([row[i] for row in synapses], np.int64).reshape(m) for i in range(3)]
+    return Circuit(
+        name=name,
+        neurons=tuple(neurons),
+        kind=columns[0],
+        source=columns[1],
+        destination=columns[2],
+        weight=np.array([row[3] for row in synapses], np.float64).reshape(m),
+        sigma=np.broadcast_to(np.asarray(sigma, np.float64), (m,)),
+        leak_potential=np.full(n, DEFAULTS[ParameterKind.LEAK_POTENTIAL]),
+        leak=np.full(n, DEFAULTS[ParameterKind.LEAK]),
+        capacitance=np.full(n, DEFAULTS[ParameterKind.CAPACITANCE]),
+    )

@@ -7,9 +7,8 @@ from dataclasses import replace
 import pytest
 from kit.paths import ROOT
 
-from paper.loop import Budget
-from paper.runs import budget_for, make_runs, replay, select, train_run
-from paper.store import BudgetName, ResultStore, RunName
+from paper.runs import BudgetName, ResultStore, RunName, budget_for, make_runs, replay, select, train_run
+from paper.search import Budget
 from paper.tasks import TASKS
 from rover_ncp.core.errors import UsageError
 
@@ -106,6 +105,6 @@ def test_the_published_budget_is_the_papers(task, agent, iterations, rollouts, w
 def test_runs_in_processes_are_those_of_one_process(tmp_path):
     names = [RunName(task="cart-pole", agent="mlp", seed=seed, budget=QUICK) for seed in (0, 1)]
     store = ResultStore(tmp_path)
-    make_runs(names, store, processes=2, on_result=lambda _: None)
+    make_runs(names, store, 2, lambda _: None)
     found = store.results("cart-pole", "mlp", QUICK)
     assert [comparable(result) for result in found] == [comparable(train_run(name)) for name in names]

@@ -1,7 +1,7 @@
 """The paper's searches, literally: slow, and written to be read beside the paper.
 
 ``evaluate`` returns f(theta) of fresh rollouts. Every function yields the incumbent and its value after each
-iteration. The tests compare them with the fast searches (``paper/searches.py``).
+iteration. The tests compare them with the fast searches (``paper/search.py``).
 """
 
 from typing import NamedTuple

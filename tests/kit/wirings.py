@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from paper.agents import build_circuit
+from paper.tasks import build_circuit
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from kit import solver_reference as reference
 from kit.wirings import in_bounds, unit_vectors, wirings
 
-from paper.agents import build_circuit
+from paper.tasks import build_circuit
 from rover_ncp.circuit.circuit import SynapseKind, time_constants
 from rover_ncp.circuit.compiled import allocate_lanes, fill_lane, make_program, resting_potentials
 from rover_ncp.circuit.motors import Motors, parking_motors

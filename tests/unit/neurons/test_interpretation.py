@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from paper.agents import build_circuit
+from paper.tasks import build_circuit
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.neurons.interpretation import (

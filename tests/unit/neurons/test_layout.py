@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from paper.agents import build_circuit
+from paper.tasks import build_circuit
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy

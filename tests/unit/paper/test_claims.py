@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,12 +11,10 @@ from kit.paper_runs import result
 from kit.paths import ROOT
 
 from paper import claims
-from paper.agents import build_agent
 from paper.claims import Claim, Verdict, counts, judge_claims, load_claims, readings
-from paper.report import LAYOUTS, average, curves_png, long_report, short_report, summary_of
-from paper.runs import grid
-from paper.store import BudgetName, Packed, ResultStore
-from paper.tasks import TASKS
+from paper.report import LAYOUTS, average, long_report, short_report, summary_of
+from paper.runs import BudgetName, Packed, ResultStore, grid
+from paper.tasks import TASKS, build_agent
 from rover_ncp.neurons.interpretation import Sign, sign_of
 
 
@@ -234,4 +231,3 @@ def test_curve_is_the_mean_of_all_runs():
     marks, middle, spread = average(runs)
     assert (middle[0], middle[-1], spread[-1]) == (97.0, 98.0, pytest.approx(2**0.5))
     assert marks[-1] == pytest.approx(50)
-    assert curves_png(ResultStore(Path("nowhere"))).startswith(b"\x89PNG")

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from paper.evaluator import Evaluator
+from paper.episodes import Evaluator
 from paper.gradients import CELLS, Actor, WithBonus
-from paper.tasks import TASKS
-from sim.learn.search.base import draw_seeds
+from paper.tasks import TASKS, draw_seeds
 
 
 def random_actor(observations, actions=1, seed=0):

@@ -1,42 +1,41 @@
-"""Plants in lanes against Gymnasium's environments, step by step."""
+"""Plants against Gymnasium's environments, step by step."""
 
 import gymnasium
 import numpy as np
 import pytest
 
-from paper.agents import build_agent
-from paper.evaluator import Evaluator, make_plants
-from paper.plants import observe, reset_plant, step_plant
-from paper.tasks import TASKS
-from sim.learn.search.base import draw_seeds
-
-LANE = 1
+from paper import episodes
+from paper.episodes import Evaluator, Lanes
+from paper.tasks import TASKS, build_agent, draw_seeds
+from rover_ncp.core.errors import UsageError
 
 
 class Plant:
-    """One plant among others, stepped from Python as the kernel does."""
+    """One plant in a lane, stepped from Python."""
 
     def __init__(self, name, *, for_search=False):
-        self.task = TASKS[name]
-        self.plants, self.pool = make_plants(self.task, for_search=for_search)
-        inputs = self.task.policy(self.task.circuit()).sensing.inputs
-        self._seen = np.full((len(inputs), self.plants.state.shape[1]), np.nan)
-
-    @property
-    def state(self):
-        return self.plants.state[:, LANE]
+        task = TASKS[name].model_copy(update={"horizon": 10**9})
+        policy = task.policy(task.circuit())
+        size = len(policy.sensing.inputs), len(policy.motors.outputs)
+        self.lanes = Lanes(task, *size, for_search=for_search, warm_up=0)
+        self.state = self.lanes.state[0]
+        self.pool = self.lanes.pool
 
     def reset(self, start):
-        reset_plant(self.plants, LANE, np.array(start, float))
+        self.lanes.episodes.episode[0] = -1
+        self.lanes.episodes.running = 0
+        self.results = self.lanes.queue(np.array([start], float))
+        self.lanes.step()
 
     def observe(self):
-        observe(self.plants, LANE, self._seen)
-        return self._seen[:, LANE].tolist()
+        return self.lanes.observations[:, 0].tolist()
 
     def step(self, *commands):
-        column = np.zeros((len(commands), self.plants.state.shape[1]))
-        column[:, LANE] = commands
-        return step_plant(self.plants, LANE, column)
+        """Return reward, bonus, and whether the episode has ended."""
+        self.lanes.commands[:, 0] = commands
+        self.results[:] = 0.0
+        self.lanes.step()
+        return (*self.results[0, :2].tolist(), self.lanes.episodes.episode[0] < 0)
 
 
 def start_of(name, seed):
@@ -62,9 +61,13 @@ def test_mountain_car_moves_as_gymnasiums_to_the_last_bit(seed):
             plant.state[:] = env.state
         seen, reward, over, _, _ = env.step(np.array([action]))
         got_reward, bonus, got_over = plant.step(action)
-        assert (plant.observe(), got_over) == (seen.tolist(), over)
+        assert (plant.state.tolist(), got_over) == (seen.tolist(), over)
+        assert over or plant.observe() == seen.tolist()
         # The C library's square, of the action, may differ from a product in the last bit.
         assert (got_reward, bonus) == (pytest.approx(reward, rel=1e-15), 0.0)
+        if over:
+            env.reset(seed=seed)
+            plant.reset(start_of("mountain-car", seed))
 
 
 def test_cart_pole_is_gymnasiums_with_the_force_scaled():
@@ -82,7 +85,9 @@ def test_cart_pole_is_gymnasiums_with_the_force_scaled():
         assert plant.step(action) == (reward, 0.0, over)
         # numpy's own cosine and the C library's may differ in the last bit.
         np.testing.assert_allclose(plant.state, env.state, rtol=1e-14, atol=1e-16)
-        assert plant.observe() == [float(np.float32(v)) for v in seen[2:]]
+        assert over or plant.observe() == [float(np.float32(v)) for v in seen[2:]]
+        if over:
+            plant.reset(env.state)
 
 
 def test_pendulum_is_gymnasiums_to_the_last_bit():
@@ -120,7 +125,7 @@ def test_written_pendulum_is_mujocos_up_to_rounding_and_ends_at_the_slider():
         else:
             assert got == (expected[0], pytest.approx(expected[1], abs=1e-10), expected[2])
             np.testing.assert_allclose(written.state, mujoco.state, rtol=0, atol=1e-10)
-            assert written.observe() == written.state[[1, 0]].tolist()
+            assert got[2] or written.observe() == written.state[[1, 0]].tolist()
             compared += 1
         started = not got[2]
     assert compared > 2000
@@ -165,3 +170,11 @@ def test_an_episode_depends_neither_on_its_lane_nor_on_the_others(name):
     alone = Evaluator(task, agent).run(vectors[7:9], seeds[7:9])
     assert alone.tolist() == together[7:9].tolist()
     assert len(set(together[:, 2 if name != "half-cheetah" else 0].tolist())) > 1
+
+
+@pytest.mark.parametrize(("command", "words"), [("no-such-cc", "install gcc"), ("false", "cannot compile")])
+def test_without_a_compiler_an_error_says_what_to_install(command, words, tmp_path, monkeypatch):
+    monkeypatch.setattr(episodes, "BUILD", tmp_path / "build")
+    monkeypatch.setattr(episodes, "COMPILE", (command,))
+    with pytest.raises(UsageError, match=words):
+        episodes.library.__wrapped__()

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from paper.agents import SENSORY, random_circuit
+from paper.tasks import SENSORY, random_circuit
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.core.errors import UsageError

@@ -1,0 +1,227 @@
+"""Whole episodes of a benchmark, by circuits and networks, in a library that is compiled from ``native.c``.
+
+The result of an episode depends neither on its lane nor on the others. Circuits tick in their own kernel.
+"""
+
+import ctypes
+import hashlib
+import subprocess
+import tempfile
+from ctypes import c_bool, c_double, c_int64, c_void_p
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from paper.tasks import PLANTS, Benchmark, Net, Vector, rng_of
+from rover_ncp.circuit.circuit import RESTING_MV
+from rover_ncp.circuit.compiled import allocate_lanes, fill_lane, make_program, resting_potentials
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.solver import tick_lanes
+from rover_ncp.core.errors import UsageError
+from rover_ncp.kernels.jit import kernel
+from sim.world.chipmunk import call_with_thing
+
+LANES = 8
+SOURCE = Path(__file__).with_name("native.c")
+BUILD = Path(__file__).with_name("build")
+COMPILE = ("cc", "-std=c11", "-O3", "-ffp-contract=off", "-shared", "-fPIC")
+_LOST = -1e6
+"""Return of an episode whose simulation became unstable."""
+
+
+class _Mujoco(ctypes.Structure):
+    _fields_ = (
+        *((name, c_void_p) for name in ("step", "reset", "forward", "model")),
+        *((name, c_void_p * LANES) for name in ("data", "qpos", "qvel", "ctrl")),
+    )
+
+
+class Episodes(ctypes.Structure):
+    """Lanes and queue of ``native.c``, where the fields are described."""
+
+    _fields_ = (
+        *((name, c_int64) for name in ("kind", "states", "inputs", "outputs", "frames")),
+        *((name, c_double) for name in ("step_s", "bonus")),
+        *((name, c_int64) for name in ("horizon", "warm_up", "count", "waiting", "running")),
+        *((name, c_void_p) for name in ("starts", "results", "observations", "commands", "state")),
+        *((name, c_int64 * LANES) for name in ("episode", "tick")),
+        ("fresh", c_bool * LANES),
+        ("mujoco", _Mujoco),
+    )
+
+
+class _Networks(ctypes.Structure):
+    _fields_ = (
+        *((name, c_int64) for name in ("gates", "cells", "size")),
+        *((name, c_void_p) for name in ("vectors", "weight", "hidden", "memory", "sums")),
+    )
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """Return the library of ``native.c``, compiled once for each content. Raises UsageError."""
+    digest = hashlib.sha256(SOURCE.read_bytes() + repr(COMPILE).encode()).hexdigest()[:16]
+    path = BUILD / f"native-{digest}.so"
+    if not path.is_file():
+        BUILD.mkdir(exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=BUILD) as folder:  # several processes may compile at once
+            made = Path(folder) / path.name
+            try:
+                subprocess.run(
+                    [*COMPILE, "-o", made, SOURCE, "-lm"], check=True, capture_output=True, text=True
+                )
+            except FileNotFoundError as error:
+                raise UsageError(
+                    f"{SOURCE}: needs a C compiler, and cc is not installed: install gcc"
+                ) from error
+            except subprocess.CalledProcessError as error:
+                raise UsageError(f"{SOURCE}: cc cannot compile it: {error.stderr}") from error
+            made.replace(path)
+    return ctypes.CDLL(str(path))
+
+
+@kernel
+def run_circuits(
+    circuits: Any,
+    io: tuple[Vector, Vector],
+    vectors: Vector,
+    native: tuple[int, int, int],
+    started: NDArray[np.int64],
+) -> None:
+    """Run all episodes with circuits; ``native`` has the addresses of step_episodes and of its arguments."""
+    program, lanes, potentials = circuits
+    step, episodes, began = native
+    while True:
+        call_with_thing(step, episodes, began)
+        if started[0] < 0:
+            return
+        for i in range(started[0]):
+            lane = started[1 + 2 * i]
+            fill_lane(program, lanes, lane, vectors[started[2 + 2 * i]])
+            for neuron in range(len(potentials)):
+                potentials[neuron, lane] = RESTING_MV
+        tick_lanes(program, lanes, potentials, io[0], io[1])
+
+
+class MujocoPool:
+    """One of Gymnasium's MuJoCo models, and data for each lane, stepped in C.
+
+    From Python a step of the inverted pendulum costs more in calls than in physics.
+    """
+
+    def __init__(self, file: str, step_s: float) -> None:
+        import gymnasium
+        import mujoco
+
+        # Without a handler, MuJoCo writes warnings to a file, such as that of an outdated attribute in
+        # Gymnasium's half-cheetah. Others report an unstable simulation, which shows in its return too.
+        mujoco.set_mju_user_warning(lambda _: None)
+        assets = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
+        self.model = mujoco.MjModel.from_xml_path(str(assets / file))
+        self.model.opt.timestep = step_s
+        # Or an unstable simulation would begin again at rest, and its return would look like any other.
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        self.data = [mujoco.MjData(self.model) for _ in range(LANES)]
+        [loaded] = Path(mujoco.__file__).parent.glob("libmujoco.*")
+        functions = (
+            getattr(ctypes.CDLL(str(loaded)), f"mj_{name}") for name in ("step", "resetData", "forward")
+        )
+        arrays = (
+            [data._address for data in self.data],
+            *([getattr(data, name).ctypes.data for data in self.data] for name in ("qpos", "qvel", "ctrl")),
+        )
+        self.addresses = _Mujoco(
+            *(ctypes.cast(function, c_void_p) for function in functions),
+            self.model._address,
+            *((c_void_p * LANES)(*array) for array in arrays),
+        )
+
+
+class Lanes:
+    """The plants of a task, and the arrays that ``Episodes`` points to."""
+
+    def __init__(self, task: Benchmark, inputs: int, outputs: int, *, for_search: bool, warm_up: int) -> None:
+        """``for_search`` takes the task's faster plant where it has one."""
+        plant = task.search_plant if for_search and task.search_plant is not None else task.plant
+        states = len(task.start(rng_of(0, ())))
+        self.state = np.zeros((LANES, states))
+        self.observations, self.commands = np.zeros((inputs, LANES)), np.zeros((outputs, LANES))
+        self.started = np.zeros(1 + 2 * LANES, np.int64)
+        self.episodes = Episodes(
+            kind=PLANTS.index(plant),
+            states=states,
+            inputs=inputs,
+            outputs=outputs,
+            frames=task.model.frames if task.model else 1,
+            step_s=task.model.step_s if task.model else 0.0,
+            bonus=task.bonus,
+            horizon=task.horizon,
+            warm_up=warm_up,
+            observations=self.observations.ctypes.data,
+            commands=self.commands.ctypes.data,
+            state=self.state.ctypes.data,
+            episode=(c_int64 * LANES)(*[-1] * LANES),
+        )
+        self.pool = (
+            MujocoPool(task.model.file, task.model.step_s) if task.model and plant == task.plant else None
+        )
+        if self.pool is not None:
+            self.episodes.mujoco = self.pool.addresses
+
+    def queue(self, starts: Vector) -> Vector:
+        """Let episodes wait that begin in states (E, S); return the array (E, 3) of their results."""
+        self.starts, self.results = np.ascontiguousarray(starts), np.zeros((len(starts), 3))
+        self.episodes.starts, self.episodes.results = self.starts.ctypes.data, self.results.ctypes.data
+        self.episodes.count, self.episodes.waiting = len(starts), 0
+        return self.results
+
+    def step(self) -> None:
+        """Take the commands of all lanes, and observe."""
+        library().step_episodes(ctypes.byref(self.episodes), c_void_p(self.started.ctypes.data))
+
+
+class Evaluator:
+    """Scores parameter vectors of one agent by episodes of a benchmark. One thread at a time."""
+
+    def __init__(
+        self, task: Benchmark, agent: Policy | Net, *, for_search: bool = False, warm_up: int | None = None
+    ) -> None:
+        """``warm_up`` is the task's for a circuit and 0 for a network unless it is given."""
+        self.task, self.agent, self.steps = task, agent, 0
+        if isinstance(agent, Policy):
+            inputs, outputs, own = len(agent.sensing.inputs), len(agent.motors.outputs), task.warm_up
+            program = make_program(agent)
+            self._circuits = program, allocate_lanes(program, agent, LANES), resting_potentials(agent, LANES)
+        else:
+            inputs, outputs, own = agent.inputs, agent.outputs, 0
+            sizes = (agent.layout().size, agent.cells, agent.cells, agent.gates * agent.cells)
+            self._work = [np.zeros((size, LANES)) for size in sizes]
+        warm_up = own if warm_up is None else warm_up
+        self.lanes = Lanes(task, inputs, outputs, for_search=for_search, warm_up=warm_up)
+
+    def starts(self, seeds: NDArray[np.uint64]) -> Vector:
+        """Return the first states (n, S) that the environment's ``reset(seed)`` gives for seeds (n,)."""
+        return np.array([self.task.start(rng_of(int(seed), ())) for seed in seeds])
+
+    def run(self, vectors: ArrayLike, seeds: NDArray[np.uint64]) -> Vector:
+        """Run one episode for each vector (n, P) and seed (n,).
+
+        Returns (n, 3): Gymnasium's return, the sum of bonuses, and steps, which ``self.steps`` counts. An
+        unstable simulation returns -1e6.
+        """
+        rows, lanes = np.ascontiguousarray(vectors, np.float64), self.lanes
+        results = lanes.queue(self.starts(seeds))
+        if isinstance(self.agent, Policy):
+            step = ctypes.cast(library().step_episodes, c_void_p).value
+            native = (step, ctypes.addressof(lanes.episodes), lanes.started.ctypes.data)
+            run_circuits(self._circuits, (lanes.observations, lanes.commands), rows, native, lanes.started)
+        else:
+            work = [array.ctypes.data for array in (rows, *self._work)]
+            networks = _Networks(self.agent.gates, self.agent.cells, rows.shape[1], *work)
+            library().run_networks(ctypes.byref(lanes.episodes), ctypes.byref(networks))
+        self.steps += int(results[:, 2].sum())
+        results[~np.isfinite(results[:, :2].sum(axis=1)), :2] = (_LOST, 0.0)
+        return results

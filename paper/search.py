@@ -1,0 +1,371 @@
+"""The paper's searches, the loop that they share, and the estimate of their candidates.
+
+The published code has a search for each task. On parking, which has no chance, it never estimates the
+incumbent anew; MLP and LSTM have one of their own. That of cart-pole is in an older commit of the published
+code (529dae8), where an estimate counts as an iteration. ``tests/kit/paper_reference.py`` has all of them
+literally; this loop makes the same decisions in less time.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from paper.episodes import Evaluator
+from paper.tasks import Benchmark, Net, Task, Vector, draw_seeds, rng_of
+from rover_ncp.circuit.circuit import ParameterKind
+from rover_ncp.circuit.policy import ParameterLayout, Policy
+from rover_ncp.course.course import load_course
+from sim.learn.engine import evaluator as engine
+from sim.learn.search.algorithm1 import ALPHA, ESTIMATE_AFTER, START_SCALE
+from sim.learn.search.published import FAILURES_TO_WIDEN, RULES, KindRule
+from sim.learn.search.random_search import perturb
+
+_SEARCH, _ROLLOUTS = 0, 1
+"""Streams of random numbers."""
+_STOPS = (1, 3, 9)
+"""Rollouts after which a candidate may be stopped."""
+_MIN_AHEAD, _MAX_AHEAD = 3, 48
+_LAYERS = (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER)
+_CAR_RULES: Mapping[ParameterKind, KindRule] = {
+    **RULES,
+    ParameterKind.WEIGHT: KindRule(6, 16, 0.01, 0.8),
+    ParameterKind.SIGMA: KindRule(5, 12, 0.01, 0.08),
+    ParameterKind.LEAK_POTENTIAL: KindRule(4, 8, 0.1, 3.0, first=5),
+    ParameterKind.LEAK: KindRule(4, 8, 0.05, 0.8),
+    ParameterKind.CAPACITANCE: KindRule(4, 7, 0.01, 0.3),
+}
+_CART_RULES: Mapping[ParameterKind, KindRule] = {
+    **RULES,
+    ParameterKind.WEIGHT: KindRule(5, 12, 0.03, 0.3, first=4),
+    ParameterKind.LEAK_POTENTIAL: KindRule(3, 8, 0.1, 2.0, first=2),
+    ParameterKind.LEAK: KindRule(2, 6, 0.02, 0.2),
+}
+_FALLS_BACK = {16: 12}
+"""Cap of a car's weights from which it falls back instead of growing, and to which."""
+_MIN_AMPLITUDE, _MAX_AMPLITUDE = 0.01, 1.0
+"""Of a network's noise."""
+
+
+class Scale(NamedTuple):
+    """How far candidates are from the incumbent: caps of changes, a sigma, or an amplitude."""
+
+    level: Any
+    failures: int = 0
+    """In a row."""
+    due: bool = False
+    """Whether the incumbent is estimated anew before the next candidate."""
+
+
+class Strategy(ABC):
+    """How a search draws its candidates, and how success and failure change their distance."""
+
+    counts_estimates = False
+    """Whether a new estimate of the incumbent is an iteration."""
+    start: Scale
+
+    def __init__(self, layout: ParameterLayout) -> None:
+        self.layout = layout
+
+    @abstractmethod
+    def first(self, defaults: Vector, rng: np.random.Generator) -> Vector:
+        """Return the first incumbent (P,)."""
+
+    @abstractmethod
+    def propose(self, incumbent: Vector, level: Any, rng: np.random.Generator) -> Vector:
+        """Draw a candidate (P,): a new array."""
+
+    @abstractmethod
+    def success(self, scale: Scale) -> Scale:
+        """Return the scale after a candidate that was better."""
+
+    @abstractmethod
+    def failure(self, scale: Scale) -> Scale:
+        """Return the scale after one that was not."""
+
+    def clip(self, vector: Vector) -> Vector:
+        """Return the vector (P,) with each entry moved to its nearest allowed value."""
+        return np.minimum(np.maximum(vector, self.layout.lower), self.layout.upper)
+
+
+class Published(Strategy):
+    """The published search of pendulum and half-cheetah: few entries change, more of them after long failure.
+
+    The layers of a half-cheetah's circuit are drawn at random, and every entry of them changes each time.
+    """
+
+    rules = RULES
+    estimates = True
+    falls_back: Mapping[int, int] = {}
+
+    def __init__(self, layout: ParameterLayout) -> None:
+        super().__init__(layout)
+        blocks = layout.blocks
+        rules = [self.rules[block.kind] for block in blocks]
+        self._least, self._most = [rule.least for rule in rules], [rule.most for rule in rules]
+        self._starts = np.array([block.slice.start for block in blocks])
+        self._stops = np.array([block.slice.stop for block in blocks])
+        self._low = np.array([rule.low for rule in rules])
+        self._width = np.array([rule.high - rule.low for rule in rules])
+        in_layer = [block.kind in _LAYERS for block in blocks]
+        self._layered = np.flatnonzero(np.repeat(in_layer, [block.size for block in blocks]))
+        self.start = Scale([rule.first or rule.least for rule in rules])
+
+    def first(self, defaults: Vector, rng: np.random.Generator) -> Vector:
+        """Return the defaults with noise on some entries of each kind."""
+        vector = perturb(self.layout, defaults, rng)
+        vector[self._layered] = rng.standard_normal(len(self._layered))
+        return self.clip(vector)
+
+    def propose(self, incumbent: Vector, level: Any, rng: np.random.Generator) -> Vector:
+        """Draw the numbers of changes, the deviations, the entries and the noise, in this order."""
+        counts = rng.integers(0, level, endpoint=True)
+        deviations = self._low + self._width * rng.random(len(counts))
+        entries = rng.integers(np.repeat(self._starts, counts), np.repeat(self._stops, counts))
+        vector = incumbent.copy()
+        np.add.at(vector, entries, np.repeat(deviations, counts) * rng.standard_normal(len(entries)))
+        vector[self._layered] = incumbent[self._layered] + rng.standard_normal(len(self._layered))
+        return self.clip(vector)
+
+    def success(self, scale: Scale) -> Scale:
+        """Shrink every cap by one, not below its least."""
+        return Scale([max(cap - 1, least) for cap, least in zip(scale.level, self._least, strict=True)])
+
+    def failure(self, scale: Scale) -> Scale:
+        """Count; with the 51st failure in a row every cap grows by one, not above its most."""
+        if scale.failures + 1 < FAILURES_TO_WIDEN:
+            return Scale(scale.level, scale.failures + 1)
+        grown = [min(cap + 1, most) for cap, most in zip(scale.level, self._most, strict=True)]
+        caps = [self.falls_back.get(old, new) for old, new in zip(scale.level, grown, strict=True)]
+        return Scale(caps, due=self.estimates)
+
+
+class PublishedOnParking(Published):
+    """The published search of parking."""
+
+    estimates = False
+
+
+class PublishedOnMountainCar(Published):
+    """The published search of mountain car, with larger changes and more of them."""
+
+    rules, falls_back = _CAR_RULES, _FALLS_BACK
+
+
+class PublishedOnCartPole(Published):
+    """The published search of cart-pole."""
+
+    rules, counts_estimates = _CART_RULES, True
+
+
+class PublishedOnNetworks(Strategy):
+    """The published search of MLP and LSTM: noise of one amplitude on all weights, which have no bounds."""
+
+    start = Scale(_MIN_AMPLITUDE)
+
+    def first(self, defaults: Vector, rng: np.random.Generator) -> Vector:
+        """Return noise alone."""
+        return _MIN_AMPLITUDE * rng.standard_normal(len(defaults))
+
+    def propose(self, incumbent: Vector, level: Any, rng: np.random.Generator) -> Vector:
+        """Add noise to all weights."""
+        candidate: Vector = incumbent + level * rng.standard_normal(len(incumbent))
+        return candidate
+
+    def success(self, scale: Scale) -> Scale:
+        """Halve the amplitude."""
+        return Scale(max(scale.level / 2.0, _MIN_AMPLITUDE))
+
+    def failure(self, scale: Scale) -> Scale:
+        """Count; with the 51st failure in a row the amplitude is five times as large."""
+        if scale.failures + 1 < FAILURES_TO_WIDEN:
+            return Scale(scale.level, scale.failures + 1)
+        return Scale(min(scale.level * 5.0, _MAX_AMPLITUDE), due=True)
+
+
+class Algorithm1(Strategy):
+    """Algorithm 1 as printed: sigma, a share of each range, without limits; an exact start.
+
+    Its counter is not reset by an estimate: after N failures every iteration estimates, until a success.
+    """
+
+    start = Scale(START_SCALE)
+
+    def first(self, defaults: Vector, rng: np.random.Generator) -> Vector:
+        """Return the defaults."""
+        return defaults
+
+    def propose(self, incumbent: Vector, level: Any, rng: np.random.Generator) -> Vector:
+        """Add noise to every entry."""
+        layout = self.layout
+        noise = level * (layout.upper - layout.lower) * rng.standard_normal(len(incumbent))
+        return self.clip(incumbent + noise)
+
+    def success(self, scale: Scale) -> Scale:
+        """Enlarge sigma. The counter is reset before this iteration is counted."""
+        return Scale(scale.level * ALPHA, 1)
+
+    def failure(self, scale: Scale) -> Scale:
+        """Shrink sigma, and count."""
+        return Scale(scale.level / ALPHA, scale.failures + 1, scale.failures + 1 > ESTIMATE_AFTER)
+
+
+STRATEGIES: Mapping[str, type[Strategy]] = {
+    "published-parking": PublishedOnParking,
+    "published-benchmarks": Published,
+    "published-mountain-car": PublishedOnMountainCar,
+    "published-cart-pole": PublishedOnCartPole,
+    "published-network": PublishedOnNetworks,
+    "algorithm1": Algorithm1,
+}
+
+
+@dataclass(frozen=True)
+class Budget:
+    """A search (a name of ``STRATEGIES``), its iterations, and its estimate's settings."""
+
+    rollouts: int
+    worst: int
+    strategy: str
+    iterations: int
+    warm_up: int = 0
+    """Ticks of the agent on the first observation before an episode's first step."""
+
+
+class Found(NamedTuple):
+    """Result of a search: parameters (P,), evaluations, environment steps, and the learning curve.
+
+    A point of the curve is a change of the incumbent's estimate: (iterations, environment steps, estimate).
+    """
+
+    vector: Vector
+    evaluations: int
+    steps: int
+    curve: tuple[tuple[int, int, float], ...] = ()
+
+
+class BenchmarkEstimator(Evaluator):
+    """The paper's estimate on a benchmark: the mean of the worst k of N rollouts."""
+
+    def __init__(self, task: Benchmark, agent: Policy | Net, seed: int, budget: Budget) -> None:
+        super().__init__(task, agent, for_search=True, warm_up=budget.warm_up)
+        self._seed, self._rollouts, self._worst = seed, budget.rollouts, budget.worst
+
+    def estimate(self, vectors: Vector, number: int, to_beat: float) -> Vector:
+        """Return the estimates (k,) of vectors (k, P); ``number`` is that of the first among all evaluations.
+
+        A candidate takes no more rollouts once it cannot exceed ``to_beat`` even if all others returned the
+        most.
+        """
+        count, rollouts, most = len(vectors), self._rollouts, self.task.most
+        seeds = np.array(
+            [draw_seeds(self._seed, (_ROLLOUTS, number + place), rollouts) for place in range(count)]
+        )
+        returns = np.full((count, rollouts), most)
+        estimates = np.full(count, np.inf)
+        left, done = np.arange(count), 0
+        early = [stop for stop in _STOPS if stop < rollouts] if most < math.inf else []
+        for stop in (*early, rollouts):
+            found = self.run(np.repeat(vectors[left], stop - done, axis=0), seeds[left, done:stop].ravel())
+            returns[left, done:stop] = found[:, :2].sum(axis=1).reshape(len(left), -1)
+            lowest = np.sort(returns[left], axis=1)[:, : self._worst]
+            estimates[left] = [math.fsum(row) / self._worst for row in lowest]
+            left, done = left[estimates[left] > to_beat], stop
+            if not len(left):
+                break
+        return estimates
+
+
+class ParkingEvaluator:
+    """Scores parameter vectors of a circuit by the course, without chance. One thread at a time."""
+
+    def __init__(self, task: Task, policy: Policy) -> None:
+        self.task, self.steps = task, 0
+        self._engine = engine.Evaluator(policy, load_course("parking"))
+        self._stream = self._engine.stream(1)
+
+    def outcome(self, vector: Vector) -> tuple[float, bool]:
+        """Return the return of parameters (P,) and whether they park."""
+        found = self._engine.outcomes(vector)
+        return float(found.total[0, 0]), bool(found.parked[0, 0])
+
+    def estimate(self, vectors: Vector, number: int, to_beat: float) -> Vector:
+        """Return the returns (k,) of vectors (k, P), exact only above ``to_beat``.
+
+        Without chance, the ``number`` of an evaluation does not matter.
+        """
+        self.steps += len(vectors) * self.task.horizon
+        self._stream.submit(0, vectors, np.full(len(vectors), to_beat))
+        [answer] = self._stream.collect()
+        return answer.returns.copy()
+
+
+def run_search(task: Task, agent: Policy | Net, seed: int, budget: Budget) -> Found:
+    """Search an agent's parameters from one incumbent. The same arguments give the same bits."""
+    place: BenchmarkEstimator | ParkingEvaluator
+    if isinstance(task, Benchmark):
+        place = BenchmarkEstimator(task, agent, seed, budget)
+    else:
+        assert isinstance(agent, Policy)
+        place = ParkingEvaluator(task, agent)
+    defaults = agent.parameters() if isinstance(agent, Policy) else np.zeros(agent.layout().size)
+    strategy, rng = STRATEGIES[budget.strategy](agent.layout()), rng_of(seed, (_SEARCH,))
+    curve: list[tuple[int, int, float]] = []
+
+    def on_change(iterations: int, _: Vector, value: float) -> None:
+        curve.append((iterations, place.steps, value))
+
+    vector, evaluations = climb(
+        strategy, defaults, rng, budget.iterations, place.estimate, on_change=on_change
+    )
+    return Found(vector, evaluations, place.steps, tuple(curve))
+
+
+def climb(
+    strategy: Strategy,
+    defaults: Vector,
+    rng: np.random.Generator,
+    iterations: int,
+    estimate: Callable[[Vector, int, float], Vector],
+    *,
+    on_change: Callable[[int, Vector, float], None],
+) -> tuple[Vector, int]:
+    """Maximise an estimate; return the incumbent (P,) and the number of evaluations.
+
+    Candidates are drawn ahead, as if those before them had failed. After a success those behind it are
+    dropped, and the random numbers continue where they were when it was drawn. So the decisions are those of
+    one candidate after the other.
+    """
+    incumbent, scale, value = strategy.first(defaults, rng), strategy.start, math.nan
+    evaluations, done, ahead = 0, 0, _MIN_AHEAD
+    while not evaluations or done < iterations:
+        before = value
+        if not evaluations or scale.due:
+            value = float(estimate(incumbent[None], evaluations, -math.inf)[0])
+            if not math.isfinite(value):
+                raise ValueError(f"the incumbent's return is {value}: no candidate could be compared with it")
+            done += strategy.counts_estimates and evaluations > 0
+            evaluations += 1
+            scale = scale._replace(due=False)
+        else:
+            drawn: list[tuple[Vector, Scale, Any]] = []
+            coming = scale
+            while len(drawn) < min(ahead, iterations - done) and not coming.due:
+                vector = strategy.propose(incumbent, coming.level, rng)
+                drawn.append((vector, coming, rng.bit_generator.state))
+                coming = strategy.failure(coming)
+            found = estimate(np.array([vector for vector, _, _ in drawn]), evaluations, value)
+            for (vector, used, state), new in zip(drawn, found.tolist(), strict=True):
+                evaluations, done = evaluations + 1, done + 1
+                if new > value:
+                    incumbent, value, scale = vector, new, strategy.success(used)
+                    rng.bit_generator.state = state
+                    break
+                scale = strategy.failure(used)
+        if value != before:
+            on_change(done, incumbent, value)
+        ahead = min(2 * ahead, _MAX_AHEAD) if value == before else _MIN_AHEAD
+    return incumbent, evaluations

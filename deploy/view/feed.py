@@ -14,7 +14,7 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from deploy.view.page import findings_data, findings_html, fragment
+from deploy.view.page import fragment, phases_data
 from deploy.view.page_data import columns, event_rows
 from deploy.view.recorded_drive import KINDS, facts
 from deploy.view.timeline import STAGES, Timeline
@@ -47,7 +47,7 @@ class Cursor:
     """The id of the drive; None before the first updates."""
     rows: Counter[str] = field(default_factory=Counter)
     html: dict[str, Markup] = field(default_factory=dict)
-    findings: dict[str, Any] | None = None
+    phases: list[dict[str, Any]] | None = None
     view: str = ""
     """The picture of tags, as base64."""
 
@@ -110,9 +110,9 @@ class Feed:
                 cursor.rows = Counter({name: len(rows) for name, rows in timeline.streams.items()})
             if (view := self._view) != cursor.view:
                 updates["view"] = cursor.view = view
-            if self._findings is not cursor.findings:
-                updates["findings"] = cursor.findings = self._findings
-            html = {**self._state_html(bridge), **self._findings_html}
+            if self._phases is not cursor.phases:
+                updates["phases"] = cursor.phases = self._phases
+            html = {**self._state_html(bridge), **self._phases_html}
             updates["html"] = {name: text for name, text in html.items() if cursor.html.get(name) != text}
             cursor.html = html
         return updates | columns(timeline, first, cursor.rows) if cursor.rows else updates
@@ -170,8 +170,8 @@ class Feed:
     def _begin(self, drive: str) -> None:
         self._drive = drive
         self._timeline = Timeline(self._policy, self._course)
-        self._findings: dict[str, Any] | None = None
-        self._findings_html: dict[str, Markup] = {}
+        self._phases: list[dict[str, Any]] | None = None
+        self._phases_html: dict[str, Markup] = {}
         self._explained = False
         self._verdicts, self._judged = None, None
 
@@ -209,7 +209,7 @@ class Feed:
                 return
             self._explained = True
         findings = analyse(*timeline.traces())
-        data, html = findings_data(findings), findings_html(findings)
+        data, html = phases_data(findings), {"phases": fragment("phases", findings.phases)}
         with self._lock:
             if timeline is self._timeline:
-                self._findings, self._findings_html = data, html
+                self._phases, self._phases_html = data, html

@@ -30,7 +30,7 @@ from rover_ncp.core.files import require_writable, write_atomic
 from rover_ncp.course.course import Course
 from rover_ncp.course.shapes import OUTLINE, FloatArray
 from rover_ncp.neurons.findings import Findings, analyse, number
-from rover_ncp.neurons.interpretation import SYMBOLS
+from rover_ncp.neurons.interpretation import SYMBOLS, Interpretation
 
 
 def _bar(loss: float, most: float) -> int:
@@ -89,7 +89,7 @@ def drive_page(drive: Drive) -> str:
             "subline": escape(summary.subline),
             "summary": fragment("rows", summary.rows),
             "events": fragment("events", events),
-            **findings_html(findings),
+            "phases": fragment("phases", findings.phases),
         },
         origin=summary.origin,
     )
@@ -97,6 +97,7 @@ def drive_page(drive: Drive) -> str:
 
 def run_page(
     findings: Findings,
+    interpretation: Interpretation,
     course: Course | None,
     *,
     title: str,
@@ -109,15 +110,23 @@ def run_page(
 
     ``headline`` is the badge, its kind (good, bad or empty) and words.
     """
+    policy, pairs = findings.trace.policy, interpretation.contributions
     return page(
         title=title,
-        data=_data(findings.trace.policy, course, outline)
-        | {"updates": _updates(findings, trace_columns(findings.trace), []), "simulated": True},
+        data=_data(policy, course, outline)
+        | {
+            "updates": _updates(findings, trace_columns(findings.trace), []),
+            "contributions": [each.model_dump(exclude={"driving"}) for each in pairs.values()],
+            "simulated": True,
+        },
         html={
             "title": fragment("title", *headline),
             "subline": escape(title),
             "summary": fragment("rows", rows),
-            **findings_html(findings),
+            "phases": fragment("phases", findings.phases),
+            "rings": fragment("rings", rings(policy, interpretation.time_constants)),
+            "signs": fragment("contributions", interpretation),
+            "taus": fragment("time_constants", interpretation.time_constants),
         },
         tables=tables,
     )
@@ -155,22 +164,9 @@ def fragment(name: str, *arguments: Any) -> Markup:
     return made
 
 
-def findings_data(findings: Findings) -> dict[str, Any]:
-    """Return the findings that a script shows: phases, and the contributions of all pairs."""
-    return {
-        "phases": [phase.model_dump() for phase in findings.phases],
-        "contributions": [each.model_dump(exclude={"driving"}) for each in findings.contributions.values()],
-    }
-
-
-def findings_html(findings: Findings) -> dict[str, Markup]:
-    """Return the findings as parts of a page, by id."""
-    return {
-        "phases": fragment("phases", findings.phases),
-        "rings": fragment("rings", rings(findings)),
-        "signs": fragment("contributions", findings),
-        "taus": fragment("time_constants", findings.time_constants),
-    }
+def phases_data(findings: Findings) -> list[dict[str, Any]]:
+    """Return the phases that a script shows."""
+    return [phase.model_dump() for phase in findings.phases]
 
 
 def _data(policy: Policy, course: Course | None, outline: FloatArray = OUTLINE) -> dict[str, Any]:
@@ -183,4 +179,4 @@ def _data(policy: Policy, course: Course | None, outline: FloatArray = OUTLINE) 
 def _updates(
     findings: Findings, streams: dict[str, dict[str, Any]], events: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    return {"reset": True, **streams, "events": events, "findings": findings_data(findings)}
+    return {"reset": True, **streams, "events": events, "phases": phases_data(findings)}

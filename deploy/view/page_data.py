@@ -18,7 +18,7 @@ from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.course import Course
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.shapes import OUTLINE, FloatArray, at_places, rectangle
-from rover_ncp.neurons.findings import Findings
+from rover_ncp.neurons.interpretation import TimeConstant
 from rover_ncp.neurons.layout import HEIGHT, RADIUS, WIDTH, label_lines, labels, lay_out, name_lines
 from rover_ncp.neurons.trace import Trace, synapse_currents
 
@@ -88,12 +88,11 @@ def _outputs(policy: Policy) -> list[tuple[str, str]]:
     return [(f"output{number}", name) for number, name in enumerate(names)]
 
 
-def rings(findings: Findings) -> list[tuple[str, float, float, float, float]]:
+def rings(policy: Policy, ranges: Sequence[TimeConstant]) -> list[tuple[str, float, float, float, float]]:
     """Return the rings of the time constants: neuron, x and y of the centre, inner radius and width."""
-    policy = findings.trace.policy
     places = dict(zip(policy.circuit.neurons, lay_out(policy).places, strict=True))
     found = []
-    for row in findings.time_constants:
+    for row in ranges:
         inner, outer = (
             RADIUS + 4.0 + RING_PER_DECADE * math.log10(max(tau_s, RINGS_FROM_S) / RINGS_FROM_S)
             for tau_s in (row.lowest_s, row.highest_s)

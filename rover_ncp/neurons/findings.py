@@ -1,12 +1,11 @@
-"""Findings about one run of a circuit: phases with a sentence each, contributions and time constants."""
+"""Findings about one run of a circuit: phases with a sentence each."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from rover_ncp.neurons.interpretation import Contribution, TimeConstant, contributions, time_constant_ranges
-from rover_ncp.neurons.layout import labels, layers
+from rover_ncp.neurons.layout import labels
 from rover_ncp.neurons.phases import STILL, ExplainedPhase, Mean, Phase, explain
 from rover_ncp.neurons.trace import Trace
 
@@ -22,39 +21,12 @@ class Findings:
 
     trace: Trace
     phases: tuple[ExplainedPhase, ...]
-    contributions: dict[tuple[str, str], Contribution]
-    """Definition 1, for all pairs."""
-    time_constants: tuple[TimeConstant, ...]
-
-    @property
-    def motors(self) -> tuple[str, ...]:
-        """The motor neurons, in the circuit's order."""
-        return self._of("motor")
-
-    @property
-    def sources(self) -> tuple[str, ...]:
-        """Sensory, inter and command neurons, in this order."""
-        return self._of("sensory") + self._of("inter") + self._of("command")
-
-    def _of(self, layer: str) -> tuple[str, ...]:
-        own = layers(self.trace.policy)
-        return tuple(name for name, is_in in zip(self.trace.neurons, own, strict=True) if is_in == layer)
 
 
 def analyse(*traces: Trace) -> Findings:
-    """Explain the runs of a drive, one behind the other; all but the phases is of the last run."""
-    trace, explained = traces[-1], [explain(each) for each in traces]
-    phases = explained[-1]
-    moving = [phase for phase in phases if any(phase.signs)]
-    potentials, sensing = trace.potentials, trace.policy.sensing.neurons
-    driving = slice(moving[0].first, moving[-1].last) if moving else slice(1)
-    told = [phase for each, found in zip(traces, explained, strict=True) for phase in _told(each, found)]
-    return Findings(
-        trace=trace,
-        phases=tuple(told),
-        contributions=contributions(trace.neurons, potentials, driving),
-        time_constants=time_constant_ranges(trace.policy.circuit, potentials, sensing),
-    )
+    """Explain the runs of a drive, one behind the other; the trace is that of the last run."""
+    told = [phase for trace in traces for phase in _told(trace, explain(trace))]
+    return Findings(trace=traces[-1], phases=tuple(told))
 
 
 def _told(trace: Trace, phases: Sequence[ExplainedPhase]) -> list[ExplainedPhase]:

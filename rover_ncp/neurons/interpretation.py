@@ -7,6 +7,7 @@ slopes give little evidence of a's influence, so they are also counted separatel
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -15,7 +16,9 @@ from pydantic import Field
 
 from rover_ncp.circuit.circuit import Circuit, time_constants
 from rover_ncp.core.config import ResultModel
-from rover_ncp.neurons.trace import FloatArray
+from rover_ncp.neurons.layout import layers
+from rover_ncp.neurons.phases import Phase
+from rover_ncp.neurons.trace import FloatArray, Trace
 
 BINS = 10
 """Bins of a histogram of Omega over -pi/2..pi/2 (supplement, figure of the slopes)."""
@@ -64,6 +67,36 @@ class TimeConstant(ResultModel):
     neuron: str = Field(description="its name")
     lowest_s: float = Field(description="its smallest time constant")
     highest_s: float = Field(description="its largest time constant")
+
+
+@dataclass(frozen=True, eq=False)
+class Interpretation:
+    """Contributions and time constants of one run."""
+
+    contributions: dict[tuple[str, str], Contribution]
+    """Of all ordered pairs of different neurons, by source and destination."""
+    time_constants: tuple[TimeConstant, ...]
+    sources: tuple[str, ...]
+    """Sensory, inter and command neurons, in this order."""
+    motors: tuple[str, ...]
+    """Motor neurons, in the circuit's order."""
+
+
+def interpret(trace: Trace, phases: Sequence[Phase]) -> Interpretation:
+    """Return the contributions and time constants of a run with these phases."""
+    moving = [phase for phase in phases if any(phase.signs)]
+    driving = slice(moving[0].first, moving[-1].last) if moving else slice(1)
+    policy, own = trace.policy, layers(trace.policy)
+
+    def of(layer: str) -> tuple[str, ...]:
+        return tuple(name for name, is_in in zip(trace.neurons, own, strict=True) if is_in == layer)
+
+    return Interpretation(
+        contributions=contributions(trace.neurons, trace.potentials, driving),
+        time_constants=time_constant_ranges(policy.circuit, trace.potentials, policy.sensing.neurons),
+        sources=of("sensory") + of("inter") + of("command"),
+        motors=of("motor"),
+    )
 
 
 def slopes(a: ArrayLike, b: ArrayLike) -> Slopes:

@@ -21,7 +21,7 @@ from rover_ncp.core.errors import UsageError
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.scoring import Parked, Verdict
 from rover_ncp.neurons.findings import Findings, analyse, number
-from rover_ncp.neurons.interpretation import Contribution, TimeConstant
+from rover_ncp.neurons.interpretation import Contribution, Interpretation, TimeConstant, interpret
 from rover_ncp.neurons.phases import ExplainedPhase
 from rover_ncp.neurons.trace import Trace
 from rover_ncp.robot.description import RobotDescription
@@ -61,6 +61,7 @@ class Explanation:
     simulated: Simulated
     """Result of the whole circuit, to which the what-ifs are compared."""
     findings: Findings
+    interpretation: Interpretation
     knock_outs: tuple[Knockout, ...]
     sensitivities: tuple[Sensitivity, ...]
     robot: RobotDescription | None = None
@@ -90,7 +91,7 @@ class Explanation:
 
     def result(self, files: Sequence[Path] = ()) -> "Result":
         """Return everything but the potentials, with the files that were written."""
-        findings = self.findings
+        found = self.interpretation
         return Result(
             source=self.source,
             policy=self.policy.circuit.name,
@@ -99,11 +100,9 @@ class Explanation:
             run=self.verdict,
             verdict=None if self.verdict is None else self.verdict.words,
             simulated=self.simulated,
-            phases=findings.phases,
-            contributions=tuple(
-                findings.contributions[a, b] for b in findings.motors for a in findings.sources
-            ),
-            time_constants=findings.time_constants,
+            phases=self.findings.phases,
+            contributions=tuple(found.contributions[a, b] for b in found.motors for a in found.sources),
+            time_constants=found.time_constants,
             knock_outs=self.knock_outs,
             sensitivities=self.sensitivities,
             files=tuple(map(str, files)),
@@ -222,9 +221,11 @@ def explain_run(
     on_progress(f"simulating without each of {parts} neurons and synapses")
     without = knock_outs(policy, simulate, simulated.total)
     on_progress(f"moving each of {policy.layout().size} parameters a little")
+    findings = analyse(trace)
     return Explanation(
         simulated=simulated,
-        findings=analyse(trace),
+        findings=findings,
+        interpretation=interpret(trace, findings.phases),
         knock_outs=without,
         sensitivities=sensitivities(policy, score),
         **known,

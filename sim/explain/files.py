@@ -44,6 +44,7 @@ def page(found: Explanation) -> str:
     parts = sorted(found.knock_outs, key=lambda row: row.total)
     return run_page(
         found.findings,
+        found.interpretation,
         found.course,
         title=found.title,
         headline=headline,

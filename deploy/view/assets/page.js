@@ -7,8 +7,8 @@ let strongest = 1e-9, lastPhase = null;
 function reset() {
   model.drive = Object.fromEntries(STREAMS.map((name) => [name, { t: [], x: [], y: [], theta: [], v: [], omega: [] }]));
   model.events = [];
-  model.findings = {};
-  for (const id of ["phases", "events", "rings", "signs", "taus"]) if (!data.updates) $(id).replaceChildren();
+  model.phases = [];
+  for (const id of ["phases", "events"]) if (!data.updates) $(id).replaceChildren();
 }
 
 function append(columns, more) {
@@ -25,13 +25,12 @@ function take(updates) {
   for (const name of STREAMS) if (updates[name]) append(model.drive[name], updates[name]);
   for (const column of updates.ticks?.currents || []) for (const current of column) strongest = Math.max(strongest, Math.abs(current));
   for (const [id, html] of Object.entries(updates.html || {})) $(id).innerHTML = html;
-  const changed = updates.reset || updates.findings || updates.events.length !== model.events.length;
+  const changed = updates.reset || updates.phases || updates.events.length !== model.events.length;
   model.events = updates.events;
-  if (updates.findings) {
-    model.findings = updates.findings;
+  if (updates.phases) {
+    model.phases = updates.phases;
     lastPhase = null;
   }
-  for (const id of ["contributions", "pair"]) $(id).hidden = !model.findings.contributions;
   return changed;
 }
 
@@ -41,7 +40,7 @@ const circuit = new Circuit(model.circuit, chooseNeuron);
 const player = new Player(model, show);
 const lanes = new Lanes($("lanes"), model, (t) => player.set(t));
 const commands = new Commands($("commands"), model, (t) => player.set(t));
-const pair = new Pair(model);
+const pair = data.contributions && new Pair(model);
 
 function chooseNeuron(index) {
   circuit.choose(index);
@@ -59,8 +58,8 @@ function show(t) {
   circuit.update(ticks, i, strongest);
   $("neuron-now").textContent = circuit.words(ticks, i);
   for (const over of [lanes, commands]) over.update(t);
-  pair.update(i);
-  const phases = model.findings.phases || [];
+  pair?.update(i);
+  const { phases } = model;
   const now = phases.findIndex((phase) => t >= phase.start_s - 1e-6 && t < phase.end_s - 1e-6);
   const k = now < 0 ? phases.length - 1 : now;
   $("time").setAttribute("aria-valuetext", `${number(t, 1)} seconds${k < 0 ? "" : `, ${phases[k].label}`}`);
@@ -72,7 +71,7 @@ function show(t) {
 
 function drawAll() {
   for (const part of [pathPlot, lanes, commands]) part?.draw();
-  if (model.findings.contributions) {
+  if (pair) {
     if (!pair.x) {
       const last = $("signs").querySelector("tr:last-child button").dataset;
       [pair.ends[0].value, pair.ends[1].value] = [last.from, last.to];

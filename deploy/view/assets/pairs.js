@@ -17,7 +17,7 @@ class Pair {
   draw() {
     const [source, destination] = this.ends.map((select) => select.value), { t, potentials } = this.model.drive.ticks;
     [this.x, this.y] = this.ends.map((select) => potentials[select.selectedIndex]);
-    const found = this.model.findings.contributions.find((one) => one.source === source && one.destination === destination);
+    const found = data.contributions.find((one) => one.source === source && one.destination === destination);
     plot($("pair-phase"), 300, [
       {
         x: this.x, y: this.y, mode: "lines+markers", line: { color: COLOR.line, width: 1.5 }, text: t, hovertemplate: "%{text} s<extra></extra>",

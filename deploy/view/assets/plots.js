@@ -128,7 +128,7 @@ class TimePlot {
 
   // Draw with the phases as numbered bands and the events as lines behind the traces.
   show(height, traces, layout, lines = []) {
-    const { phases = [] } = this.model.findings, { end } = this.model;
+    const { phases, end } = this.model;
     const vertical = { xref: "x", yref: "paper", y0: 0, y1: 1 };
     const bands = phases.filter((_, k) => k % 2)
       .map(({ start_s, end_s }) => ({ type: "rect", ...vertical, x0: start_s, x1: end_s, fillcolor: "#eef0f3", line: { width: 0 }, layer: "below" }));

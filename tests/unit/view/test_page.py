@@ -86,7 +86,8 @@ def test_data_of_the_page_are_the_run(drive):
     assert updates["odometry"]["x"] == pytest.approx(simulated.poses[:, 0], abs=1e-4)
     assert updates["truth"]["y"] == pytest.approx(simulated.poses[:, 1], abs=1e-4)
     assert updates["setpoints"]["v"] == pytest.approx(simulated.commands[:, 0], abs=1e-4)
-    assert len(updates["findings"]["contributions"]) == 12 * 11
+    assert [phase["label"] for phase in updates["phases"]] == ["standing still", "left turn"]
+    assert "Time constants" not in text
     assert len(data["course"]["checkpoints"]) == 2
     assert np.array(data["course"]["reference"]).shape == (2, 1 + (len(simulated.poses) - 1) // 5)
     # The kit gives tick k the variances (1 + k) * 1e-6 in x and (1 + k) * 2e-6 in y.

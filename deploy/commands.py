@@ -14,7 +14,13 @@ from rover_ncp.core.files import DEFAULT_ROBOT
 Model = Annotated[
     str | None, typer.Option(help="The robot's description, a name or a YAML file.", show_default=False)
 ]
-Record = Annotated[Path | None, typer.Option(help="Record the drive to this MCAP file.", show_default=False)]
+Record = Annotated[
+    Path | None,
+    typer.Option(
+        help="Record the drive to this new MCAP file, or in this folder to one named by the time.",
+        show_default=False,
+    ),
+]
 
 
 def deploy(
@@ -51,7 +57,6 @@ def deploy(
         ),
     ] = None,
     record: Record = None,
-    overwrite: Overwrite = False,
     duration: Annotated[
         float | None,
         typer.Option(min=0.1, help="End after so many seconds, if the course would last longer."),
@@ -95,8 +100,6 @@ def deploy(
 
         rover-ncp deploy --robot tcp/192.168.1.20 --record run.mcap
     """
-    if record is None:
-        reject("needs --record", overwrite=overwrite)
     if duration == math.inf:
         raise UsageError(f"--duration {duration}: expected seconds")
     from deploy.app import run
@@ -110,7 +113,7 @@ def deploy(
     from rover_ncp.robot.profile import load_profile
 
     output = Output(json, controls=True)
-    circuit, recorder = load_policy(policy), Recorder(record, overwrite=overwrite)
+    circuit, recorder = load_policy(policy), Recorder(record)
     address = BridgeAddress(robot, namespace, zenoh_config)
     rover = load_profile(profile) if profile else None
     described = load_description(model) if model else None
@@ -274,7 +277,6 @@ def teleop(
     ] = None,
     model: Model = None,
     record: Record = None,
-    overwrite: Overwrite = False,
     namespace: Namespace = "",
     zenoh_config: ZenohConfig = None,
     json: Json = False,
@@ -305,12 +307,10 @@ def teleop(
     from deploy.zenoh_client import BridgeAddress
     from rover_ncp.robot.description import load_description
 
-    if record is None:
-        reject("needs --record", overwrite=overwrite)
     if topic is not None:
         reject("does not go with --topic, which passes commands on as they are", model=model)
     address = BridgeAddress(robot, namespace, zenoh_config)
-    recorder, output = Recorder(record, overwrite=overwrite), Output(json, controls=True)
+    recorder, output = Recorder(record), Output(json, controls=True)
     return run(address, recorder, output, robot=load_description(model) if model else None, topic=topic)
 
 
@@ -377,7 +377,7 @@ def identify(
             zenoh_config=zenoh_config,
         )
         return identify_recording(recording, out, output, model=model, overwrite=overwrite)
-    address, recorder = BridgeAddress(robot, namespace, zenoh_config), Recorder(record, overwrite=overwrite)
+    address, recorder = BridgeAddress(robot, namespace, zenoh_config), Recorder(record)
     described = load_description(model) if model else None
     return identify_robot(
         address, recorder, fence or FENCE_M, out, output, robot=described, overwrite=overwrite

@@ -6,7 +6,7 @@ is one that no recording can hold, such as one with a negative time. When the di
 loses at most the messages after the last flush, a power cut those after the last sync: the thread does both
 every `FLUSH_S`.
 
-A recording is kept once its drive has begun (`Recorder.begin`). Until then a file that it replaces stays.
+A recording is kept once its drive has begun (`Recorder.begin`). It never replaces a file.
 """
 
 import contextlib
@@ -17,6 +17,7 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -50,13 +51,19 @@ class Recorder(ClosedAtExit):
     Messages that come before `open`, such as the static transforms, wait in the queue.
     """
 
-    def __init__(self, path: Path | None, *, overwrite: bool = False) -> None:
-        """Raise FileError if a recording could not be made at ``path``."""
+    def __init__(self, path: Path | None) -> None:
+        """In a folder the recording is named by the time.
+
+        Raise FileError if a file exists at ``path``, or if none could be made there.
+        """
+        if path is not None and os.path.isdir(path):  # noqa: PTH112  # a name that is too long is none
+            path /= f"{datetime.now():%Y-%m-%d_%H-%M-%S}.mcap"
         if path is not None:
-            require_writable(path, overwrite=overwrite)
-        self.path, self._overwrite = path, overwrite
-        self._file = path
-        """Where the file is: beside the one that it replaces until the drive has begun."""
+            if os.path.lexists(path):
+                words = "exists already; choose another name (in a folder the time is the name)"
+                raise FileError(f"{path}: {words}: a recording replaces no file")
+            require_writable(path)
+        self.path = path
         self._begun = False
         self.failure = ""
         """Reason for an early end of the recording; empty while it works."""
@@ -71,11 +78,8 @@ class Recorder(ClosedAtExit):
         """Make the file with its attachments. Raises FileError."""
         if self.path is None:
             return
-        self._file = self.path
-        if self._overwrite and self.path.exists():
-            self._file = self.path.with_name(f".{self.path.name}.{os.urandom(4).hex()}")
         try:
-            writer = RecordingWriter(self._file, overwrite=self._overwrite)
+            writer = RecordingWriter(self.path)
             for name, content in attachments.items():
                 writer.attach(name, content)
             writer.flush()  # the thread syncs
@@ -115,16 +119,10 @@ class Recorder(ClosedAtExit):
         self._thread.join(CLOSE_TIMEOUT_S)
         if self._thread.is_alive():
             self.failure = self.failure or "the disk did not answer"
-        elif self._begun:
-            try:
-                self._take_name()
-            except OSError as error:
-                self.failure = self.failure or f"{self.path}: {error}"
-        if not self._begun:
-            if self._file is not None:
-                with contextlib.suppress(OSError):
-                    self._file.unlink()
-            self.path = self._file = None
+        if not self._begun and self.path is not None:
+            with contextlib.suppress(OSError):
+                self.path.unlink()
+            self.path = None
 
     @property
     def fields(self) -> dict[str, Any]:
@@ -161,8 +159,6 @@ class Recorder(ClosedAtExit):
                 flushed = time.monotonic()
 
     def _write(self, writer: RecordingWriter, message: Recorded) -> None:
-        if self._begun:
-            self._take_name()
         try:
             writer.write(message)
         except ValueError as error:
@@ -170,9 +166,3 @@ class Recorder(ClosedAtExit):
             if message.topic not in self._refused:
                 self._refused.add(message.topic)
                 _log.warning("%s lacks messages: %s", self.path, error)
-
-    def _take_name(self) -> None:
-        """Replace the earlier file."""
-        if self._file is not None and self.path is not None and self._file != self.path:
-            self._file.replace(self.path)
-            self._file = self.path

@@ -44,7 +44,7 @@ text for people goes to stderr. A mistake of the user is one line on stderr and 
 horizon, has moved less than 5 mm and 5 mrad in the last 2 s, and has touched nothing. A simulated drive
 is judged by the true pose, a real one by the estimate.
 
-No command replaces a file that exists without `--overwrite`; `keys` never does.
+No command replaces a file that exists without `--overwrite`; `keys` and recordings never do.
 Results are written whole or not at all. A file that is read whole has at most 64 MiB, a YAML file
 1,048,576 characters. A recording may unpack to 1 GiB, or to 100 times its size.
 

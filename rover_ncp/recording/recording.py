@@ -94,13 +94,13 @@ _LATCHED = {row.name for row in KEYS if row.latched} | {"deploy/frames", "deploy
 class RecordingWriter:
     """Writes one file. Not for two threads at once; a failing disk shows as OSError from any method.
 
-    Raises FileError for a path where a file exists, unless ``overwrite``, or where none can be made.
+    Raises FileError for a path where a file exists, or where none can be made.
     """
 
-    def __init__(self, target: Path | IO[bytes], *, overwrite: bool = False) -> None:
+    def __init__(self, target: Path | IO[bytes]) -> None:
         self._owns = isinstance(target, Path)
         if isinstance(target, Path):
-            self._file = create(target, overwrite=overwrite)
+            self._file = create(target)
             with contextlib.suppress(OSError):  # a file system without locks can be written all the same
                 fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # see require_finished
         else:

@@ -67,7 +67,8 @@ def run_dock(output: Output, out: Path, *, overwrite: bool) -> int:
             f"mock, bridge ({run.robot}) and localiser are up; policy course drives to the staging pose, "
             f"policy dock from there to the place"
         )
-        driver = run.deploy("--to", str(files["place"]), "--record", str(recording), *overwriting)
+        recording.unlink(missing_ok=True)
+        driver = run.deploy("--to", str(files["place"]), "--record", str(recording))
         wait_for(lambda: _near(run, place.goal) or not driver.running, APPROACH_S, "the approach")
         if driver.running:
             output.say("the first approach is blocked on purpose")

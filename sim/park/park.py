@@ -136,10 +136,11 @@ def run_park(
             f"mock {model} and bridge are up ({run.robot}); "
             f"the circuit drives for {slow_course.horizon_s:.0f} s"
         )
+        recording.unlink(missing_ok=True)
         described = ["--model", model] if model != DEFAULT_ROBOT else []
         done = _drive(
             run,
-            ["--policy", policy, "--course", course, "--record", str(recording), *described, *overwriting],
+            ["--policy", policy, "--course", course, "--record", str(recording), *described],
             slow_course.horizon_s,
         )
     truth = run.truth.read()

@@ -62,7 +62,7 @@ def rows():
     group = get_command(_app())
     context = group.make_context("rover-ncp", [], resilient_parsing=True)
     commands = {name: group.get_command(context, name) for name in group.list_commands(context)}
-    groups = {name: commands[name].commands for name in ("paper", "tag")}
+    groups = {name: commands[name].commands for name in ("tag",)}
     parts = {f"{name} {part}": command for name in groups for part, command in groups[name].items()}
     for name, command in {**commands, **parts}.items():
         if name == "teleop":  # it wants a terminal first
@@ -108,7 +108,6 @@ OPTIONS = [
     "mock --namespace bot1",
     "mock --ros2 --model turtlebot4 --gyro",
     "mock --overwrite",
-    f"deploy {ROBOT} --overwrite",
     "recover drive.mcap --overwrite",
     "course new poses.csv --out new.yaml --model p3dx",
     "course check parking --name mine",

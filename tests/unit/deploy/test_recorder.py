@@ -21,8 +21,6 @@ from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import pose_with_covariance, read_text, text
 from sim.live.processes import wait_for
 
-EARLIER = b"\x89MCAP0\r\n, an earlier recording"
-
 
 def note(words, now_ns=None):
     now = now_ns or time.time_ns()
@@ -139,76 +137,42 @@ def test_a_path_that_cannot_be_written_is_reported_at_once(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(FileError, match="cannot be written"):
         Recorder(tmp_path / "file" / "run.mcap")
-    with pytest.raises(FileError, match=f"{tmp_path}: cannot be written"):
-        Recorder(tmp_path)
 
 
-def test_overwriting_does_not_damage_what_another_writer_still_writes(recorder):
-    recorder.put(note("first"))
-    second = Recorder(recorder.path, overwrite=True)
-    second.open({})
-    second.begin()
-    second.put(note("second"))
+def test_a_recording_replaces_no_file_and_a_folder_gets_one_named_by_the_time(tmp_path, recorder):
     recorder.close()
-    second.close()
-    found = read_recording(recorder.path)
-    assert (found.complete, [read_text(message.data) for message in found.messages]) == (True, ["second"])
+    before = recorder.path.read_bytes()
+    with pytest.raises(FileError, match="exists already; choose another name"):
+        Recorder(recorder.path)
+    named = Recorder(tmp_path)
+    named.open({})
+    named.begin()
+    named.close()
+    assert recorder.path.read_bytes() == before
+    (written,) = set(tmp_path.glob("*.mcap")) - {recorder.path}
+    assert named.fields["recording"] == str(written)
+    assert time.strptime(written.stem, "%Y-%m-%d_%H-%M-%S").tm_year >= 2024
 
 
-def test_earlier_recording_stays_until_the_drive_begins(recorder):
-    recorder.put(note("earlier"))
-    recorder.close()
-    path = recorder.path
-    refused = Recorder(path, overwrite=True)
-    with refused:
-        refused.open({})
-        refused.put(note("refused"))
-    assert refused.fields == {"recording": None, "recording_failure": None}
-    assert [read_text(message.data) for message in read_recording(path).messages] == ["earlier"]
-
-    driven = Recorder(path, overwrite=True)
-    driven.open({})
-    driven.put(note("waiting"))
-    driven.begin()
-    driven.put(note("driving"))
-    # Without an end, as after a kill.
-    wait_for(
-        lambda: [read_text(m.data) for m in read_recording(path).messages] == ["waiting", "driving"], 20.0
-    )
-    driven.close()
-    assert read_recording(path).complete
-    assert [each.name for each in path.parent.iterdir()] == ["run.mcap"]
+def test_recorder_that_lost_its_name_to_another_leaves_the_others_file(tmp_path):
+    first, second = Recorder(tmp_path / "run.mcap"), Recorder(tmp_path / "run.mcap")
+    first.open({})
+    first.begin()
+    with second, pytest.raises(FileError, match="exists already"):
+        second.open({})
+    first.close()
+    assert read_recording(tmp_path / "run.mcap").complete
 
 
-def test_recording_that_fails_before_the_drive_begins_has_its_name_at_the_end(tmp_path, monkeypatch):
-    def fail(writer):
-        raise OSError(errno.EIO, "Input/output error")
-
-    monkeypatch.setattr("deploy.recorder.FLUSH_S", 0.02)
-    monkeypatch.setattr(RecordingWriter, "sync", fail)
-    path = tmp_path / "run.mcap"
-    path.write_bytes(EARLIER)
-    recorder = Recorder(path, overwrite=True)
-    recorder.open({"policy.yaml": b"x"})
-    wait_for(lambda: recorder.failure, 20.0)
-    assert path.read_bytes() == EARLIER
-    recorder.begin()
-    recorder.close()
-    assert read_recording(path).attachment("policy.yaml") == b"x"
-    assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
-
-
-def test_drive_that_does_not_begin_leaves_the_earlier_recording(tmp_path, monkeypatch):
-    path = tmp_path / "run.mcap"
-    path.write_bytes(EARLIER)
+def test_drive_that_does_not_begin_leaves_no_recording(tmp_path, monkeypatch):
     virtual = VirtualDrive(pose="required", pose_wait_s=0.5)
     virtual.use_in(app, monkeypatch)
     drive = {"policy": virtual.policy, "course": virtual.course, "config": virtual.config}
-    recorder = Recorder(path, overwrite=True)
     with pytest.raises(NoPose):
-        app.run(BridgeAddress("virtual"), Output(as_json=True), recorder=recorder, **drive)
-    assert path.read_bytes() == EARLIER
-    assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
+        app.run(
+            BridgeAddress("virtual"), Output(as_json=True), recorder=Recorder(tmp_path / "run.mcap"), **drive
+        )
+    assert not list(tmp_path.iterdir())
 
 
 def test_disk_is_synced_at_each_flush_by_the_thread_alone(tmp_path, monkeypatch):

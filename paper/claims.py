@@ -1,7 +1,7 @@
 """The paper's claims (``claims.yaml``) and their verdicts, from the stored runs.
 
 Five tests: ``rate`` of successes, ``value`` of a mean, ``compare`` of two agents, ``sign`` of Definition 1,
-number of ``parameters``. A verdict is *reproduced* only where a test excludes the opposite, or an interval
+number of ``parameters``. A claim *holds* only where a test excludes the opposite, or an interval
 lies within a stated margin of equality. Holm's correction is for the claims from one place of the paper.
 
 Definition 1 leaves three choices open: whether vertical steps count (the supplement calls them independence),
@@ -42,18 +42,18 @@ RATE_MARGIN = 0.2
 class Verdict(StrEnum):
     """Result of a claim's test."""
 
-    REPRODUCED = "reproduced"
-    DIFFERS = "differs"
-    INCONCLUSIVE = "inconclusive"
+    HOLDS = "holds"
+    DIFFERS = "does not hold"
+    UNDECIDED = "undecided"
     NOT_TESTED = "not tested"
 
 
 class Statement(StrictModel):
     """A statement of the paper."""
 
-    name: str = Field(description="short name of the claim")
-    words: str = Field(description="what the paper says")
-    where: str = Field(description="section, table or figure of the paper")
+    name: str
+    words: str
+    where: str
 
 
 class Claim(Statement):
@@ -98,10 +98,10 @@ class Outcome:
 class Judged(Statement):
     """A claim with its verdict."""
 
-    verdict: Verdict = Field(description="reproduced, differs, inconclusive or not tested")
-    figure: str = Field(description="what was measured")
-    against: str = Field(description="what that is compared with")
-    why: str = Field(description="the reason of the verdict, or a deviation")
+    verdict: Verdict
+    figure: str
+    against: str
+    why: str
 
 
 def load_claims() -> ClaimsFile:
@@ -132,8 +132,8 @@ def _judged(claim: Claim, outcome: Outcome) -> Judged:
     verdict, why = outcome.verdict, claim.why
     if verdict is None:
         assert outcome.p is not None
-        verdict = outcome.significant if outcome.p < LEVEL else Verdict.INCONCLUSIVE
-    if verdict is Verdict.INCONCLUSIVE:
+        verdict = outcome.significant if outcome.p < LEVEL else Verdict.UNDECIDED
+    if verdict is Verdict.UNDECIDED:
         why = outcome.why if outcome.p is None else f"p = {outcome.p:.2g}, {outcome.why}"
     elif verdict is Verdict.NOT_TESTED:
         why = claim.why or outcome.why
@@ -165,7 +165,7 @@ def rate(
     count = sum(succeeded)
     found, (low, high) = fisher(count, len(runs), hits, of), wilson(count, len(runs))
     figure = f"{count} of {len(runs)} [{low:.0%}, {high:.0%}]"
-    verdict = Verdict.REPRODUCED if found.within(RATE_MARGIN) else None
+    verdict = Verdict.HOLDS if found.within(RATE_MARGIN) else None
     return Outcome(figure, f"{hits} of {of}", verdict, f"n = {len(runs)} and {of}", found.p)
 
 
@@ -189,7 +189,7 @@ def value(
         return _too_few(len(returns))
     ours = summary(returns)
     found = welch(ours, Summary(mean, std, of))
-    verdict = Verdict.REPRODUCED if found.within(TASKS[task].margin) else None
+    verdict = Verdict.HOLDS if found.within(TASKS[task].margin) else None
     texts = mean_text(ours.mean, ours.std), mean_text(mean, std)
     return Outcome(*texts, verdict, f"n = {ours.runs} and {of}", found.p)
 
@@ -217,7 +217,7 @@ def compare(
         None,
         f"n = {len(ours)} and {len(theirs)}",
         on_par.p if reproduced else found.p,
-        Verdict.REPRODUCED if reproduced else Verdict.DIFFERS,
+        Verdict.HOLDS if reproduced else Verdict.DIFFERS,
     )
 
 
@@ -232,7 +232,7 @@ def sign(store: ResultStore, *, source: str, destination: str, expected: str) ->
     if count < MIN_CLEAR:
         why = f"{count} clear, {MIN_CLEAR} needed"
         return Outcome(figure, verdict=Verdict.NOT_TESTED, why=why)
-    significant = Verdict.REPRODUCED if 2 * hits > count else Verdict.DIFFERS
+    significant = Verdict.HOLDS if 2 * hits > count else Verdict.DIFFERS
     return Outcome(figure, "", None, f"n = {count}", even_odds(hits, count), significant)
 
 
@@ -241,7 +241,7 @@ def parameters(_: ResultStore, *, task: str, other: str) -> Outcome:
     circuit = TASKS[task].policy(TASKS[task].circuit())
     net = Net(other, len(circuit.sensing.inputs), len(circuit.motors.outputs), cells=11)
     ours, theirs = circuit.layout().size, net.layout().size
-    verdict = Verdict.REPRODUCED if ours < theirs else Verdict.DIFFERS
+    verdict = Verdict.HOLDS if ours < theirs else Verdict.DIFFERS
     return Outcome(f"{ours} against {theirs}", verdict=verdict)
 
 

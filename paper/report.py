@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, Field
 
 from paper.claims import ClaimsFile, Judged, Verdict, clear_signs, drives, readings, time_constants
 from paper.runs import BudgetName, Result, ResultStore, grid
@@ -24,19 +23,6 @@ LAYOUTS = {
 """Agents of the paper's tables, in their order."""
 _BUDGETS = (BudgetName.PUBLISHED, BudgetName.ALGORITHM1, BudgetName.GRADIENTS)
 _COLUMNS = ("pendulum", "mountain-car", "half-cheetah")
-_HEADS = dict(zip(Verdict, ("holds", "does not hold", "undecided", "not tested"), strict=True))
-
-
-class GroupRow(BaseModel):
-    """The stored runs of a task and an agent."""
-
-    budget: BudgetName = Field(description="the search and its length")
-    task: str = Field(description="its name")
-    agent: str = Field(description="circuit, network, PPO or A2C")
-    made: int = Field(description="finished runs")
-    runs: int = Field(description="runs that the grid wants")
-    commits: dict[str, int] = Field(description="by commit: number of runs")
-    cpu_s: float = Field(description="CPU time")
 
 
 def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Judged]) -> str:
@@ -70,11 +56,11 @@ def summary_of(file: ClaimsFile, judged: Sequence[Judged]) -> str:
     answering = {name for names in file.questions.values() for name in names}
     signs = {claim.name for claim in file.of("sign")}  # their figures need the table's head
     lines = []
-    for verdict, head in _HEADS.items():
+    for verdict in Verdict:
         shown = [claim for claim in judged if claim.verdict is verdict and claim.name in answering]
         others = sum(claim.verdict is verdict for claim in judged) - len(shown)
         words = "; ".join(c.words if c.name in signs else _with_figure(c) for c in shown) or "none"
-        lines.append(f"- **{head.capitalize()}** ({len(shown)}; in `--long` {others} more): {words}.")
+        lines.append(f"- **{verdict.capitalize()}** ({len(shown)}; in `--long` {others} more): {words}.")
     return "\n".join(lines)
 
 
@@ -95,7 +81,7 @@ def answers(file: ClaimsFile, judged: Sequence[Judged]) -> str:
 
 def _cells(claim: Judged) -> Row:
     reason = f" ({claim.why})" if claim.why else ""
-    return claim.words, claim.figure, claim.against, f"{_HEADS[claim.verdict]}{reason}"
+    return claim.words, claim.figure, claim.against, f"{claim.verdict}{reason}"
 
 
 def paper_table(store: ResultStore, file: ClaimsFile, name: str) -> str:
@@ -170,32 +156,19 @@ def time_constant_table(store: ResultStore, file: ClaimsFile) -> str:
     return markdown(rows)
 
 
-def coverage(store: ResultStore) -> list[GroupRow]:
-    """Return each group of the grid: how many of its runs exist, and the commits that made them."""
-    rows = []
-    for group in grid(*_BUDGETS):
-        runs = store.results(group.task, group.agent, group.budget)
-        rows.append(
-            GroupRow(
-                **group._asdict(),
-                made=len(runs),
-                commits=Counter(_short(run.made_with.get("commit", "unknown")) for run in runs),
-                cpu_s=sum(run.cpu_s for run in runs),
-            )
-        )
-    return rows
-
-
 def runs_table(store: ResultStore) -> str:
     """Return how many runs of each search and task exist, their mean CPU time, and their commits."""
     rows: list[Row] = [("search", "task", "runs", "core s a run", "of commit")]
-    for key, found in groupby(coverage(store), lambda row: (row.budget, row.task)):
-        groups = list(found)
-        made = sum(row.made for row in groups)
-        runs = ", ".join(f"{row.agent} {row.made} of {row.runs}" for row in groups)
-        core_s = f"{sum(row.cpu_s for row in groups) / made:.0f}" if made else ""
-        commits = sum((Counter(row.commits) for row in groups), Counter[str]())
-        rows.append((*key, runs, core_s, _counts(commits)))
+    for budget in _BUDGETS:
+        for task, groups in groupby(grid(budget), lambda group: group.task):
+            made, agents = [], []
+            for group in groups:
+                runs = store.results(task, group.agent, budget)
+                made += runs
+                agents.append(f"{group.agent} {len(runs)} of {group.runs}")
+            core_s = f"{np.mean([run.cpu_s for run in made]):.0f}" if made else ""
+            commits = Counter(_short(run.made_with.get("commit", "unknown")) for run in made)
+            rows.append((budget, task, ", ".join(agents), core_s, _counts(commits)))
     return markdown(rows)
 
 

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from pydantic import ConfigDict, ValidationError, model_validator
 
-from paper.episodes import Evaluator
+from paper.episodes import Evaluator, library
 from paper.gradients import score_actor, train_actor
 from paper.search import Budget, ParkingEvaluator, run_search
 from paper.tasks import (
@@ -41,7 +41,7 @@ from paper.tasks import (
 )
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.config import StrictModel
-from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
+from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.core.files import read_text
 from sim.learn.record import made_with
 
@@ -55,9 +55,6 @@ _source = cache(made_with)  # a process loads its code once
 TOLERANCE = 1e-9
 """Difference in a return that another machine may make. A half-cheetah's contacts amplify a last bit, so its
 replay is compared by its verdict."""
-_GRADIENT_TASKS = ("pendulum", "mountain-car")
-"""The tasks of the paper's table of reinforcement learning."""
-_ALGORITHM1_TASKS = ("parking", "pendulum", "mountain-car", "cart-pole")
 _SEEDS = 10
 _PARKING_SEEDS = 48
 """As many as were measured with the published code itself."""
@@ -74,6 +71,13 @@ class BudgetName(StrEnum):
     """Training by PPO or A2C, for which the paper gives no settings."""
     QUICK = "quick"
     """A few iterations of the published search."""
+
+
+_OTHERS: dict[BudgetName, tuple[tuple[str, ...], Sequence[str]]] = {
+    BudgetName.GRADIENTS: (("pendulum", "mountain-car"), GRADIENTS),  # the paper's Table III
+    BudgetName.ALGORITHM1: (("parking", "pendulum", "mountain-car", "cart-pole"), PAPERS[:1]),
+}
+"""Tasks and agents of the budgets that not all tasks have."""
 
 
 class RunName(StrictModel):
@@ -173,15 +177,10 @@ class ResultStore:
         return np.array([run.mean for run in self.results(task, agent, budget)])
 
     def every(self) -> Iterator[Result]:
-        """Yield all runs, file by file. Raises FileError; OSError for a folder that cannot be read."""
+        """Yield all runs, file by file. Raises FileError."""
         for budget in BudgetName:
-            try:  # since Python 3.13, glob finds nothing where a folder cannot be read
-                paths = sorted((self.folder / budget).iterdir())
-            except FileNotFoundError:
-                continue
-            for path in paths:
-                if path.suffix == ".jsonl":
-                    yield from self._runs(path).values()
+            for path in sorted((self.folder / budget).glob("*.jsonl")):
+                yield from self._runs(path).values()
 
     def save(self, result: Result) -> None:
         """Append a result to its file, after a line that was cut off too. Raises FileError."""
@@ -224,30 +223,19 @@ class Group(NamedTuple):
     task: str
     agent: str
     budget: BudgetName
-    runs: int = _SEEDS
-
-    def names(self, seeds: Sequence[int] | None = None) -> list[RunName]:
-        """Return the group's runs, or those of the seeds given."""
-        return [
-            RunName(task=self.task, agent=self.agent, seed=seed, budget=self.budget)
-            for seed in dict.fromkeys(seeds or range(self.runs))
-        ]
+    runs: int
 
 
-def grid(*budgets: BudgetName) -> Iterator[Group]:
-    """Yield all groups of some budgets."""
-    for budget in budgets:
-        for name, task in TASKS.items():
-            seeds = _PARKING_SEEDS if (name, budget) == ("parking", BudgetName.PUBLISHED) else _SEEDS
-            yield from (Group(name, agent, budget, seeds) for agent in _agents(task, budget))
-
-
-def _agents(task: Task, budget: BudgetName) -> Sequence[str]:
-    if budget is BudgetName.GRADIENTS:
-        return GRADIENTS if task.name in _GRADIENT_TASKS else ()
-    if budget is BudgetName.ALGORITHM1:
-        return ("circuit",) if task.name in _ALGORITHM1_TASKS else ()
-    return PAPERS if isinstance(task, Benchmark) else ("circuit",)
+def grid(budget: BudgetName) -> Iterator[Group]:
+    """Yield all groups of a budget."""
+    for name, task in TASKS.items():
+        agents: Sequence[str] = PAPERS if isinstance(task, Benchmark) else PAPERS[:1]
+        if budget in _OTHERS:
+            tasks, agents = _OTHERS[budget]
+            if name not in tasks:
+                continue
+        seeds = _PARKING_SEEDS if (name, budget) == ("parking", BudgetName.PUBLISHED) else _SEEDS
+        yield from (Group(name, agent, budget, seeds) for agent in agents)
 
 
 def select(
@@ -260,22 +248,19 @@ def select(
 
     Raises UsageError for an unknown task or agent, and where nothing is left.
     """
-    for task in tasks or ():
-        find_task(task)
-    for agent in agents or ():
-        if agent not in AGENTS:
-            raise UsageError(f"no agent {agent!r}; expected one of {', '.join(AGENTS)}")
-    groups = [
-        group
-        for group in grid(budget)
-        if (not agents or group.agent in agents) and (not tasks or group.task in tasks)
+    for what, given, known in (("task", tasks, tuple(TASKS)), ("agent", agents, AGENTS)):
+        for name in set(given or ()) - set(known):
+            raise UsageError(f"no {what} {name!r}; expected one of {', '.join(known)}")
+    groups = sorted(grid(budget), key=lambda group: AGENTS.index(group.agent))
+    names = [
+        RunName(task=group.task, agent=group.agent, seed=seed, budget=budget)
+        for group in groups
+        if group.agent in (agents or AGENTS) and group.task in (tasks or TASKS)
+        for seed in dict.fromkeys(seeds or range(group.runs))
     ]
-    groups.sort(key=lambda group: AGENTS.index(group.agent))
-    if not groups:
-        raise UsageError(
-            f"the budget {budget} has no such runs; python -m paper report --long lists those of each budget"
-        )
-    return [name for group in groups for name in group.names(seeds)]
+    if not names:
+        raise UsageError(f"the budget {budget} has no such runs; python -m paper report --long lists them")
+    return names
 
 
 def budget_for(task: Task, name: BudgetName, agent: str = "circuit") -> Budget:
@@ -296,15 +281,11 @@ def train_run(name: RunName) -> Result:
     """
     task, began, cpu = find_task(name.task), time.monotonic(), time.process_time()
     made = _made_with(task, name.agent)  # before the search: files may change while it lasts
-    agent: Policy | Net | None = None
-    settings: dict[str, Any]
-    if name.agent in GRADIENTS:
-        assert isinstance(task, Benchmark)
-        found, settings = train_actor(task, name.agent, name.seed)
+    if isinstance(task, Benchmark) and name.agent in GRADIENTS:
+        agent, (found, settings) = None, train_actor(task, name.agent, name.seed)
     else:
-        agent = build_agent(task, name.agent, name.seed)
-        budget = budget_for(task, name.budget, name.agent)
-        settings, found = vars(budget), run_search(task, agent, name.seed, budget)
+        agent, budget = build_agent(task, name.agent, name.seed), budget_for(task, name.budget, name.agent)
+        found, settings = run_search(task, agent, name.seed, budget), vars(budget)
     return Result(
         name=name,
         settings=settings,
@@ -356,11 +337,8 @@ def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int, war
 
 def replay(result: Result) -> Score:
     """Return the score of a stored run's parameters now."""
-    name = result.name
-    agent: Policy | Net | None = None
-    task = find_task(name.task)
-    if name.agent not in GRADIENTS:
-        agent = build_agent(task, name.agent, name.seed)
+    name, task = result.name, find_task(result.name.task)
+    agent = None if name.agent in GRADIENTS else build_agent(task, name.agent, name.seed)
     return score(task, agent, result.parameters.array(), name.seed, result.settings.get("warm_up", 0))
 
 
@@ -376,22 +354,15 @@ def make_runs(
 ) -> None:
     """Make runs, as many at once as there are processes; save each as it ends.
 
-    An interruption loses the unfinished ones. Raises UsageError before the first run begins; after the
-    others, the error of a run.
+    An interruption loses the unfinished ones. Raises UsageError before the first run begins.
     """
     if {name.agent for name in names} & set(GRADIENTS) and not find_spec("stable_baselines3"):
         raise UsageError("ppo and a2c need stable-baselines3: make paper-gradients installs it")
-    count = min(processes or len(os.sched_getaffinity(0)), len(names))
-    errors: list[RoverNcpError] = []
+    library()
+    count = min(processes or os.cpu_count() or 1, len(names))
     # Spawned, never forked: numba does not survive a fork.
     with ProcessPoolExecutor(count, multiprocessing.get_context("spawn")) as workers:
         for run in as_completed([workers.submit(train_run, name) for name in names]):
-            try:
-                result = run.result()
-            except RoverNcpError as error:  # the others go on
-                errors.append(error)
-                continue
+            result = run.result()
             store.save(result)
             on_result(result)
-    if errors:
-        raise errors[0]

@@ -7,10 +7,11 @@ literally; this loop makes the same decisions in less time.
 """
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from functools import partial
+from types import MappingProxyType
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -60,65 +61,55 @@ class Scale(NamedTuple):
     """Whether the incumbent is estimated anew before the next candidate."""
 
 
-class Strategy(ABC):
+class Strategy(Protocol):
     """How a search draws its candidates, and how success and failure change their distance."""
 
-    counts_estimates = False
+    counts_estimates: bool
     """Whether a new estimate of the incumbent is an iteration."""
     start: Scale
 
-    def __init__(self, layout: ParameterLayout) -> None:
-        self.layout = layout
-
-    @abstractmethod
     def first(self, defaults: Vector, rng: np.random.Generator) -> Vector:
         """Return the first incumbent (P,)."""
 
-    @abstractmethod
     def propose(self, incumbent: Vector, level: Any, rng: np.random.Generator) -> Vector:
         """Draw a candidate (P,): a new array."""
 
-    @abstractmethod
-    def success(self, scale: Scale) -> Scale:
-        """Return the scale after a candidate that was better."""
-
-    @abstractmethod
-    def failure(self, scale: Scale) -> Scale:
-        """Return the scale after one that was not."""
-
-    def clip(self, vector: Vector) -> Vector:
-        """Return the vector (P,) with each entry moved to its nearest allowed value."""
-        return np.minimum(np.maximum(vector, self.layout.lower), self.layout.upper)
+    def after(self, success: bool, scale: Scale) -> Scale:
+        """Return the scale after a candidate that was better than the incumbent, or was not."""
 
 
-class Published(Strategy):
-    """The published search of pendulum and half-cheetah: few entries change, more of them after long failure.
+class Published:
+    """The published search of circuits: few entries change, more of them after long failure.
 
     The layers of a half-cheetah's circuit are drawn at random, and every entry of them changes each time.
     """
 
-    rules = RULES
-    estimates = True
-    falls_back: Mapping[int, int] = {}
-
-    def __init__(self, layout: ParameterLayout) -> None:
-        super().__init__(layout)
-        blocks = layout.blocks
-        rules = [self.rules[block.kind] for block in blocks]
-        self._least, self._most = [rule.least for rule in rules], [rule.most for rule in rules]
+    def __init__(
+        self,
+        layout: ParameterLayout,
+        rules: Mapping[ParameterKind, KindRule] = RULES,
+        *,
+        estimates: bool = True,
+        counts_estimates: bool = False,
+        falls_back: Mapping[int, int] = MappingProxyType({}),
+    ) -> None:
+        """``estimates``: 51 failures in a row make an estimate of the incumbent due."""
+        self._lower, self._upper, self._layout = layout.lower, layout.upper, layout
+        self.counts_estimates, self._estimates, self._falls_back = counts_estimates, estimates, falls_back
+        blocks, self._rules = layout.blocks, [rules[block.kind] for block in layout.blocks]
         self._starts = np.array([block.slice.start for block in blocks])
         self._stops = np.array([block.slice.stop for block in blocks])
-        self._low = np.array([rule.low for rule in rules])
-        self._width = np.array([rule.high - rule.low for rule in rules])
+        self._low = np.array([rule.low for rule in self._rules])
+        self._width = np.array([rule.high - rule.low for rule in self._rules])
         in_layer = [block.kind in _LAYERS for block in blocks]
         self._layered = np.flatnonzero(np.repeat(in_layer, [block.size for block in blocks]))
-        self.start = Scale([rule.first or rule.least for rule in rules])
+        self.start = Scale([rule.first or rule.least for rule in self._rules])
 
     def first(self, defaults: Vector, rng: np.random.Generator) -> Vector:
         """Return the defaults with noise on some entries of each kind."""
-        vector = perturb(self.layout, defaults, rng)
+        vector = perturb(self._layout, defaults, rng)
         vector[self._layered] = rng.standard_normal(len(self._layered))
-        return self.clip(vector)
+        return np.minimum(np.maximum(vector, self._lower), self._upper)
 
     def propose(self, incumbent: Vector, level: Any, rng: np.random.Generator) -> Vector:
         """Draw the numbers of changes, the deviations, the entries and the noise, in this order."""
@@ -128,43 +119,27 @@ class Published(Strategy):
         vector = incumbent.copy()
         np.add.at(vector, entries, np.repeat(deviations, counts) * rng.standard_normal(len(entries)))
         vector[self._layered] = incumbent[self._layered] + rng.standard_normal(len(self._layered))
-        return self.clip(vector)
+        return np.minimum(np.maximum(vector, self._lower), self._upper)
 
-    def success(self, scale: Scale) -> Scale:
-        """Shrink every cap by one, not below its least."""
-        return Scale([max(cap - 1, least) for cap, least in zip(scale.level, self._least, strict=True)])
-
-    def failure(self, scale: Scale) -> Scale:
-        """Count; with the 51st failure in a row every cap grows by one, not above its most."""
+    def after(self, success: bool, scale: Scale) -> Scale:
+        """Shrink every cap after a success, and enlarge every cap after the 51st failure in a row."""
+        pairs = list(zip(scale.level, self._rules, strict=True))
+        if success:
+            return Scale([max(cap - 1, rule.least) for cap, rule in pairs])
         if scale.failures + 1 < FAILURES_TO_WIDEN:
             return Scale(scale.level, scale.failures + 1)
-        grown = [min(cap + 1, most) for cap, most in zip(scale.level, self._most, strict=True)]
-        caps = [self.falls_back.get(old, new) for old, new in zip(scale.level, grown, strict=True)]
-        return Scale(caps, due=self.estimates)
+        caps = [self._falls_back.get(cap, min(cap + 1, rule.most)) for cap, rule in pairs]
+        return Scale(caps, due=self._estimates)
 
 
-class PublishedOnParking(Published):
-    """The published search of parking."""
-
-    estimates = False
-
-
-class PublishedOnMountainCar(Published):
-    """The published search of mountain car, with larger changes and more of them."""
-
-    rules, falls_back = _CAR_RULES, _FALLS_BACK
-
-
-class PublishedOnCartPole(Published):
-    """The published search of cart-pole."""
-
-    rules, counts_estimates = _CART_RULES, True
-
-
-class PublishedOnNetworks(Strategy):
+class PublishedOnNetworks:
     """The published search of MLP and LSTM: noise of one amplitude on all weights, which have no bounds."""
 
+    counts_estimates = False
     start = Scale(_MIN_AMPLITUDE)
+
+    def __init__(self, _: ParameterLayout) -> None:
+        pass
 
     def first(self, defaults: Vector, rng: np.random.Generator) -> Vector:
         """Return noise alone."""
@@ -175,24 +150,26 @@ class PublishedOnNetworks(Strategy):
         candidate: Vector = incumbent + level * rng.standard_normal(len(incumbent))
         return candidate
 
-    def success(self, scale: Scale) -> Scale:
-        """Halve the amplitude."""
-        return Scale(max(scale.level / 2.0, _MIN_AMPLITUDE))
-
-    def failure(self, scale: Scale) -> Scale:
-        """Count; with the 51st failure in a row the amplitude is five times as large."""
+    def after(self, success: bool, scale: Scale) -> Scale:
+        """Halve the amplitude after a success; the 51st failure in a row makes it five times as large."""
+        if success:
+            return Scale(max(scale.level / 2.0, _MIN_AMPLITUDE))
         if scale.failures + 1 < FAILURES_TO_WIDEN:
             return Scale(scale.level, scale.failures + 1)
         return Scale(min(scale.level * 5.0, _MAX_AMPLITUDE), due=True)
 
 
-class Algorithm1(Strategy):
+class Algorithm1:
     """Algorithm 1 as printed: sigma, a share of each range, without limits; an exact start.
 
     Its counter is not reset by an estimate: after N failures every iteration estimates, until a success.
     """
 
+    counts_estimates = False
     start = Scale(START_SCALE)
+
+    def __init__(self, layout: ParameterLayout) -> None:
+        self._lower, self._upper = layout.lower, layout.upper
 
     def first(self, defaults: Vector, rng: np.random.Generator) -> Vector:
         """Return the defaults."""
@@ -200,24 +177,22 @@ class Algorithm1(Strategy):
 
     def propose(self, incumbent: Vector, level: Any, rng: np.random.Generator) -> Vector:
         """Add noise to every entry."""
-        layout = self.layout
-        noise = level * (layout.upper - layout.lower) * rng.standard_normal(len(incumbent))
-        return self.clip(incumbent + noise)
+        noise = level * (self._upper - self._lower) * rng.standard_normal(len(incumbent))
+        vector: Vector = np.minimum(np.maximum(incumbent + noise, self._lower), self._upper)
+        return vector
 
-    def success(self, scale: Scale) -> Scale:
-        """Enlarge sigma. The counter is reset before this iteration is counted."""
-        return Scale(scale.level * ALPHA, 1)
-
-    def failure(self, scale: Scale) -> Scale:
-        """Shrink sigma, and count."""
+    def after(self, success: bool, scale: Scale) -> Scale:
+        """Enlarge or shrink sigma. A success resets the counter before its iteration is counted."""
+        if success:
+            return Scale(scale.level * ALPHA, 1)
         return Scale(scale.level / ALPHA, scale.failures + 1, scale.failures + 1 > ESTIMATE_AFTER)
 
 
-STRATEGIES: Mapping[str, type[Strategy]] = {
-    "published-parking": PublishedOnParking,
+STRATEGIES: Mapping[str, Callable[[ParameterLayout], Strategy]] = {
+    "published-parking": partial(Published, estimates=False),
     "published-benchmarks": Published,
-    "published-mountain-car": PublishedOnMountainCar,
-    "published-cart-pole": PublishedOnCartPole,
+    "published-mountain-car": partial(Published, rules=_CAR_RULES, falls_back=_FALLS_BACK),
+    "published-cart-pole": partial(Published, rules=_CART_RULES, counts_estimates=True),
     "published-network": PublishedOnNetworks,
     "algorithm1": Algorithm1,
 }
@@ -356,15 +331,15 @@ def climb(
             while len(drawn) < min(ahead, iterations - done) and not coming.due:
                 vector = strategy.propose(incumbent, coming.level, rng)
                 drawn.append((vector, coming, rng.bit_generator.state))
-                coming = strategy.failure(coming)
+                coming = strategy.after(False, coming)
             found = estimate(np.array([vector for vector, _, _ in drawn]), evaluations, value)
             for (vector, used, state), new in zip(drawn, found.tolist(), strict=True):
                 evaluations, done = evaluations + 1, done + 1
                 if new > value:
-                    incumbent, value, scale = vector, new, strategy.success(used)
+                    incumbent, value, scale = vector, new, strategy.after(True, used)
                     rng.bit_generator.state = state
                     break
-                scale = strategy.failure(used)
+                scale = strategy.after(False, used)
         if value != before:
             on_change(done, incumbent, value)
         ahead = min(2 * ahead, _MAX_AHEAD) if value == before else _MIN_AHEAD

@@ -45,7 +45,7 @@ def test_questions_and_tables_are_answered_by_claims():
 
 
 def test_every_claim_with_runs_has_them_in_the_grid():
-    groups = {(group.task, group.agent, group.budget) for group in grid(*BudgetName)}
+    groups = {(group.task, group.agent, group.budget) for budget in BudgetName for group in grid(budget)}
     for claim in load_claims().claims:
         given = claim.arguments
         if claim.test in {"rate", "value", "compare"}:
@@ -59,8 +59,8 @@ def test_every_claim_with_runs_has_them_in_the_grid():
 @pytest.mark.parametrize(
     ("hits", "of", "theirs", "expected"),
     [
-        (10, 10, (12, 12), Verdict.INCONCLUSIVE),  # the rate of ten runs is not known within the margin
-        (48, 48, (48, 48), Verdict.REPRODUCED),
+        (10, 10, (12, 12), Verdict.UNDECIDED),  # the rate of ten runs is not known within the margin
+        (48, 48, (48, 48), Verdict.HOLDS),
         (2, 12, (12, 12), Verdict.DIFFERS),
         (4, 4, (12, 12), Verdict.NOT_TESTED),
     ],
@@ -69,7 +69,7 @@ def test_rate_needs_an_interval_within_the_margin(store, hits, of, theirs, expec
     fill(store, "parking", "circuit", [-0.05] * hits + [-3.0] * (of - hits))
     found = verdict(store, "rate", task="parking", hits=theirs[0], of=theirs[1])
     assert found.verdict is expected
-    if expected is Verdict.INCONCLUSIVE:
+    if expected is Verdict.UNDECIDED:
         assert found.why == "p = 1, n = 10 and 12"
 
 
@@ -83,10 +83,10 @@ def test_rate_within_some_iterations_is_read_from_the_curve(store):
 def test_value_is_equal_within_the_margin_or_differs(store):
     fill(store, "mountain-car", "mlp", [95.0, 96.0, 97.0, 96.5, 95.5])
     values = {"task": "mountain-car", "agent": "mlp", "std": 1.0}
-    assert verdict(store, "value", mean=96.5, **values).verdict is Verdict.REPRODUCED
+    assert verdict(store, "value", mean=96.5, **values).verdict is Verdict.HOLDS
     assert verdict(store, "value", mean=80.0, **values).verdict is Verdict.DIFFERS
     wide = verdict(store, "value", mean=92.0, **values | {"std": 30.0})
-    assert wide.verdict is Verdict.INCONCLUSIVE
+    assert wide.verdict is Verdict.UNDECIDED
     assert wide.why.startswith("p = ")
 
 
@@ -97,12 +97,12 @@ def test_comparison_is_better_on_par_or_open(store):
     fill(store, "pendulum", "lstm", [1191.0, 1192.0, 1193.0, 1194.0, 1199.0])
     fill(store, "pendulum", "ppo", [1150.0, 1155.0, 1160.0, 1165.0, 1170.0], budget="gradients")
     pendulum = {"task": "pendulum"}
-    assert verdict(store, "compare", other="random", better=True, **pendulum).verdict is Verdict.REPRODUCED
-    assert verdict(store, "compare", other="mlp", better=True, **pendulum).verdict is Verdict.INCONCLUSIVE
-    assert verdict(store, "compare", other="mlp", **pendulum).verdict is Verdict.REPRODUCED
+    assert verdict(store, "compare", other="random", better=True, **pendulum).verdict is Verdict.HOLDS
+    assert verdict(store, "compare", other="mlp", better=True, **pendulum).verdict is Verdict.UNDECIDED
+    assert verdict(store, "compare", other="mlp", **pendulum).verdict is Verdict.HOLDS
     assert verdict(store, "compare", other="lstm", **pendulum).verdict is Verdict.DIFFERS
     nearly = verdict(store, "compare", other="ppo", other_budget="gradients", **pendulum)
-    assert nearly.verdict is Verdict.REPRODUCED  # surely worse, and surely by less than the margin
+    assert nearly.verdict is Verdict.HOLDS  # surely worse, and surely by less than the margin
     assert verdict(store, "compare", other="a2c", **pendulum).verdict is Verdict.NOT_TESTED
 
 
@@ -113,7 +113,7 @@ def test_p_is_corrected_for_the_claims_of_one_place(store):
     others = [
         Claim(name=f"b{n}", words="", where="here", test="value", arguments=arguments) for n in range(9)
     ]
-    assert verdict(store, "value", others=others, **arguments).verdict is Verdict.INCONCLUSIVE
+    assert verdict(store, "value", others=others, **arguments).verdict is Verdict.UNDECIDED
     apart = [other.model_copy(update={"comparable": False}) for other in others]
     assert verdict(store, "value", others=apart, **arguments).verdict is Verdict.DIFFERS
     assert judge_claims(store, apart[:1])[0].verdict is Verdict.NOT_TESTED
@@ -127,7 +127,7 @@ def test_on_par_is_corrected_as_a_difference_is(store, others):
     arguments = {"task": "pendulum", "other": "mlp"}
     same = Claim(name="b", words="", where="here", test="compare", arguments=arguments)
     found = verdict(store, "compare", others=[same] * others, **arguments)
-    assert found.verdict is (Verdict.INCONCLUSIVE if others else Verdict.REPRODUCED)
+    assert found.verdict is (Verdict.UNDECIDED if others else Verdict.HOLDS)
 
 
 def test_vertical_steps_count_only_if_wanted_and_still_ones_never():
@@ -158,7 +158,7 @@ def test_sign_has_a_verdict_only_where_all_readings_agree(store, monkeypatch):
     monkeypatch.setattr(claims, "drives", lambda _: [(None, None)] * 8)
     monkeypatch.setattr(claims, "readings", lambda *_: next(signs))
     sign = {"source": "AVA", "destination": "RGT", "expected": "positive"}
-    assert verdict(store, "sign", **sign).verdict is Verdict.REPRODUCED
+    assert verdict(store, "sign", **sign).verdict is Verdict.HOLDS
     found = verdict(store, "sign", **sign)
     assert (found.verdict, found.figure, found.why) == (
         Verdict.NOT_TESTED,
@@ -171,9 +171,9 @@ def test_sign_has_a_verdict_only_where_all_readings_agree(store, monkeypatch):
     ("positive", "antagonistic", "expected"),
     [
         (5, 0, Verdict.NOT_TESTED),  # not even equal signs could decide
-        (6, 0, Verdict.REPRODUCED),
+        (6, 0, Verdict.HOLDS),
         (0, 6, Verdict.DIFFERS),
-        (7, 1, Verdict.INCONCLUSIVE),
+        (7, 1, Verdict.UNDECIDED),
     ],
 )
 def test_sign_is_decided_by_the_sign_test_over_clear_circuits(

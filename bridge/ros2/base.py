@@ -130,7 +130,7 @@ class Ros2Base:
         self._contradictions: dict[str, float] = {}
         """Reasons against being ready, and when each was last seen."""
         self._loop = self._ready = self._was_ready = False
-        self._known_restarts = self._known_jumps = 0
+        self._known_restarts = 0
         self._began_s: float | None = None
         self._sent: deque[tuple[float, bytes]] = deque(maxlen=256)
         self._out = STANDSTILL
@@ -325,15 +325,12 @@ class Ros2Base:
         problem = self._problem(now)
         if problem and self._ready:
             self._ready = False
-            self._known_jumps = self._odometer.jumps
             self._odometer.count_anew()
             return [Lost(problem)]
         if not problem and not self._ready:
-            odometer = self._odometer
-            known = odometer.restarts == self._known_restarts and odometer.jumps == self._known_jumps
-            again = self._was_ready and known
+            again = self._was_ready and self._odometer.restarts == self._known_restarts
             self._ready = self._was_ready = True
-            self._known_restarts = odometer.restarts
+            self._known_restarts = self._odometer.restarts
             name = f"{self._description.name} on {self._line.endpoint}"
             return [Recovered() if again else Ready(name, self._description)]
         if problem and not self._was_ready and now - self._began_s > WAIT_S:

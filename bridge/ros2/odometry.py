@@ -1,7 +1,8 @@
 """A robot's Odometry messages as poses since it was connected. Pure.
 
-A message counts when it is of the right frames, finite, new and fresh. The robot's clock may be off by any
-constant, and may be set (`rover_ncp.core.clock_offset`).
+A message counts when it is of the right frames, finite, new and fresh, and its pose is where the robot can
+have driven since the last one. Two poses in a row that are not begin odometry anew. The robot's clock may be
+off by any constant, and may be set (`rover_ncp.core.clock_offset`).
 """
 
 import math
@@ -13,7 +14,6 @@ from typing import NamedTuple
 from rover_ncp.core.clock_offset import StampClock, update_clock_offset
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import (
-    STANDSTILL,
     Pose,
     Velocity,
     distance,
@@ -35,15 +35,15 @@ LOSS_S = 0.5
 CLOCK_BACK_S = 1.25
 """A clock that is set back by more than this may be that of a robot that restarted."""
 JUMP_M, JUMP_RAD = 0.05, 0.1
-"""A pose farther from the last one than the robot can drive, and this, has jumped."""
+"""A pose farther from the last one than a robot twice as fast can drive, and this, has jumped."""
 MAX_NAME = 60
 """Longest frame name in a message."""
 OTHER_RATE = 0.02
 """Clocks of computers differ by far less than this in a second."""
 LATE_SECONDS, NOTICE_SECONDS = 2, 5
 """A clock's rate is named if it is another in each of so many seconds: when odometry is late, or alone."""
-ALTERNATIONS = 2
-CONFLICT_S = 1.0
+ALTERNATIONS, CONFLICT_S = 2, 1.0
+"""So many jumps of pose or clock within this time, with others between, show a second publisher."""
 
 
 class Moved(NamedTuple):
@@ -62,7 +62,7 @@ class RosOdometer:
 
     def __init__(self, topics: Topics, motion: Motion, where: str) -> None:
         self._topics, self._motion, self._where = topics, motion, where
-        self.counters = dict.fromkeys(("messages", "stale", "repeated", "foreign"), 0)
+        self.counters = dict.fromkeys(("messages", "stale", "repeated", "jumped", "foreign"), 0)
         self.problem = ""
         self.notices: list[str] = []
         """Lines for the log that the last message gave cause for."""
@@ -71,8 +71,6 @@ class RosOdometer:
         self.restarts = 0
         """How often the origin was set anew, because the robot began again, and why the last time."""
         self.restart_reason = ""
-        self.jumps = 0
-        """How often the pose went on elsewhere than it was."""
         self._good_s = -math.inf
         self._spread: deque[float] = deque(maxlen=MIN_IN_RATE)
         """When messages that count arrived, without those of a burst."""
@@ -83,13 +81,13 @@ class RosOdometer:
         self._stamp_ns = 0
         self._offsets: tuple[tuple[int, float], ...] = ()
         """Seconds of arrival, and the smallest (arrival − stamp) in each, whether it counts or not."""
-        self._seen: deque[tuple[float, Pose]] = deque(maxlen=2)
-        self._velocity, self._jumped = STANDSTILL, False
-        self._alternations: deque[float] = deque(maxlen=ALTERNATIONS)
-        self._clock_jumps: deque[float] = deque(maxlen=ALTERNATIONS)
+        self._last: tuple[float, OdometrySample] | None = None
+        """The last message that counts, and when it arrived."""
+        self._jumped = False
+        """Whether the pose of the newest message jumped."""
+        self._conflicts: deque[float] = deque(maxlen=ALTERNATIONS)
+        """When messages arrived whose pose or clock jumped."""
         self._origin: Pose | None = None
-        self._origin_source: bytes | None = None
-        """The publisher by whose message the origin was set."""
         self._theta = self._age_s = 0.0
 
     def take(self, payload: bytes, arrived_s: float, source: bytes | None = None) -> Moved | None:
@@ -125,7 +123,7 @@ class RosOdometer:
             return None
         if not self._new_and_fresh(sample.stamp_ns, arrived_s):
             return None
-        return self._moved(sample, arrived_s, source)
+        return self._moved(sample, arrived_s)
 
     def reset(self) -> None:
         """Make the next pose the origin."""
@@ -151,8 +149,8 @@ class RosOdometer:
     def publishers(self, now: float) -> int:
         """Return how many publishers the messages of the last second show, 2 for any more."""
         known = sum(now - at < CONFLICT_S for at in self._sources.values())
-        full = [found for found in (self._alternations, self._clock_jumps) if len(found) == ALTERNATIONS]
-        return max(known, 2 if any(now - found[0] < CONFLICT_S for found in full) else 1)
+        alternate = len(self._conflicts) == ALTERNATIONS and now - self._conflicts[0] < CONFLICT_S
+        return max(known, 2 if alternate else 1)
 
     def robot_clock_ns(self, now: float) -> int:
         """Return the present time on the robot's clock, at most a message's way behind; 0 if unknown."""
@@ -179,7 +177,7 @@ class RosOdometer:
         elif back_s:
             self.notices.append(f"the clock that stamps {self._where} was set back by {back_s:.2f} s")
         if self._clock.doubt_s > CLOCK_BACK_S:
-            self._clock_jumps.append(arrived_s)
+            self._conflicts.append(arrived_s)
         if measured_ns is None:
             self.counters["stale"] += 1
             self.problem = f"the stamps of odometry jump by {self._clock.doubt_s:.1f} s"
@@ -197,61 +195,50 @@ class RosOdometer:
             return False
         return True
 
-    def _moved(self, sample: OdometrySample, arrived_s: float, source: bytes | None) -> Moved:
-        if self._seen and (reason := self._restarted(sample.pose, arrived_s, source)):
-            self._restart(reason)
-        jumped = bool(self._seen) and self._jumps(sample.pose, -1, arrived_s)
-        if len(self._seen) == 2 and jumped and not self._jumps(sample.pose, 0, arrived_s):
-            # Back at the track of the message before the last: two robots report in turn.
-            self._alternations.append(arrived_s)
-            jumped = False
-        elif len(self._seen) == 2 and self._jumped and not jumped:
-            self.jumps += self._jumps(sample.pose, 0, arrived_s)
-        self._jumped = jumped
+    def _moved(self, sample: OdometrySample, arrived_s: float) -> Moved | None:
+        again, self._jumped = self._jumped, self._jumps(sample.pose, arrived_s)
+        if self._jumped and not again:
+            self.counters["jumped"] += 1
+            self._conflicts.append(arrived_s)
+            self.problem = "its pose jumped"
+            return None
+        if self._jumped:
+            self._restart("its pose jumped, so the robot restarted or was moved")
         self._good_s = arrived_s
         if not self._spread or arrived_s - self._spread[-1] >= BURST_S:
             self._spread.append(arrived_s)
         self.problem = ""
-        last = self._seen[-1][1] if self._seen else sample.pose
-        self._seen.append((arrived_s, sample.pose))
-        self._velocity = sample.velocity
-        if self._origin is None:
-            self._origin, self._theta, self._origin_source = sample.pose, 0.0, source
+        if self._origin is None or self._last is None:
+            self._origin, self._theta = sample.pose, 0.0
         else:
-            self._theta += wrap_angle(sample.pose.theta - last.theta)
+            self._theta += wrap_angle(sample.pose.theta - self._last[1].pose.theta)
+        self._last = arrived_s, sample
         x, y, _ = relative(self._origin, sample.pose)
         return Moved(Pose(x, y, self._theta), sample.velocity, self._age_s)
 
-    def _restarted(self, pose: Pose, arrived_s: float, source: bytes | None) -> str:
-        """Return why a pose counts from another place than those before; "" if it does not.
+    def _jumps(self, pose: Pose, arrived_s: float) -> bool:
+        """Return whether a pose is farther from the last one than the robot can have driven.
 
         A robot that was silent was sent zeros since then: it can only have coasted from its last speed.
         """
-        if None not in {source, self._origin_source} and source != self._origin_source:
-            return "it has another publisher" if self.publishers(arrived_s) == 1 else ""
-        if self.age_s(arrived_s) <= LOSS_S:
-            return ""
-        v, omega = map(abs, self._velocity)
-        before, motion = self._seen[-1][1], self._motion
-        coasted_m = v * LOSS_S + v * v / (2.0 * motion.decel)
-        coasted_rad = omega * LOSS_S + omega * omega / (2.0 * motion.alpha_decel)
-        turned = abs(wrap_angle(pose.theta - before.theta))
-        if distance(pose, before) <= JUMP_M + coasted_m and turned <= JUMP_RAD + coasted_rad:
-            return ""
-        return "its pose jumped while it was silent, so the robot restarted or was moved"
-
-    def _jumps(self, pose: Pose, index: int, arrived_s: float) -> bool:
-        (at, before), motion = self._seen[index], self._motion
-        turned, seconds = abs(wrap_angle(pose.theta - before.theta)), arrived_s - at
-        moved = distance(pose, before) > JUMP_M + 2.0 * motion.v_max * seconds
-        return moved or turned > JUMP_RAD + 2.0 * motion.omega_max * seconds
+        if self._last is None:
+            return False
+        (at_s, last), motion = self._last, self._motion
+        v, omega = map(abs, last.velocity)
+        m, rad = v * v / (2.0 * motion.decel), omega * omega / (2.0 * motion.alpha_decel)
+        seconds = LOSS_S
+        if arrived_s - at_s <= LOSS_S:
+            v, omega, m, rad = 2.0 * motion.v_max, 2.0 * motion.omega_max, 0.0, 0.0
+            seconds = arrived_s - at_s
+        moved, turned = distance(pose, last.pose), abs(wrap_angle(pose.theta - last.pose.theta))
+        return moved > JUMP_M + m + v * seconds or turned > JUMP_RAD + rad + omega * seconds
 
     def _restart(self, reason: str) -> None:
         self.restarts += 1
         self.restart_reason = reason
         self._origin = None
+        self._last, self._jumped = None, False
         self._spread.clear()
-        self._seen.clear()
 
 
 def _clock_rate(offsets: Sequence[tuple[int, float]]) -> str:

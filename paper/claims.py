@@ -15,14 +15,14 @@ from enum import StrEnum
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
-from paper.runs import Result, ResultStore
+from paper.runs import ResultStore
 from paper.statistics import LEVEL, Summary, even_odds, fisher, holm, mean_text, summary, welch, wilson
-from paper.tasks import TASKS, Net, Vector, build_agent, find_task
+from paper.tasks import TASKS, Net, Vector
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.config import StrictModel, parse_yaml
 from rover_ncp.core.files import read_text
@@ -48,17 +48,12 @@ class Verdict(StrEnum):
     NOT_TESTED = "not tested"
 
 
-class Statement(StrictModel):
-    """A statement of the paper."""
+class Claim(StrictModel):
+    """A claim of the paper and the test that decides on it."""
 
     name: str
     words: str
     where: str
-
-
-class Claim(Statement):
-    """A claim of the paper and the test that decides on it."""
-
     test: Literal["rate", "value", "compare", "sign", "parameters"] | None = None
     """None: nothing in this project can test it."""
     arguments: dict[str, Any] = Field(default_factory=dict)
@@ -95,9 +90,12 @@ class Outcome:
     """What a significant p means."""
 
 
-class Judged(Statement):
+class Judged(NamedTuple):
     """A claim with its verdict."""
 
+    name: str
+    words: str
+    where: str
     verdict: Verdict
     figure: str
     against: str
@@ -139,8 +137,7 @@ def _judged(claim: Claim, outcome: Outcome) -> Judged:
         why = claim.why or outcome.why
     from_paper = outcome.against and claim.test != "compare"
     against = f"{claim.where}: {outcome.against}" if from_paper else outcome.against
-    data = claim.model_dump(include=set(Statement.model_fields))
-    return Judged(**data, verdict=verdict, figure=outcome.figure, against=against, why=why)
+    return Judged(claim.name, claim.words, claim.where, verdict, outcome.figure, against, why)
 
 
 def _too_few(count: int) -> Outcome:
@@ -260,23 +257,13 @@ _MOVING = 1e-4
 """Distance in m, or turn in rad, in a tick of 0.1 s above which the rover drives."""
 
 
-def best_circuit(store: ResultStore, task: str) -> Result | None:
-    """Return the best run of the circuit by the published search."""
-    return max(store.results(task, "circuit"), key=lambda result: (result.success, result.mean), default=None)
-
-
-def trained(result: Result) -> Policy:
-    """Return the policy of a run of a circuit."""
-    agent = build_agent(find_task(result.name.task), result.name.agent, result.name.seed)
-    assert isinstance(agent, Policy)
-    return agent.with_parameters(result.parameters.array())
-
-
 @lru_cache(maxsize=1)
 def drives(store: ResultStore) -> tuple[tuple[Policy, Rollout], ...]:
     """Return the published search's parking circuits that succeed, the best first, each with its drive."""
     results = [result for result in store.results("parking", "circuit") if result.success]
-    policies = [trained(result) for result in sorted(results, key=lambda result: -result.mean)]
+    results.sort(key=lambda result: -result.mean)
+    untrained = TASKS["parking"].policy(TASKS["parking"].circuit())
+    policies = [untrained.with_parameters(result.parameters.array()) for result in results]
     return tuple((policy, rollout(policy, load_course("parking"))) for policy in policies)
 
 
@@ -310,10 +297,7 @@ def clear_signs(found: Iterable[Counter[Sign]]) -> list[Sign]:
 
 def time_constants(store: ResultStore) -> dict[str, tuple[float, float]]:
     """Return the time constants in s of the best parking circuit over its drive, by neuron."""
-    result = best_circuit(store, "parking")
-    if result is None:
-        return {}
-    policy = trained(result)
-    potentials = rollout(policy, load_course("parking")).potentials
-    ranges = time_constant_ranges(policy.circuit, potentials, policy.sensing.neurons)
-    return {each.neuron: (each.lowest_s, each.highest_s) for each in ranges}
+    for policy, drive in drives(store)[:1]:
+        ranges = time_constant_ranges(policy.circuit, drive.potentials, policy.sensing.neurons)
+        return {each.neuron: (each.lowest_s, each.highest_s) for each in ranges}
+    return {}

@@ -52,22 +52,11 @@ def long_report(store: ResultStore, judged: Sequence[Judged]) -> str:
 
 
 def summary_of(file: ClaimsFile, judged: Sequence[Judged]) -> str:
-    """Return the claims that answer the page's questions, in words, by verdict."""
+    """Return how many claims have each verdict, among those that answer the page's questions and others."""
     answering = {name for names in file.questions.values() for name in names}
-    signs = {claim.name for claim in file.of("sign")}  # their figures need the table's head
-    lines = []
-    for verdict in Verdict:
-        shown = [claim for claim in judged if claim.verdict is verdict and claim.name in answering]
-        others = sum(claim.verdict is verdict for claim in judged) - len(shown)
-        words = "; ".join(c.words if c.name in signs else _with_figure(c) for c in shown) or "none"
-        lines.append(f"- **{verdict.capitalize()}** ({len(shown)}; in `--long` {others} more): {words}.")
-    return "\n".join(lines)
-
-
-def _with_figure(claim: Judged) -> str:
-    figure, theirs = claim.figure.partition(" [")[0], claim.against.partition(": ")[2]
-    against = f" against {theirs}" if theirs else ""
-    return f"{claim.words} ({figure}{against})" if figure else claim.words
+    found = Counter((claim.verdict, claim.name in answering) for claim in judged)
+    rows = [("verdict", "claims below", "others, in `--long`")]
+    return markdown([*rows, *((each, found[each, True], found[each, False]) for each in Verdict)])
 
 
 def answers(file: ClaimsFile, judged: Sequence[Judged]) -> str:

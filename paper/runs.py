@@ -37,7 +37,6 @@ from paper.tasks import (
     Vector,
     build_agent,
     draw_seeds,
-    find_task,
 )
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.config import StrictModel
@@ -211,7 +210,7 @@ def _load(path: Path) -> dict[tuple[str, int], Result]:
             result = Result.model_validate(json.loads(line))
         except (ValueError, ValidationError) as error:
             raise FileError(f"{path}: line {number} is damaged or is no run; delete the line") from error
-        if (result.name.budget, result.name.task) != (path.parent.name, path.stem):
+        if (result.name.budget, result.name.task) != (path.parent.name, path.stem) or path.stem not in TASKS:
             raise FileError(f"{path}: line {number} is the run {result.name}, which belongs to another file")
         found[result.name.agent, result.name.seed] = result
     return found
@@ -279,7 +278,7 @@ def train_run(name: RunName) -> Result:
 
     Raises UsageError.
     """
-    task, began, cpu = find_task(name.task), time.monotonic(), time.process_time()
+    task, began, cpu = TASKS[name.task], time.monotonic(), time.process_time()
     made = _made_with(task, name.agent)  # before the search: files may change while it lasts
     if isinstance(task, Benchmark) and name.agent in GRADIENTS:
         agent, (found, settings) = None, train_actor(task, name.agent, name.seed)
@@ -337,7 +336,7 @@ def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int, war
 
 def replay(result: Result) -> Score:
     """Return the score of a stored run's parameters now."""
-    name, task = result.name, find_task(result.name.task)
+    name, task = result.name, TASKS[result.name.task]
     agent = None if name.agent in GRADIENTS else build_agent(task, name.agent, name.seed)
     return score(task, agent, result.parameters.array(), name.seed, result.settings.get("warm_up", 0))
 

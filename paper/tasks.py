@@ -139,13 +139,6 @@ _FILE = load_yaml(Path(__file__).with_suffix(".yaml"), _File)
 TASKS: Mapping[str, Task] = {task.name: task for task in (*_FILE.benchmarks, *_FILE.parking)}
 
 
-def find_task(name: str) -> Task:
-    """Return a task by its name; raises UsageError, which lists all names."""
-    if name not in TASKS:
-        raise UsageError(f"no task {name!r}; there are {', '.join(TASKS)}")
-    return TASKS[name]
-
-
 @dataclass(frozen=True)
 class Net:
     """A network of the published code in place of a circuit.

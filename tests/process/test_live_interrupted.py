@@ -1,4 +1,4 @@
-"""An interruption of ``park`` ends all of its processes, also when a second one comes while they end."""
+"""An interruption of ``park`` ends all of its processes."""
 
 import json
 import signal
@@ -7,28 +7,6 @@ import sys
 
 import psutil
 import pytest
-
-from sim.live.live_run import LiveRun
-from sim.live.processes import Process
-
-
-def test_second_interruption_does_not_keep_processes_from_being_ended(tmp_path, run_json, monkeypatch):
-    stop = Process.stop
-
-    def interrupted_stop(process):
-        if process.command == "bridge":  # the mock ends after it
-            signal.raise_signal(signal.SIGINT)
-        return stop(process)
-
-    def interrupted_deploy(live, *arguments):
-        signal.raise_signal(signal.SIGINT)
-
-    monkeypatch.setattr(Process, "stop", interrupted_stop)
-    monkeypatch.setattr(LiveRun, "deploy", interrupted_deploy)
-    before = set(psutil.Process().children(recursive=True))
-    code, fields = run_json(f"park --policy course --out {tmp_path / 'out'}")
-    assert (code, fields["kind"]) == (130, "Interrupted")
-    assert set(psutil.Process().children(recursive=True)) <= before
 
 
 @pytest.mark.long

@@ -1,7 +1,6 @@
 import os
 import re
 import struct
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
@@ -214,35 +213,6 @@ def test_failed_atomic_write_keeps_the_old_file_and_is_our_error(tmp_path, monke
         write_atomic(path, "new")
     assert path.read_text() == "old"
     assert list(path.parent.iterdir()) == [path]
-
-
-@pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # interrupted as it was to be closed
-def test_ctrl_c_between_any_two_lines_of_a_write_leaves_no_other_file(tmp_path):
-    path, steps, before = tmp_path / "file.txt", 0, sys.gettrace()  # that of a measurement of coverage
-    write_atomic(path, "old")
-    while True:
-        left = steps
-
-        def trace(frame, event, _):
-            nonlocal left
-            if frame.f_code is write_atomic.__code__ and event == "line":
-                left -= 1
-                if left < 0:
-                    sys.settrace(before)
-                    raise KeyboardInterrupt
-            return trace
-
-        sys.settrace(trace)
-        try:
-            write_atomic(path, "new")
-            break
-        except KeyboardInterrupt:
-            steps += 1
-        finally:
-            sys.settrace(before)
-        assert path.read_text() in {"old", "new"}
-        assert list(tmp_path.iterdir()) == [path], f"before line {steps}"
-    assert steps > 10
 
 
 def test_written_files_follow_the_umask(tmp_path):

@@ -1,0 +1,83 @@
+"""The pages in a real browser; `make test-browser` installs what this needs, `make test` leaves it out."""
+
+import time
+
+import pytest
+from kit.browser import Watched, chromium
+from kit.recorded_drives import BEGAN_NS, TICK_NS, state, write_drive
+
+from deploy.view.page import drive_page
+from deploy.view.recorded_drive import read_drive
+from rover_ncp.wire.protocol import DriverStatus
+from sim.live.live_run import LiveRun
+from sim.live.processes import Process
+
+pytestmark = pytest.mark.browser
+
+EVIL = "<img src=x onerror=\"document.title='hacked'\"></script><script>document.title='hacked'</script>"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as running:
+        yield running
+
+
+@pytest.mark.parametrize("size", [(1280, 900), (400, 850)], ids=["desk", "phone"])
+def test_report_is_a_page_whose_slider_moves_the_rover_and_its_neurons(browser, tmp_path, size):
+    status = DriverStatus(state="fault", reason=EVIL, tick=320)
+    write_drive(tmp_path / "run.mcap", more=[state(status, BEGAN_NS + 400 * TICK_NS)])
+    page = tmp_path / "run.html"
+    page.write_text(drive_page(read_drive(tmp_path / "run.mcap")))
+    seen = Watched(browser, page.as_uri(), *size)
+    seen.to(0.0)
+    before, avb = seen.outline(), seen.neuron("AVB")
+    seen.to(8.0)
+    after = seen.outline()
+    assert abs(after[0] - before[0]) + abs(after[1] - before[1]) > 0.2
+    assert all(old != new for old, new in zip(avb, seen.neuron("AVB"), strict=True))
+    assert "turn" in seen.page.text_content("#phases li.current")
+    assert seen.page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    assert EVIL in seen.page.text_content("#events")  # words of a peer stay words
+    assert "hacked" not in seen.page.title()
+    seen.photograph(f"report_{size[0]}")
+    assert seen.complaints == []
+    assert seen.foreign_requests(page.as_uri()) == []
+    seen.page.close()
+
+
+def test_a_running_rover_is_seen_and_stopped(browser, tmp_path):
+    with LiveRun(tmp_path) as running:
+        options = ["--robot", running.robot, "--port", "0"]
+        watch = running.start_process(lambda: Process("watch", options, running.folder))
+        address = watch.wait_for_line("watching at ")
+        seen = Watched(browser, address)
+        seen.until("!document.getElementById('stop').disabled")
+        assert seen.page.text_content("#badge") == "waiting"
+        running.deploy()
+        seen.until("document.getElementById('badge').textContent === 'driving'")
+        seen.until("Number(document.getElementById('time').value) > 3.2")
+        before = seen.outline(), seen.neuron("AVB"), seen.clock()
+        seen.until("Number(document.getElementById('time').value) > 5.5")
+        after = seen.outline(), seen.neuron("AVB"), seen.clock()
+        assert all(old != new for old, new in zip(before, after, strict=True))
+        # The plots follow, too.
+        seen.until("Math.max(...document.getElementById('commands').data.flatMap(trace => trace.x)) > 4.5")
+        seen.photograph("watch_1280")
+        assert running.truth.speed() > 0.03
+
+        clicked_s = seen.click("#stop")
+        pressed_ns = time.monotonic_ns() - round((time.time() - clicked_s) * 1e9)
+        seen.until("document.getElementById('stopnote').textContent.startsWith('Stopped until released')")
+        seen.until("document.getElementById('badge').textContent === 'fault'")
+        assert running.truth.stood_after(pressed_ns) < 0.5
+        # The drive is over: it can be looked at, and its pairs are there.
+        seen.to(4.0)
+        seen.until("document.getElementById('signs').checkVisibility()")
+        assert "fault" in seen.page.text_content("#events")
+        assert "turn" in seen.page.text_content("#phases")
+        seen.page.click("#release")
+        seen.until("document.getElementById('release').hidden")
+        assert seen.complaints == []
+        assert seen.foreign_requests(address) == []
+        seen.page.close()

@@ -1,7 +1,8 @@
 """A camera with an address: a stream of pictures as browsers show it, or one picture that is asked for again.
 
-Cameras differ: the boundary may be missing, quoted or with dashes, parts may have no length, lines may end
-with LF, stamps may be of any clock. `requests` does the rest: redirects, passwords, chunks.
+Cameras differ in what they send between two pictures: boundaries, lengths and line ends may be wrong or
+missing. So the pictures of a stream are found by the markers of JPEG. Of the text before a picture only its
+stamp counts. `requests` does the rest: redirects, passwords, chunks.
 """
 
 import math
@@ -10,7 +11,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from email.message import Message
-from email.parser import BytesHeaderParser
 from functools import partial
 from typing import NamedTuple
 from urllib.parse import SplitResult, unquote, urlsplit
@@ -23,17 +23,19 @@ from deploy.tag.camera import TIMEOUT_S, Picture, ReadCamera, decode_picture
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import UsageError
 
-MAX_PART, MAX_HEAD = 8 << 20, 1 << 14
-"""Most bytes of a picture, and of what is before one: its header, or the beginning of the stream."""
+MAX_PICTURE, MAX_HEAD = 8 << 20, 1 << 14
+"""Most bytes of a picture, and of what is before the first one."""
 CHUNK = 1 << 16
-SURE = 6
-"""A boundary of so many bytes is in no picture by chance."""
 STAMP = "x-timestamp"
 """Header of a picture: its time in s by any clock, as mjpg-streamer and many other cameras send it."""
 MAX_STAMP_S = 1e10
 MIN_PERIOD_S = 0.1
 """Time between two requests for single pictures."""
-JPEG, JPEG_END, PNG = b"\xff\xd8", b"\xff\xd9", b"\x89PNG"
+JPEG, PNG = b"\xff\xd8\xff", b"\x89PNG"
+START, END, SCAN = 0xD8, 0xD9, 0xDA
+"""Markers of a JPEG: its start, its end, and the start of a scan, whose data have no length."""
+_AFTER_SCAN = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
+_STAMP = re.compile(rb"x-timestamp:[ \t]*([^\r\n]*)", re.IGNORECASE)
 
 
 class HttpCamera(ReadCamera):
@@ -112,21 +114,18 @@ class HttpCamera(ReadCamera):
                 f"it sends {told}: give the address of its stream or its picture, such as "
                 "http://HOST:81/stream"
             )
-        parts, more = PartReader(str(kind.get_param("boundary", ""))), first
+        reader, more = PictureReader(), first
         while more:
-            for part in parts.feed(more):
-                if isinstance(part, str):
-                    self.leave_out(part)
+            for found in reader.feed(more):
+                if isinstance(found, str):
+                    self.leave_out(found)
                 else:
-                    yield from self._picture(part.data, part.header.get(STAMP), time.time_ns())
+                    yield from self._picture(found.data, found.stamp, time.time_ns())
             more = read()
 
     def _picture(self, data: bytes, stamp: str | None, wall_ns: int) -> Iterator[Callable[[], Picture]]:
-        data = data.lstrip(b"\r\n")
-        if not data.startswith((JPEG, PNG)):
-            self.leave_out("a part is neither a JPEG nor a PNG")
-        elif (moment_ns := self.moment_ns(_stamp_ns(stamp), wall_ns)) is not None:
-            yield partial(decode_picture, data, moment_ns)
+        if (moment_ns := self.moment_ns(_stamp_ns(stamp), wall_ns)) is not None:
+            yield partial(decode_picture, data.lstrip(b"\r\n"), moment_ns)
 
 
 def _address(source: str) -> SplitResult:
@@ -148,8 +147,8 @@ def _whole(first: bytes, read: Callable[[], bytes]) -> bytes:
     data = bytearray(first)
     while more := read():
         data += more
-        if len(data) > MAX_PART:
-            raise ValueError(f"a picture of more than {MAX_PART >> 20} MiB")
+        if len(data) > MAX_PICTURE:
+            raise ValueError(f"a picture of more than {MAX_PICTURE >> 20} MiB")
     return bytes(data)
 
 
@@ -166,107 +165,87 @@ def _reason(error: BaseException) -> str:
     return known.get(type(last).__name__, f"the connection failed ({type(last).__name__})")
 
 
-class Part(NamedTuple):
-    """A part of a stream."""
+class Found(NamedTuple):
+    """A picture of a stream, with the stamp of its header."""
 
-    header: Message
+    stamp: str | None
     data: bytes
 
 
-class PartReader:
-    """Splits a stream into its parts. Pure; holds no more than a part and its header.
+class PictureReader:
+    """Finds the JPEG pictures of a stream. Pure; holds no more than a picture and the text before it."""
 
-    The first line that begins with two dashes, or is the ``boundary`` that was declared, parts them. A part
-    ends after its Content-Length, at the next boundary, or with the end of a JPEG, whichever comes first: a
-    camera may send the boundary with the next picture only.
-    """
+    def __init__(self) -> None:
+        self._buffer, self._head = bytearray(), b""
+        self._at = self._scanned = 0
+        """Where the next marker of the present picture is, 0 between pictures; where its scan goes on."""
+        self._began = False
+        """Whether there was a picture."""
 
-    def __init__(self, boundary: str) -> None:
-        self._declared, self._boundary = boundary.strip().encode("latin-1", "replace"), b""
-        self._buffer, self._head = bytearray(), list[bytes]()
-        self._header: Message | None = None
-        self._between, self._skipped, self._searched = True, 0, 0
+    def feed(self, data: bytes) -> Iterator[Found | str]:
+        """Yield the pictures that ``data`` completes, and why others are left out.
 
-    def feed(self, data: bytes) -> Iterator[Part | str]:
-        """Yield the parts that ``data`` completes, and why others are left out.
-
-        Raises ValueError if no part begins.
+        Raises ValueError if no picture begins.
         """
-        self._buffer += data
-        while True:
-            found = self._read_data() if self._header is not None else self._read_line()
-            if found is None:
+        buffer = self._buffer
+        buffer += data
+        while self._at or self._begin():
+            complete = self._walk()
+            if complete is None and len(buffer) <= MAX_PICTURE:
                 return
-            if found:
-                yield found
+            if complete:
+                yield Found(_stamp(self._head), bytes(buffer[: self._at]))
+                del buffer[: self._at]
+            else:
+                large = f"a picture of more than {MAX_PICTURE >> 20} MiB"
+                yield "a picture is damaged" if complete is False else large
+                del buffer[: len(JPEG)]
+            self._at = self._scanned = 0
 
-    def _read_line(self) -> str | None:
-        """Take a line between parts or of a header; "" if that was all, None if more bytes are needed."""
-        if self._between and self._boundary:
-            at = self._buffer.find(self._boundary)
-            del self._buffer[: at if at >= 0 else -len(self._boundary)]
-        end = self._buffer.find(b"\n")
-        size = len(self._buffer) if end < 0 else end + 1
-        self._skipped += size if end >= 0 or size > MAX_HEAD else 0
-        if not self._boundary and self._skipped > MAX_HEAD:
-            raise ValueError(f"no part of its stream begins within {MAX_HEAD} bytes")
-        if end < 0 and size <= MAX_HEAD:
-            return None
-        line = bytes(self._buffer[: min(size, MAX_HEAD)]).strip()
-        del self._buffer[:size]
-        if self._begins(line):
-            self._between, self._skipped, self._head = False, 0, []
-        elif self._between:
-            return ""
-        elif self._skipped > MAX_HEAD:
-            self._between, self._head = True, []
-            return f"a part whose header has more than {MAX_HEAD} bytes"
-        elif line:
-            self._head.append(line)
-        else:
-            self._header, self._searched = BytesHeaderParser().parsebytes(b"\n".join(self._head)), 0
-        return ""
+    def _begin(self) -> bool:
+        """Drop what is before the next picture but for its header; return whether one begins."""
+        at = self._buffer.find(JPEG)
+        if at >= 0:
+            self._head, self._at, self._began = bytes(self._buffer[max(at - MAX_HEAD, 0) : at]), 2, True
+            del self._buffer[:at]
+        elif len(self._buffer) > MAX_HEAD:
+            if not self._began:
+                raise ValueError(f"no JPEG of its stream begins within {MAX_HEAD} bytes")
+            del self._buffer[:-MAX_HEAD]
+        return at >= 0
 
-    def _begins(self, line: bytes) -> bool:
-        if not self._boundary and (
-            (line.startswith(b"--") and len(line) > 2) or (len(line) > 0 and line == self._declared)
-        ):
-            self._boundary = line
-        return bool(line) and line in {self._boundary, self._boundary + b"--"}
-
-    def _read_data(self) -> Part | str | None:
-        assert self._header is not None
-        buffer, length = self._buffer, _length(self._header)
-        # A long boundary needs no line of its own: some cameras send none before it.
-        mark = self._boundary if len(self._boundary) >= SURE else b"\n" + self._boundary
-        at = buffer.find(mark, self._searched, MAX_PART)
-        if length is not None and len(buffer) >= length and not 0 <= at < length:
-            end = length
-        elif at >= 0:
-            end = at
-        elif length is None and buffer.endswith((JPEG_END, JPEG_END + b"\r\n", JPEG_END + b"\n")):
-            end = len(buffer)
-        elif len(buffer) > MAX_PART:
-            self._header, self._between = None, True
-            return f"a picture of more than {MAX_PART >> 20} MiB"
-        else:
-            self._searched = max(0, len(buffer) - len(mark))
-            return None
-        data = bytes(buffer[:end])
-        part = Part(self._header, data if end == length else data.rstrip(b"\r\n"))
-        del buffer[:end]
-        self._header, self._between = None, True
-        return part
+    def _walk(self) -> bool | None:
+        """Go to the end of the picture: True if it is there, False if the picture is damaged, else None."""
+        buffer = self._buffer
+        while self._at + 2 <= len(buffer):
+            marker, length = buffer[self._at + 1], int.from_bytes(buffer[self._at + 2 : self._at + 4], "big")
+            if buffer[self._at] != 0xFF or marker == START:
+                return False
+            if marker == END:
+                self._at += 2
+                return True
+            if self._at + 4 > len(buffer):
+                return None
+            if marker == SCAN:
+                scanned = max(self._at + 2 + length, self._scanned)
+                if (found := _AFTER_SCAN.search(buffer, scanned)) is None:
+                    self._scanned = max(scanned, len(buffer) - 1)
+                    return None
+                self._at = found.start()
+            else:
+                self._at += 2 + length
+        return None
 
 
-def _length(header: Message) -> int | None:
-    text = str(header.get("content-length", "")).strip()
-    return int(text) if re.fullmatch(r"\d{1,7}", text) and 0 < int(text) <= MAX_PART else None
+def _stamp(head: bytes) -> str | None:
+    """Return the stamp in what is before a picture, the last one."""
+    found = _STAMP.findall(head)
+    return found[-1].decode("latin-1") if found else None
 
 
 def _stamp_ns(stamp: str | None) -> int | None:
     try:
-        seconds = float(str(stamp or ""))  # with other bytes than ASCII it is no str
+        seconds = float(stamp or "")
     except ValueError:
         return None
     return round(seconds * NS_PER_S) if math.isfinite(seconds) and 0.0 < seconds < MAX_STAMP_S else None

@@ -22,7 +22,11 @@ import yaml
 
 ROOT = Path(__file__).parents[2]
 SURVIVORS = ROOT / "tests" / "data" / "survivors.yaml"
-GATE = ["bridge/test_gate.py", "bridge/test_gate_fence.py", "bridge/test_gate_anything.py"]
+GATE = [
+    *("bridge/test_gate.py", "bridge/test_gate_commands.py", "bridge/test_gate_contact.py"),
+    *("bridge/test_gate_hazards.py", "bridge/test_gate_odometry.py"),
+    *("bridge/test_gate_fence.py", "bridge/test_gate_anything.py"),
+]
 TESTS = {
     "bridge.gate.gate": GATE,
     "bridge.gate.motion": GATE,

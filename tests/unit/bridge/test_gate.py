@@ -1,21 +1,16 @@
-"""The gate: timelines of events and verdicts (tests/data/gate_timelines.txt), and other cases."""
+"""The gate: words, limits, signatures, and the memory of delays."""
 
 import math
 from dataclasses import replace
 
 import pytest
-from kit.gate_bench import SECRET, Gate, follow, timelines
+from kit.gate_bench import SECRET, Gate
 
 from bridge.base import BaseReport
 from bridge.gate.limits import Limits
 from bridge.gate.state import BaseLost, Enable, GateState, Reason, VelocityCommand, describe, read_tag
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.protocol import REASONS, CommandTag, Signed
-
-
-@pytest.mark.parametrize("timeline", list(timelines()))
-def test_timeline(timeline):
-    follow(timeline)
 
 
 def test_words_for_the_end_of_a_lease_last_until_the_next_lease():

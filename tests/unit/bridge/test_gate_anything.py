@@ -114,81 +114,6 @@ def events_of(kind, what, now, sequence):
             yield what
 
 
-def allowed_to_move(history, limits):
-    """Whether the rover may move now, computed from the history alone, independently of the gate."""
-    now = history[-1][0]
-    reported_s, report = next(
-        ((t, event) for t, event, _ in reversed(history) if isinstance(event, BaseReport)), (-math.inf, None)
-    )
-    counted = [
-        k
-        for k, (_, event, verdict) in enumerate(history)
-        if isinstance(event, VelocityCommand) and verdict.dropped is None
-    ]
-    if not counted or now - reported_s > limits.odometry_s + ROUNDING_S:
-        return False
-    commanded_s, command, _ = history[counted[-1]]
-    last = command.tag.sequence
-    latches = [event for _, event, _ in history if isinstance(event, Stop | ReleaseStop)]
-    hazards = hazardous(history)
-    return (
-        now - commanded_s <= limits.command_timeout_s + ROUNDING_S
-        and report.motors_on
-        and all(math.isfinite(getattr(report, name)) for name in ("x", "y", "theta", "v", "omega"))
-        and not any(hazards[counted[-1] + 1 :])
-        and not any(released(event, last) for _, event, _ in history[counted[-1] + 1 :])
-        and asked_again(history, counted, hazards)
-        and away(report, history[-1][2].velocity)
-        and not (latches and isinstance(latches[-1], Stop))
-        and not blocked(report, command.velocity.v, limits)
-    )
-
-
-def asked_again(history, counted, hazardous):
-    """Whether the first driver after a hazard or a lease requested one."""
-    leases = [verdict.lease and verdict.lease.number for _, _, verdict in history]
-    ended = [k for k in range(1, len(leases)) if leases[k - 1] and leases[k] is None]
-    hazards = [k for k, flagged in enumerate(hazardous) if flagged]
-    begin = max(hazards + ended, default=len(history))
-    first = next((k for k in counted if k > begin), begin)
-    return first == begin or any(isinstance(event, Enable) for _, event, _ in history[begin:first])
-
-
-def blocked(report, v, limits):
-    """Whether the sonars are to stop a command that asks for speed ``v``."""
-    ranges = {1.0: report.clear_ahead_m, -1.0: report.clear_behind_m}
-    asked = limits.sonar_stop_m is not None and v != 0.0
-    return asked and not ranges[math.copysign(1.0, v)] >= limits.sonar_stop_m
-
-
-def hazardous(history):
-    """Of each event, whether it must end a lease: contact must, unless it was there when the lease began."""
-    flags, number, known, now = [], 0, (0, 0, 0), (0, 0, 0)
-    for _, event, verdict in history:
-        flag = isinstance(event, Stop | BaseLost)
-        if isinstance(event, BaseReport):
-            now = (*event.bumpers, int(any(event.stalled)))
-            flag = event.stop_pressed or any(new & ~old for new, old in zip(now, known, strict=True))
-        if verdict.lease is not None and verdict.lease.number != number:
-            number, known = verdict.lease.number, now
-        flags.append(flag)
-    return flags
-
-
-def away(report, velocity):
-    """Whether the rover drives slowly and straight if it touches something, and away from it."""
-    front, rear = map(bool, report.bumpers)
-    if not front and not rear and not any(report.stalled):
-        return True
-    free = -1.0 if front else 1.0
-    sided = not (front and rear) and (not (front or rear) or velocity.v * free > 0.0)
-    return sided and velocity.omega == 0.0 and abs(velocity.v) <= 0.1
-
-
-def released(event, last):
-    return isinstance(event, Release) and event.sequence > last
-
-
 def forged(event, state):
     """Whether an event is of a driver that does not have the key of the lease that is held."""
     if state.lease is None:
@@ -207,10 +132,24 @@ def test_output_is_always_finite_within_limits_and_allowed(happenings, limits):
     check(happenings, limits)
 
 
+def contact(report):
+    """Return a bit for each bumper and each stalled motor."""
+    return *report.bumpers, *map(int, report.stalled)
+
+
+def new_contact(report, known):
+    return any(now & ~before for now, before in zip(contact(report), known, strict=True))
+
+
 def check(happenings, limits):
-    """Run the gate on the happenings and check each verdict against the history."""
-    state, now, before = GateState(), 100.0, (100.0, STANDSTILL)
-    history = []
+    """Run the gate on the happenings and check each verdict.
+
+    The rover moves only at finite speeds within the limits, on fresh reports and commands, under a lease that
+    was requested since the last hazard.
+    """
+    state, now, last_s, out = GateState(), 100.0, 100.0, STANDSTILL
+    report, reported_s, commanded_s = None, -math.inf, -math.inf
+    requested, known, commands = False, (0, 0, 0, 0), 0
     prelude = [(0.0, ("report", CLEAR)), (0.0, ("enable", (None, 0)))]
     for sequence, (wait, (kind, what)) in enumerate(prelude + happenings):
         now += wait
@@ -220,19 +159,35 @@ def check(happenings, limits):
             state, verdict = step(state, event, now, limits)
             if strange:
                 assert replace(state, dropped={}) == replace(idle, dropped={})
+            latest_s = max(now, last_s)
+            match event:
+                case BaseReport():
+                    report, reported_s = event, latest_s
+                    requested &= not event.stop_pressed and all(
+                        new & ~old == 0 for new, old in zip(contact(event), known, strict=True)
+                    )
+                case Stop() | BaseLost():
+                    requested = False
+                case Enable() if verdict.refusal is None and not requested:
+                    requested, known = True, contact(report)
+                case VelocityCommand():
+                    commands += 1
+                    commanded_s = commanded_s if verdict.dropped else latest_s
             v, omega = verdict.velocity
-            history.append((max(now, before[0]), event, verdict))
             assert math.isfinite(v)
             assert math.isfinite(omega)
             assert abs(v) <= limits.v_max
             assert abs(omega) <= limits.omega_max
-            elapsed = min(max(now - before[0], 0.0), 0.1)
-            for new, old, rate in ((v, before[1].v, limits.accel), (omega, before[1].omega, limits.alpha)):
+            elapsed = min(latest_s - last_s, 0.1)
+            for new, old, rate in ((v, out.v, limits.accel), (omega, out.omega, limits.alpha)):
                 assert abs(new) <= (abs(old) if new * old > 0 else 0.0) + rate * elapsed + 1e-12
             if verdict.velocity != STANDSTILL:
+                assert latest_s - reported_s <= limits.odometry_s + ROUNDING_S
+                assert latest_s - commanded_s <= limits.command_timeout_s + ROUNDING_S
+                assert verdict.lease
                 assert verdict.motors
-                assert allowed_to_move(history, limits)
-            before = (max(now, before[0]), verdict.velocity)
-    assert state.accepted + sum(state.dropped.values()) == sum(
-        isinstance(event, VelocityCommand) for _, event, _ in history
-    )
+                assert report.motors_on
+                assert requested
+                assert not any(contact(report)) or (abs(v) <= 0.1 and omega == 0.0)
+            last_s, out = latest_s, verdict.velocity
+    assert state.accepted + sum(state.dropped.values()) == commands

@@ -47,7 +47,7 @@ from bridge.guarded_base import GuardedBase
 from bridge.inbox import CommandMessage, Query, ThreadError
 from bridge.queries import Answers
 from bridge.ros2 import messages as ros
-from bridge.ros2.covariance import OdometryErrors
+from bridge.ros2.covariance import Variances, odometry_variances
 from rover_ncp.core.errors import FormatError, NoRobot
 from rover_ncp.core.process import Clock, suspended_s
 from rover_ncp.robot.description import RobotDescription
@@ -127,7 +127,7 @@ class Node:
         self._verdict = self._sent = Verdict(self.gate.out, motors=False, held=self.gate.held)
         self._report: BaseReport | None = None
         self._robot: RobotDescription | None = None
-        self._errors: OdometryErrors | None = None
+        self._variances: Variances | None = None
         self._hardware, self._early = "", False
         self._act_now = self._commanded = False
         self._set_wall_clock()
@@ -210,7 +210,7 @@ class Node:
                 case PassedOn(key, data):
                     self._link.publish(key, data)
                 case Ready(hardware, robot):
-                    self._hardware, self._robot, self._errors = hardware, robot, OdometryErrors(robot)
+                    self._hardware, self._robot, self._variances = hardware, robot, odometry_variances(robot)
                     self._limits = self._answers.limits = self._limits.within(robot)
                     self._answers.model, self._answers.problem = robot.name, ""
                     self.reconnects += 1
@@ -284,7 +284,7 @@ class Node:
 
     def _take_report(self, report: BaseReport, arrived_s: float) -> None:
         """Pass a report to the gate and publish it."""
-        if self._robot is None or self._errors is None:
+        if self._robot is None or self._variances is None:
             if not self._early:
                 _LOGGER.warning("the base reports before it is ready: these reports are not used")
             self._early = True
@@ -292,8 +292,7 @@ class Node:
         self._report = report
         self.judge(report, arrived_s)
         stamp_ns = self._wall_ns(arrived_s - report.age_s)
-        variances = self._errors.after(report)
-        for name, data in ros.each_report(report, self._robot, stamp_ns, variances).items():
+        for name, data in ros.each_report(report, self._robot, stamp_ns, self._variances).items():
             self._link.publish(name, data)
         self._link.publish("rover/cmd_out", twist_stamped(self._sent.velocity, self._wall_ns(arrived_s)))
 

@@ -10,7 +10,7 @@ from bridge.base import BaseReport, LinkHealth
 from bridge.gate.state import NO_CONTACT, GateState, Lease, Reason
 from bridge.pioneer.odometry import ROBOTS
 from bridge.ros2 import messages as ros
-from bridge.ros2.covariance import OdometryErrors, Variances
+from bridge.ros2.covariance import Variances, odometry_variances
 from rover_ncp.core.files import shipped_names
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.header import read_stamp_ns
@@ -152,56 +152,20 @@ def test_diagnostics_name_the_problems():
 EACH_ROBOT = pytest.mark.parametrize("name", shipped_names("robots"))
 
 
-def driven(name, reports):
-    """Return the variances of pose and speeds after these reports: x, y and heading of each."""
-    robot = load_description(name)
-    errors = OdometryErrors(robot)
-    for report in reports:
-        variances = errors.after(report)
-    message = decode("nav_msgs/msg/Odometry", ros.each_report(report, robot, STAMP, variances)["odom"])
-    return [[found.covariance[7 * k] for k in (0, 1, 5)] for found in (message.pose, message.twist)]
-
-
 @EACH_ROBOT
-def test_pose_becomes_less_sure_with_the_way_and_the_heading_by_the_track_of_wheels_that_differ(name):
+def test_variances_of_odometry_are_the_errors_of_a_metre_and_a_radian_and_never_zero(name):
     robot = load_description(name)
-    before, twist = driven(name, [BaseReport()])
-    assert min(before + twist) >= 1e-6
-    for way in (1, 3, 10):
-        pose, _ = driven(name, [BaseReport(x=0.1 * k, v=0.1) for k in range(10 * way + 1)])
-        assert math.sqrt(pose[0]) >= robot.odometry.distance_error * way / math.sqrt(3)
-        assert all(new > old for new, old in zip(pose, before, strict=True))
-        before = pose
-    track_m = robot.drive.effective_track_m or robot.wheels.track_m
-    expected = robot.odometry.noise_rad**2 + (robot.odometry.distance_error * 10.0 / track_m) ** 2 / 3
-    assert pose[2] == pytest.approx(expected, rel=0.01)
-
-
-@EACH_ROBOT
-def test_the_heading_becomes_less_sure_with_each_turn(name):
-    pose, _ = driven(name, [BaseReport(theta=0.1 * k) for k in range(63)])
-    error = load_description(name).odometry.turn_error
-    assert math.sqrt(pose[2]) == pytest.approx(error * 6.2 / math.sqrt(3), rel=0.1)
-
-
-def test_a_skid_steered_robot_slides_sideways_as_it_turns():
-    _, skid = driven("husky-a200", [BaseReport(omega=0.5)])
-    _, differential = driven("turtlebot4", [BaseReport(omega=0.5)])
-    assert skid[1] == pytest.approx((0.5 * 0.256) ** 2 / 3)
-    assert differential[1] == 1e-6
-
-
-@pytest.mark.parametrize(
-    ("name", "reports"),
-    [
-        ("turtlebot3-burger", [BaseReport(x=0.001 * (k % 3), theta=0.002 * (k % 2)) for k in range(10_000)]),
-        ("turtlebot4", [*(BaseReport(x=0.1 * k) for k in range(100)), BaseReport(x=math.nan), BaseReport()]),
-    ],
-    ids=["noise at rest is no way", "sure again after a reset and NaN"],
-)
-def test_pose_stays_sure(name, reports):
-    pose, _ = driven(name, reports)
-    assert max(pose) < 1e-5
+    pose, velocity, lateral = odometry_variances(robot)
+    report = BaseReport(x=1.0, v=0.1, omega=0.1)
+    message = decode(
+        "nav_msgs/msg/Odometry", ros.each_report(report, robot, STAMP, odometry_variances(robot))["odom"]
+    )
+    assert [message.pose.covariance[7 * k] for k in (0, 1, 5)] == list(pose)
+    assert [message.twist.covariance[7 * k] for k in (0, 5, 1)] == [*velocity, lateral]
+    assert min(*pose, *velocity, lateral) >= 1e-6
+    assert math.sqrt(pose[0]) >= robot.odometry.distance_error / math.sqrt(3)
+    assert math.sqrt(pose[2]) >= robot.odometry.turn_error / math.sqrt(3)
+    assert (lateral > 1e-6) is (robot.wheels.axles_m > 0.0)  # a skid-steered robot slides sideways
 
 
 def test_the_gyros_variance_is_the_robots():

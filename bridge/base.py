@@ -153,9 +153,6 @@ class Base(Protocol):
     def drive(self, setpoint: Setpoint, now: float) -> Sequence[BaseEvent]:
         """Pass on a setpoint, let time pass, and return the events. The only source of keep-alives."""
 
-    def reset_odometry(self) -> None:
-        """Make the present pose the origin of odom; the reports show when it is done."""
-
     def health(self) -> LinkHealth:
         """Return the quality of the line."""
 

@@ -29,10 +29,6 @@ class GuardedBase:
         self._driven = True
         return self._events(lambda: self._base.drive(setpoint, now))
 
-    def reset_odometry(self) -> str:
-        """Make the present pose the origin of odom; return why not, "" if it was requested."""
-        return self._text(self._base.reset_odometry)
-
     def health(self) -> LinkHealth:
         with suppress(Exception):
             return self._base.health()

@@ -1,4 +1,4 @@
-"""The bridge's answers to queries: motors, stop, odometry reset.
+"""The bridge's answers to queries: motors, stop, base.
 
 While a lease is held, a request for the motors counts only with a valid digest under that lease's key. The
 digest is verified before the request is parsed. The key is in the answer to a new driver, and nowhere else.
@@ -29,22 +29,15 @@ from bridge.inbox import Query
 from rover_ncp.core.errors import FormatError
 from rover_ncp.wire.protocol import (
     KEY_BYTES,
-    PROTOCOL,
-    VERSION_REASON,
     BaseReply,
     BaseRequest,
-    MotorsRefusal,
     MotorsReply,
     MotorsRequest,
-    ResetReply,
-    ResetRequest,
     Signed,
     StopReply,
     StopRequest,
     dump_json,
-    other_version,
     parse_json,
-    requested_version,
 )
 
 UNCHECKED = "unchecked"
@@ -91,27 +84,22 @@ class Answers:
                 return self._motors(query, now, gate)
             case "rover/stop":
                 return self._stop(query, now)
-            case "rover/base":
-                return self._about_base(query, now, gate)
             case _:
-                parse_json(ResetRequest, query.payload)
-                return self._reset(gate)
+                return self._about_base(query, now, gate)
 
-    def _motors(self, query: Query, now: float, gate: GateState) -> MotorsRefusal:
+    def _motors(self, query: Query, now: float, gate: GateState) -> MotorsReply:
         tag, lease = read_tag(query.attachment), gate.lease
         signed = lease is not None and lease.signed(tag, Signed.MOTORS, self._key(query.name), query.payload)
         if lease is not None and not signed:
             return _refusal(Reason.ANOTHER_DRIVER, gate)
-        if (version := requested_version(query.payload)) != PROTOCOL:
-            return MotorsRefusal(reason=VERSION_REASON, detail=other_version(PROTOCOL, version))
         request = parse_json(MotorsRequest, query.payload)
         sequence = tag.sequence if signed else None
         if request.enable and (detail := self._base.base_timeout.refusal):
-            return MotorsRefusal(reason=UNCHECKED, detail=detail)
+            return MotorsReply(reason=UNCHECKED, detail=detail)
         if not request.enable:
             if sequence is not None:
                 self._judge(Release(sequence), now)
-            return MotorsRefusal()
+            return MotorsReply()
         secret = secrets.token_bytes(KEY_BYTES)
         verdict = self._judge(Enable(request.name, request.sent_ns, secret, sequence), now)
         if verdict.refusal is not None:
@@ -119,20 +107,8 @@ class Answers:
         assert verdict.lease is not None  # it was granted
         if sequence is None:
             self._log(f"the lease is that of {_who(query)}")
-        limits = self.limits
-        return MotorsReply(
-            granted=True,
-            lease=verdict.lease.number,
-            key=secret.hex() if verdict.lease.secret == secret else "",
-            lease_s=limits.lease_s,
-            received_ns=round(now * 1e9),
-            limits={
-                "v": limits.v_max,
-                "omega": limits.omega_max,
-                "accel": limits.accel,
-                "alpha": limits.alpha,
-            },
-        )
+        key = secret.hex() if verdict.lease.secret == secret else ""
+        return MotorsReply(granted=True, lease=verdict.lease.number, key=key)
 
     def _stop(self, query: Query, now: float) -> StopReply:
         try:
@@ -165,18 +141,6 @@ class Answers:
             room_m=(_finite(ahead), _finite(behind)),
         )
 
-    def _reset(self, gate: GateState) -> ResetReply:
-        if gate.base is None:
-            problem = describe(Reason.NO_BASE, gate)
-        elif gate.lease is not None:
-            problem = "a driver holds the lease: its pose would jump; reset odometry after the drive"
-        elif self.limits.fence is not None:
-            start = "put the rover where both are to begin, and restart the bridge"
-            problem = f"the fence would move with odom: {start}"
-        else:
-            problem = self._base.reset_odometry()
-        return ResetReply(ok=not problem, reason=problem)
-
 
 def _who(query: Query) -> str:
     """Return the sender of a request in words. Only certificates prove who it is."""
@@ -187,8 +151,8 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _refusal(refusal: Reason, gate: GateState) -> MotorsRefusal:
+def _refusal(refusal: Reason, gate: GateState) -> MotorsReply:
     detail = describe(refusal, gate)
     if refusal is Reason.STOPPED:
         detail = f"stopped until released, by {detail}"
-    return MotorsRefusal(reason=str(refusal), detail=detail)
+    return MotorsReply(reason=str(refusal), detail=detail)

@@ -70,9 +70,6 @@ class ArcosBase:
         self._session.set_motion(setpoint.velocity)
         return self._pass_on(self._session.tick(now))
 
-    def reset_odometry(self) -> None:
-        self._session.reset_odometry()
-
     def health(self) -> LinkHealth:
         decoder = self._session.decoder
         counters = {name: getattr(decoder, name) for name in ("packets", "bad_checksums", "skipped_bytes")}

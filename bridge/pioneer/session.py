@@ -168,12 +168,6 @@ class Session:
         if self.state is SessionState.READY:
             self._setpoints.emergency_stop(self._now)
 
-    def reset_odometry(self) -> None:
-        """Reset odometry to zero here; the states show it when the base has done it."""
-        if self.state is SessionState.READY:
-            self._setpoints.reset_odometry(self._now)
-            self._odometer.reset_pending = True
-
     # The machine.
 
     def _decode(self, data: bytes) -> None:

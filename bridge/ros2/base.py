@@ -190,9 +190,6 @@ class Ros2Base:
         """When the robot was sent its last command."""
         return self._sent[-1][0] if self._sent else -math.inf
 
-    def reset_odometry(self) -> None:
-        self._odometer.reset()
-
     def health(self) -> LinkHealth:
         counters = self._odometer.counters | self._unused.counts
         unheard = tuple(

@@ -125,10 +125,6 @@ class RosOdometer:
             return None
         return self._moved(sample, arrived_s)
 
-    def reset(self) -> None:
-        """Make the next pose the origin."""
-        self._origin = None
-
     def enough(self, now: float) -> bool:
         """Whether messages that count arrive often enough."""
         return len(self._spread) == MIN_IN_RATE and now - self._spread[0] <= RATE_S

@@ -19,7 +19,6 @@ from rover_ncp.core.errors import (
     FormatError,
     NoBridge,
     NotAuthorised,
-    OtherVersion,
     SafetyStop,
 )
 from rover_ncp.core.files import DEFAULT_ROBOT
@@ -29,15 +28,12 @@ from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, Role, spec, topic_key
 from rover_ncp.wire.messages import twist_stamped
 from rover_ncp.wire.protocol import (
-    PROTOCOL,
-    VERSION_REASON,
     BaseReply,
     BaseRequest,
     MotorsReply,
     MotorsRequest,
     Signed,
     dump_json,
-    other_version,
     parse_json,
 )
 
@@ -83,8 +79,8 @@ class ZenohLink(Link, ZenohClient):
         After a slow answer it sends a signed renewal. If the answer was lost, the gate refuses every driver
         until that lease expires.
 
-        Raises AnotherDriver, NotAuthorised, NoBridge (no answer), OtherVersion, or SafetyStop when the gate
-        has a reason or the link is too slow.
+        Raises AnotherDriver, NotAuthorised, NoBridge (no answer), or SafetyStop when the gate has a reason or
+        the link is too slow.
         """
         if self._token is None:
             self._token = self._session.liveliness().declare_token(self.key("rover/alive/driver"))
@@ -103,8 +99,6 @@ class ZenohLink(Link, ZenohClient):
             )
         if not reply.granted:
             words = f"the bridge at {self.robot} refuses the motors: {reply.detail or reply.reason}"
-            if reply.reason == VERSION_REASON:
-                raise OtherVersion(words)
             if reply.reason == ANOTHER_DRIVER:
                 raise AnotherDriver(words)
             by = "a stop that is not released" if reply.reason == "stopped" else ""
@@ -128,10 +122,6 @@ class ZenohLink(Link, ZenohClient):
                 "beside the bridge answers requests for the motors; keep it out with 'rover-ncp keys'"
             )
         for reply in replies:
-            # A bridge of version 1 reports that it cannot read the request; later ones answer with a refusal.
-            if reply.err is not None and reply.err.payload.to_bytes().startswith(b"MotorsRequest: "):
-                words = other_version(1, PROTOCOL)
-                raise OtherVersion(f"the bridge at {self.robot} refuses the motors: {words}")
             if reply.ok is None:
                 raise NoBridge(f"the bridge at {self.robot} does not answer within {timeout_s:g} s")
             try:
@@ -203,7 +193,7 @@ class ZenohLink(Link, ZenohClient):
             return
         with contextlib.suppress(zenoh.ZError):
             self.command(STANDSTILL)
-        with contextlib.suppress(zenoh.ZError, NoBridge, OtherVersion):
+        with contextlib.suppress(zenoh.ZError, NoBridge):
             self._motors(MotorsRequest(enable=False), RELEASE_TIMEOUT_S)
         self.lease.end()
 

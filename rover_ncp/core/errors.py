@@ -2,7 +2,7 @@
 
     RoverNcpError
     ├── UsageError          exit code 2: ConfigError, FileError, PortInUse, MissingExtra
-    ├── UnreachableError    exit code 3: NoRobot, NoBridge, OtherVersion, NotAuthorised, AnotherDriver,
+    ├── UnreachableError    exit code 3: NoRobot, NoBridge, NotAuthorised, AnotherDriver,
     │                       NoPose
     ├── FormatError
     └── SafetyStop          exit code 4
@@ -71,10 +71,6 @@ class NoRobot(UnreachableError):
 
 class NoBridge(UnreachableError):
     """No bridge answers on Zenoh."""
-
-
-class OtherVersion(UnreachableError):
-    """The bridge and this program use different versions of their protocol."""
 
 
 class NotAuthorised(UnreachableError):

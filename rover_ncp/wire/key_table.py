@@ -102,8 +102,7 @@ KEYS: tuple[KeySpec, ...] = (
         "enable, renew or release; grants the lease and its key",
     ),
     _query("rover/stop", "StopRequest → StopReply", "stop, latched until released"),
-    _query("rover/reset_odometry", "ResetRequest → ResetReply", "make the present pose odom's origin"),
-    _query("rover/base", "BaseRequest → BaseReply", "model and timeout of the base; measure the timeout"),
+    _query("rover/base", "BaseRequest → BaseReply", "model, timeout and inputs of the base"),
     KeySpec("rover/alive/bridge", "", 0, "the bridge runs", kind=Kind.TOKEN),
     KeySpec("rover/alive/driver", "", 0, "a driver runs", DRIVER, kind=Kind.TOKEN),
 )

@@ -37,7 +37,6 @@ Rules:
   relayed the request and know the key.
 - No other message, log, JSON output, status or recording holds the key. `rover/gate` shows the number of
   the lease and the name of its driver.
-- A driver and a bridge of different protocol versions do not drive together. Both versions are named.
 """
 
 import hmac
@@ -52,9 +51,7 @@ from rover_ncp.core.config import ModelT, StrictModel
 from rover_ncp.core.errors import FormatError
 
 PROTOCOL = 2
-"""Version of this protocol. Version 1 had no key: a tag was the driver's public id, and no digest."""
-VERSION_REASON = "version"
-"""The reason of a refusal because driver and bridge use different versions."""
+"""Version of this protocol, in each digest."""
 KEY_BYTES = 32
 """Length of a lease's key."""
 
@@ -124,66 +121,30 @@ class CommandTag(NamedTuple):
         return cls(*_TAG.unpack(data))
 
 
-class _Version(BaseModel):
-    """The one field of a request that every version of the bridge reads."""
-
-    model_config = ConfigDict(extra="ignore")
-
-    version: int = 1
-
-
 class MotorsRequest(StrictModel):
     """Request or renewal of the lease, or its release; ``sent_ns`` is the driver's monotonic clock.
 
     A renewal and a release carry a `CommandTag`; a first request does not.
     """
 
-    version: int = PROTOCOL
     enable: bool
     name: ShortText = ""
     sent_ns: Nanoseconds = 0
 
 
-class MotorsRefusal(StrictModel):
-    """Refusal or end of a lease. Every version of the driver reads it, so it keeps these fields.
+class MotorsReply(StrictModel):
+    """Grant, renewal, refusal or end of a lease.
 
-    ``reason`` is the gate's name of the reason, ``detail`` its words.
+    ``reason`` is the gate's name of the reason for a refusal, ``detail`` its words. ``key`` is the key of a
+    new lease in hexadecimal. It is empty in the answer to a renewal: a peer that got hold of a signed renewal
+    and delivered it first would learn the key from that answer.
     """
 
     granted: bool = False
     reason: str = ""
     detail: str = ""
-
-
-class MotorsReply(MotorsRefusal):
-    """Grant or renewal of a lease; ``received_ns`` is the bridge's clock.
-
-    ``key`` is the key of a new lease in hexadecimal. It is empty in the answer to a renewal: a peer that got
-    hold of a signed renewal and delivered it first would learn the key from that answer. ``limits`` are the
-    gate's: v in m/s, omega in rad/s, accel in m/s², alpha in rad/s².
-    """
-
     lease: int = Field(default=0, ge=0, lt=2**64)
     key: LeaseKey = Field(default="", repr=False)
-    lease_s: float = 0.0
-    received_ns: Nanoseconds = 0
-    limits: dict[str, float] = Field(default_factory=dict)
-
-
-def requested_version(payload: bytes) -> int:
-    """Return the protocol version of a request for the motors; ours where it cannot be read."""
-    try:
-        return parse_json(_Version, payload).version
-    except FormatError:
-        return PROTOCOL
-
-
-def other_version(bridge: int, driver: int) -> str:
-    """Return the error text for a driver and a bridge of different versions."""
-    return (
-        f"the bridge uses protocol version {bridge}, the driver version {driver}: "
-        "install the same version of rover-ncp on both"
-    )
 
 
 class StopRequest(StrictModel):
@@ -197,17 +158,6 @@ class StopReply(StrictModel):
     """Whether the stop is latched now, and why."""
 
     stopped: bool
-    reason: str = ""
-
-
-class ResetRequest(StrictModel):
-    """Make the present pose the origin of odom."""
-
-
-class ResetReply(StrictModel):
-    """Whether it was done; ``reason`` is the cause if not."""
-
-    ok: bool
     reason: str = ""
 
 

@@ -93,7 +93,7 @@ def forged(drive, data, sequence):
 
 def taken(drive):
     """Let another driver hold the lease."""
-    request = b'{"version": 2, "enable": true, "name": "other"}'
+    request = b'{"enable": true, "name": "other"}'
     drive.link.request_motors = lambda name, ask=drive.link.request_motors: (
         drive.bridge.query("rover/motors", request),
         ask(name),

@@ -73,8 +73,6 @@ JSON_MODELS = (
     lease.GateStatus,
     lease.MotorsReply,
     lease.MotorsRequest,
-    lease.ResetReply,
-    lease.ResetRequest,
     lease.StopReply,
     lease.StopRequest,
 )

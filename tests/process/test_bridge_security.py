@@ -61,7 +61,7 @@ def test_viewer_receives_everything_and_cannot_drive(secured, keys):
         assert not viewer.may_drive
         with pytest.raises(FormatError, match="0 answers"):
             viewer.motors()
-        for name in ("rover/stop", "rover/reset_odometry", "rover/*", "**"):
+        for name in ("rover/stop", "rover/base", "rover/*", "**"):
             replies = viewer.session.get(name, payload=b"{}", timeout=0.5)
             assert [reply for reply in replies if reply.ok and str(reply.ok.key_expr) in HEARD] == []
             assert [reply for reply in replies if reply.ok] == []
@@ -185,7 +185,7 @@ def test_each_right_follows_from_the_table_of_keys():
         f"bot1/{name}" for name in ("cmd_vel", "rover/estimate", "rover/neurons", "rover/status")
     }
     assert {(who, key) for who, flow, message, key in allowed if (flow, message) == ("ingress", "query")} == {
-        ("driver", f"bot1/rover/{name}") for name in ("motors", "stop", "reset_odometry", "base")
+        ("driver", f"bot1/rover/{name}") for name in ("motors", "stop", "base")
     }
     tokens = {(who, key) for who, flow, m, key in allowed if (flow, m) == ("ingress", "liveliness_token")}
     assert tokens == {("driver", "bot1/rover/alive/driver")}

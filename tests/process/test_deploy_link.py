@@ -1,4 +1,4 @@
-"""The driver's link: it detects a slow link and a bridge of another version, and ends its callbacks."""
+"""The driver's link: it detects a slow link and the lease of another driver, and ends its callbacks."""
 
 import threading
 import time
@@ -8,15 +8,7 @@ from kit.deploy_bench import Bridge
 
 from deploy.drive.zenoh_link import REQUEST_TRIES, ROUND_TRIP_S, ZenohLink
 from deploy.zenoh_client import BridgeAddress, ZenohClient
-from rover_ncp.core.errors import AnotherDriver, OtherVersion, SafetyStop
-
-
-class OldBridge(Bridge):
-    """Answers as a bridge of protocol version 1 does to a request that it cannot read."""
-
-    def _answer(self, query):
-        with query:
-            query.reply_err("MotorsRequest: driver: Field required")
+from rover_ncp.core.errors import AnotherDriver, SafetyStop
 
 
 def request_motors(bridge, *delays):
@@ -49,14 +41,6 @@ def test_a_lease_of_another_driver_is_an_error_of_its_own():
     bridge.refusal = "another-driver"
     with pytest.raises(AnotherDriver, match="refuses the motors"):
         request_motors(bridge)
-
-
-def test_a_bridge_of_an_older_version_is_named_with_our_own():
-    message = "the bridge uses protocol version 1, the driver version 2"
-    with pytest.raises(OtherVersion, match=message) as error:
-        request_motors(OldBridge())
-    assert error.value.exit_code == 3
-    assert "\n" not in str(error.value)
 
 
 def test_no_callback_runs_after_close_and_none_is_left_to_abort_python():

@@ -142,7 +142,7 @@ def test_only_the_bridges_answer_counts(rig, false_answerer):
 
 
 def test_a_driver_that_gets_two_answers_about_the_motors_does_not_start(rig):
-    grant = MotorsReply(granted=True, lease=99, key="5a" * 32, lease_s=5.0)
+    grant = MotorsReply(granted=True, lease=99, key="5a" * 32)
     with client(rig.robot) as peer, ZenohLink(BridgeAddress(rig.robot), lambda message: None) as link:
         peer.declare_queryable(
             "rover/motors", lambda query: query.reply("rover/motors", dump_json(grant)), complete=True

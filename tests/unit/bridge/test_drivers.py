@@ -127,16 +127,6 @@ def test_garbage_from_the_driver_stops_the_rover(rig, driver):
     assert rig.stands_after(braking_s(0.15))
 
 
-def test_odometry_is_reset_only_without_a_lease(rig, driver):
-    driver.start().drive(0.2)
-    assert b"a driver holds the lease" in rig.query("rover/reset_odometry", b"{}")
-    driver.motors(enable=False)
-    assert rig.stands_after(1.0)
-    assert abs(driver.odom.pose.x) > 0.01
-    assert rig.query("rover/reset_odometry", b"{}") == b'{"ok":true,"reason":""}'
-    rig.wait_for(lambda: max(map(abs, driver.odom.pose)) < 1e-6)
-
-
 # Requests for the motors
 
 
@@ -157,10 +147,10 @@ def answer(driver, request, tag=None):
     ("name", "payload", "expected"),
     [
         ("rover/motors", b"", "MotorsRequest"),
-        ("rover/motors", b'{"version": 2}', "enable"),
+        ("rover/motors", b"{}", "enable"),
         ("rover/stop", b'{"release": 1e999}', "StopRequest"),
         ("rover/stop", b" " * 100_000, "expected at most 4096"),
-        ("rover/reset_odometry", b"[]", "ResetRequest"),
+        ("rover/base", b"[]", "BaseRequest"),
     ],
 )
 def test_a_request_that_cannot_be_read_is_refused_by_name(requester, name, payload, expected):
@@ -211,18 +201,6 @@ def test_a_signature_is_for_one_kind_and_one_key_expression(requester):
     requester.rig.wait_for(lambda: requester.gate.lease == 0)
 
 
-OLD_REQUEST = {"enable": True, "driver": "ab" * 16, "name": "old", "sent_ns": 1}
-BOTH = (
-    "the bridge uses protocol version 2, the driver version 1: install the same version of rover-ncp on both"
-)
-
-
-def test_an_older_driver_gets_both_versions(requester):
-    assert answer(requester, OLD_REQUEST) == {"granted": False, "reason": "version", "detail": BOTH}
-    later = answer(requester, {"version": 3, "anything": []})
-    assert "the bridge uses protocol version 2, the driver version 3" in later["detail"]
-
-
 @pytest.mark.parametrize("tag", [bytes(40), CommandTag(0, 2**63, 2**62).pack(), b"", None])
 def test_a_tag_of_zeros_neither_drives_nor_releases(requester, tag):
     """No lease has the number 0, also while none is held."""
@@ -232,7 +210,7 @@ def test_a_tag_of_zeros_neither_drives_nor_releases(requester, tag):
             assert requester.motors().granted
         for _ in range(5):
             rig.command(twist_stamped(Velocity(0.2, 0.0), rig.time_ns()), tag)
-            answer(requester, {"version": 2, "enable": False}, tag)
+            answer(requester, {"enable": False}, tag)
             rig.sleep(PERIOD_S)
         assert (bool(requester.gate.lease), requester.out) == (held, Velocity(0.0, 0.0))
 

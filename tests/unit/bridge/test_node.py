@@ -14,7 +14,6 @@ from rover_ncp.core.geometry import Velocity
 from rover_ncp.course.course import Obstacle
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.cdr import decode
-from rover_ncp.wire.protocol import ResetReply, parse_json
 from sim.base.client_commands import decode_argument
 from sim.base.faults import parse_fault
 from sim.stack.virtual import WALL_NS
@@ -198,17 +197,6 @@ def test_fence_is_lost_when_the_base_is_connected_again(fault):
         assert (reply.granted, reply.reason, driver.gate.held) == (False, "fence-lost", "fence-lost")
         assert "restart the bridge" in reply.detail
         bridge.sleep(5.0)
-
-
-@pytest.mark.parametrize(("limits", "reset"), [(FENCED, False), (Limits(), True)])
-def test_odometry_is_reset_only_without_a_fence(limits, reset):
-    bridge = fenced_rover(limits)
-    reply = parse_json(ResetReply, bridge.query("rover/reset_odometry", b"{}"))
-    assert reply.ok is reset
-    assert ("the fence would move with odom" in reply.reason) is not reset
-    bridge.sleep(1.0)
-    assert (abs(bridge.driver.odom.pose.x) < 0.01) is reset
-    assert bridge.driver.motors().granted
 
 
 # Bases that misbehave or meet a wall

@@ -42,9 +42,6 @@ class FailingBase:
         self.driven += self._call("drive", [setpoint])
         return []
 
-    def reset_odometry(self):
-        self._call("reset_odometry")
-
     def health(self):
         return self._call("health", LinkHealth(damaged=False, counters={}))
 
@@ -211,12 +208,11 @@ def test_base_that_cannot_be_reached_later_does_not_end_the_bridge(driving):
     assert driving.node.gate.held is None
 
 
-@pytest.mark.parametrize("fails", ["health", "base_timeout", "reset_odometry"])
+@pytest.mark.parametrize("fails", ["health", "base_timeout"])
 def test_exception_of_another_call_of_the_base_ends_nothing(fails):
     loop = Loop(turns=3)
     loop.base.fails[fails] = OSError("gone")
     loop.turn(60)
-    assert b"gone" in loop.query("rover/reset_odometry", b"{}") or fails != "reset_odometry"
     granted = loop.driver.motors()
     assert granted.granted is (fails != "base_timeout")
     assert fails != "base_timeout" or "gone" in granted.detail
@@ -252,7 +248,7 @@ def test_nobody_gets_the_motors_of_a_robot_that_is_not_known_to_halt(name):
     loop.turn(3)
     reply = loop.driver.motors()
     assert (reply.granted, reply.reason, reply.detail) == (False, "unchecked", "it is not known to halt")
-    request = b'{"version": 2, "enable": true, "unchecked": true, "name": "x"}'
+    request = b'{"enable": true, "unchecked": true, "name": "x"}'
     assert '"granted":true' not in loop.query("rover/motors", request)
     assert loop.node.gate.lease is None
 
@@ -264,7 +260,7 @@ def test_the_log_names_who_takes_a_drive_over(caplog):
     with caplog.at_level("INFO", "rover_ncp"):
         loop.query("rover/stop", b'{"reason": "mine"}', source="f00d")
         loop.query("rover/stop", b'{"release": true}')
-        loop.query("rover/motors", b'{"version": 2, "enable": true, "name": "x"}', source="f00d")
+        loop.query("rover/motors", b'{"enable": true, "name": "x"}', source="f00d")
     assert "the peer with the Zenoh id f00d requests a stop: mine" in caplog.text
     assert "a peer that states no Zenoh id requests the release of the stop" in caplog.text
     assert "the lease is that of the peer with the Zenoh id f00d" in caplog.text

@@ -238,19 +238,8 @@ def test_emergency_stop_goes_out_at_once(driving):
     assert driving.turns(1) == []
 
 
-def test_odometry_reset_is_repeated_until_the_counters_show_it(bench):
-    bench.hear(sip(x=5000))
-    bench.session.reset_odometry()
-    assert bench.commands() == [Command.SETO]
-    assert bench.turns(5, sip(x=5000), 0.1).count((Command.SETO, None)) == 1
-    bench.hear(sip())
-    assert bench.events[-1].x == 0.0
-    bench.sent()
-    assert (Command.SETO, None) not in bench.turns(1, period_s=0.4)
-
-
 CALLS = [
-    *(st.just((name,)) for name in ("connect", "close", "emergency_stop", "reset_odometry")),
+    *(st.just((name,)) for name in ("connect", "close", "emergency_stop")),
     st.tuples(st.just("enable"), st.booleans()),
     st.tuples(st.just("set_motion"), st.builds(Velocity, st.floats(-1, 1), st.floats(-1, 1))),
     st.tuples(st.just("wait"), st.floats(0, 0.6)),

@@ -111,7 +111,6 @@ def test_only_a_ready_base_gets_requests(state):
     bench = Bench().go_to(state)
     bench.session.enable(True)
     bench.session.emergency_stop()
-    bench.session.reset_odometry()
     assert bench.sent() == []
 
 

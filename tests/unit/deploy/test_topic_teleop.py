@@ -139,7 +139,7 @@ def test_commands_that_piled_up_while_it_did_not_run_move_nothing():
 
 def test_another_driver_follows_and_is_not_disturbed():
     run = Run(Span(1.5, 2.5, AHEAD), Span(4.0, 6.0, STANDSTILL))
-    request = b'{"version": 2, "enable": true, "name": "other"}'
+    request = b'{"enable": true, "name": "other"}'
     run.at = [(3.9, lambda: run.bridge.query("rover/motors", request))]
     run.run(4.7)
     assert {lease for at, lease in run.leases if at > 4.0} == {2}

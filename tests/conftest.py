@@ -37,8 +37,9 @@ LONGEST = ["test_bridge_process.py", "test_learn_cluster.py"]
 def log_of_its_own():
     """A bridge or mock that a test runs in this process prints no log of the tests after it."""
     logger = logging.getLogger("rover_ncp")
-    handlers, level = logger.handlers, logger.level
+    handlers, level, last = logger.handlers, logger.level, logging.lastResort
     yield
+    logging.lastResort = last
     logger.handlers = handlers
     logger.setLevel(level)
 

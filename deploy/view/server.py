@@ -219,6 +219,7 @@ def _server(application: Starlette) -> uvicorn.Server:
         ws=Connection,
         ws_max_size=REQUEST_BYTES,
         ws_per_message_deflate=False,
+        log_config=None,
         log_level="warning",
         access_log=False,
         lifespan="off",

@@ -151,6 +151,7 @@ class Output(logging.Handler):
             logger = logging.getLogger("rover_ncp")
             logger.setLevel(logging.INFO)
             logger.handlers = [Output.lines]
+            logging.lastResort = Output.lines  # of libraries: Python's own writes to stderr itself
 
     @property
     def _people(self) -> TextIO:

@@ -16,7 +16,7 @@ from rover_ncp.recording.recording import read_recording
 SHORT = "tests/data/short_course.yaml"
 # A command that says more than its queue holds, and how long that takes on stderr.
 TALKS = """
-import sys, time
+import logging, sys, time
 from pydantic import BaseModel
 from rover_ncp import cli
 from rover_ncp.core.console import Output
@@ -29,6 +29,7 @@ def talk(**options):
     began = time.monotonic()
     for number in range(int(sys.argv[1])):
         output.say(f"{number} \\xb1\\x1b " + 80 * "x")
+    logging.getLogger("a.library").warning("said")
     said_s = time.monotonic() - began
     output.result(Talked(lines=1), "the result")
     print(said_s < 0.3, file=sys.stderr, flush=True)
@@ -80,7 +81,7 @@ def test_slow_reader_gets_the_result_and_the_number_of_dropped_lines():
     lines = out.decode().splitlines()
     dropped = [int(line.rsplit(" ", 1)[1]) for line in lines if line.startswith("rover-ncp: lines of output")]
     assert (process.returncode, lines[-1]) == (0, "the result")
-    assert len(lines) - len(dropped) + sum(dropped) == LINES + 1
+    assert len(lines) - len(dropped) + sum(dropped) == LINES + 2
 
 
 @pytest.mark.parametrize("locale", [{"LC_ALL": "C", "PYTHONUTF8": "0"}, {"PYTHONIOENCODING": "ascii"}])

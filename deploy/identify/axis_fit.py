@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.special import ndtri, stdtrit
 
 from deploy.identify.motion_log import FloatArray, MotionLog
 
@@ -44,8 +45,6 @@ NEGLIGIBLE = 0.02
 """A step determines a value if a unit of it changes a report by at least this share of SCALES."""
 CHANGE = 1e-3
 """Change of a scale, and of a slip in s, for derivatives."""
-MEDIAN_STD = math.sqrt(math.pi / 2.0)
-"""Standard deviation of the median of many normal values, as a multiple of that of their mean."""
 
 
 class OdometryErrors(NamedTuple):
@@ -110,7 +109,9 @@ def _median(fits: Sequence[_Fit]) -> tuple[FloatArray, FloatArray]:
         found = column[np.isfinite(column)]
         if len(found) >= MIN_STEPS:
             values[place] = np.median(found)
-            std[place] = MEDIAN_STD * np.std(found, ddof=1) / math.sqrt(len(found))
+            # For an interval of ± 1.96 of it from few steps; that also covers the scatter of a median.
+            student = float(stdtrit(len(found) - 1, 0.975) / ndtri(0.975))
+            std[place] = student * np.std(found, ddof=1) / math.sqrt(len(found))
     return values, std
 
 

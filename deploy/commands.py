@@ -118,9 +118,9 @@ def deploy(
     rover = load_profile(profile) if profile else None
     described = load_description(model) if model else None
     if to is not None or undock is not None:
+        from deploy.drive.config import place_config
         from deploy.place.place import load_place
         from deploy.place.plan import approach
-        from deploy.place.settings import place_config
 
         if to is not None and undock is not None:
             raise UsageError("--to and --undock do not go together")

@@ -9,7 +9,7 @@ from pydantic import Field
 from deploy.drive.safety_monitor import Timeouts
 from deploy.estimator.settings import GYRO_S, EstimatorSettings
 from deploy.place.place import Place
-from rover_ncp.course.course import Course
+from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile
 from rover_ncp.wire.messages import COURSE_FRAME
@@ -35,6 +35,11 @@ AXLE_GAIN_WALK = 0.02
 """Random change of a differential drive's turn gain after a turn of 1 rad (chosen)."""
 CASTER_M = 0.015
 """Random displacement of a differential drive after a metre: its casters push it as they turn (chosen)."""
+
+MAX_DRIVE_S = 1800.0
+"""Upper limit of a drive with all its tries."""
+BLIND_S = 60.0
+"""How long the rover may move by odometry alone, where poses are lost."""
 
 PoseUse = Literal["auto", "required", "none"]
 """Whether external poses give the start pose: if they come, always, or never."""
@@ -85,6 +90,25 @@ def config_for(
         "estimator": settings_for(rover, described),
     }
     return DriveConfig(**about | {"rover": rover, "described": described} | settings)
+
+
+def place_config(
+    place: Place, rover: RoverProfile | None, described: RobotDescription | None, **more: Any
+) -> DriveConfig:
+    """Return the settings of a drive to a place; ``more`` are further settings."""
+    about: dict[str, Any] = {
+        "place": place,
+        "course": place.name,
+        "ticks": round(MAX_DRIVE_S / TICK_S),
+        # A docked rover is where its place is, also if its poses are hidden there.
+        "pose": "auto" if more.get("undock") else "required",
+        "pose_age_s": BLIND_S,
+        "pose_frame": place.frame,
+        "estimator": settings_for(rover, described),
+        "rover": rover,
+        "described": described,
+    }
+    return DriveConfig(**about | more)
 
 
 def settings_for(rover: RoverProfile | None, described: RobotDescription | None = None) -> EstimatorSettings:

@@ -25,7 +25,7 @@ from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.start import StartDetector
 from deploy.drive.tick_messages import Publisher
 from deploy.estimator.estimator import Estimate
-from deploy.estimator.measurements import Outcome
+from deploy.estimator.inputs import Acceptance
 from deploy.place.outcome import Evidence
 from deploy.place.place import Proof
 from rover_ncp.core.clock_offset import NS_PER_S
@@ -297,7 +297,7 @@ class Drive:
 
     def _check_poses(self, velocity: Velocity, now_ns: int) -> None:
         """Raise SafetyStop if external poses are required and none is used while the rover moves."""
-        used, config = self.mission.estimator.poses[Outcome.ACCEPTED], self.config
+        used, config = self.mission.estimator.poses[Acceptance.ACCEPTED], self.config
         stands = abs(velocity.v) < STANDING.v and abs(velocity.omega) < STANDING.omega
         if used != self._poses_used:
             self._poses_used, self._blind_ns = used, 0

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from deploy.drive.control_loop import Drive
-from deploy.estimator.measurements import Outcome
+from deploy.estimator.inputs import Acceptance
 from deploy.place.outcome import DockResult
 from deploy.recorder import RecordingResult
 from rover_ncp.core.console import printable
@@ -155,10 +155,12 @@ def result_of(drive: Drive, recording: Mapping[str, Any]) -> DriveResult:
         pose=ExternalPoses(
             **pose,
             placed=drive.placed,
-            used=outcomes[Outcome.ACCEPTED],
-            refused=outcomes[Outcome.OUTLIER] + outcomes[Outcome.NOT_FINITE] + outcomes[Outcome.REPEATED],
-            too_late=outcomes[Outcome.TOO_OLD],
-            dropped=outcomes[Outcome.DROPPED],
+            used=outcomes[Acceptance.ACCEPTED],
+            refused=outcomes[Acceptance.OUTLIER]
+            + outcomes[Acceptance.NOT_FINITE]
+            + outcomes[Acceptance.REPEATED],
+            too_late=outcomes[Acceptance.TOO_OLD],
+            dropped=outcomes[Acceptance.DROPPED],
             nis=Nis(**estimator.nis),
         ),
         dock=drive.mission.result(drive.reason),

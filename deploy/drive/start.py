@@ -13,7 +13,7 @@ from deploy.drive.link import Link
 from deploy.drive.measurements import Measurement, Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.estimator.estimator import completed
-from deploy.estimator.measurements import still_limits
+from deploy.estimator.inputs import still_limits
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import AnotherDriver, NoPose, SafetyStop
 from rover_ncp.core.geometry import Pose, near, wrap_angle

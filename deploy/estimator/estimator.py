@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from deploy.estimator.history import TURN_S, History
-from deploy.estimator.measurements import GyroAngle, Outcome
+from deploy.estimator.inputs import Acceptance, GyroAngle
 from deploy.estimator.motion import (
     ASIDE,
     CENTER,
@@ -145,7 +145,7 @@ class Estimator:
         """Odometry samples rejected so far."""
         self.gyro_rejected = 0
         """Gyro readings rejected so far."""
-        self.poses = dict.fromkeys(Outcome, 0)
+        self.poses = dict.fromkeys(Acceptance, 0)
         """Counts of external poses by outcome; a waiting pose is counted again when it is evaluated."""
         self.fault = ""
         self.fault_rule = ""
@@ -180,18 +180,18 @@ class Estimator:
             raise ValueError(f"cannot start with the covariance {covariance}")
         self._started = History(self._settings, t, own, pose, sure)
 
-    def odometry(self, pose: Pose, velocity: Velocity, t: float) -> Outcome:
+    def odometry(self, pose: Pose, velocity: Velocity, t: float) -> Acceptance:
         """Apply odometry measured at ``t``: pose in its own frame, v in m/s, ω in rad/s."""
         z = np.array([*pose, *velocity])
         if not (np.isfinite(z).all() and math.isfinite(t)):
-            outcome = Outcome.NOT_FINITE
+            outcome = Acceptance.NOT_FINITE
         else:
             due = self._bursts.due(t)
             if due < t and self._history.misfit(z, due) < self._history.misfit(z, t):
                 t = due
             outcome, turn, waited = self._history.odometry(z, self._gyro.angle(t), t)
             self._count_gyro(turn)
-        if outcome is Outcome.ACCEPTED:
+        if outcome is Acceptance.ACCEPTED:
             self._in_a_row[ODOMETRY] = 0
             self._own = pose
             for waiting in waited:
@@ -210,25 +210,25 @@ class Estimator:
         It may come before or after the odometry of ``t``.
         """
         if not (math.isfinite(rate) and math.isfinite(t)):
-            outcome = Outcome.NOT_FINITE
+            outcome = Acceptance.NOT_FINITE
         elif abs(rate - self._history.turn_rate()) > self._gyro_off_rad_s:
-            outcome = Outcome.OUTLIER
+            outcome = Acceptance.OUTLIER
         else:
             self._gyro.measure(rate, t)
             return
         self._gyro.miss()
         self._count_gyro(outcome)
 
-    def external(self, pose: Pose, covariance: Array, t: float) -> Outcome:
+    def external(self, pose: Pose, covariance: Array, t: float) -> Acceptance:
         """Apply an external pose (course frame) that was measured at ``t`` or earlier, and may come late.
 
         ``covariance`` (3, 3) is that of (x, y, θ); a variance of 0 means unknown.
         """
         known = completed(covariance, self._settings)
         if known is None or not all(map(math.isfinite, (*pose, t))):
-            outcome = Outcome.NOT_FINITE
+            outcome = Acceptance.NOT_FINITE
         elif self._repeated(pose):
-            outcome = Outcome.REPEATED
+            outcome = Acceptance.REPEATED
         else:
             outcome = self._history.pose(np.array(pose), known, t)
         self._count(outcome)
@@ -271,8 +271,8 @@ class Estimator:
             raise RuntimeError("the estimator was not started")
         return self._started
 
-    def _count_gyro(self, outcome: Outcome | None) -> None:
-        if outcome is Outcome.ACCEPTED:
+    def _count_gyro(self, outcome: Acceptance | None) -> None:
+        if outcome is Acceptance.ACCEPTED:
             self._in_a_row[GYRO_READINGS] = 0
         elif outcome is not None:
             self.gyro_rejected += 1
@@ -280,15 +280,15 @@ class Estimator:
                 self._gyro_counted = self._history.t
                 self._reject(GYRO_READINGS, outcome, self._settings.gyro_rejected_in_a_row, "gyro")
 
-    def _count(self, outcome: Outcome) -> None:
+    def _count(self, outcome: Acceptance) -> None:
         self.poses[outcome] += 1
-        if outcome is Outcome.ACCEPTED:
+        if outcome is Acceptance.ACCEPTED:
             self._in_a_row[POSES] = 0
             self._corrected = True
-        elif outcome in {Outcome.OUTLIER, Outcome.NOT_FINITE, Outcome.REPEATED}:
+        elif outcome in {Acceptance.OUTLIER, Acceptance.NOT_FINITE, Acceptance.REPEATED}:
             self._reject(POSES, outcome, self._settings.poses_rejected_in_a_row, "external-pose")
-        if outcome in {Outcome.ACCEPTED, Outcome.OUTLIER}:
-            self._judged.append(outcome is Outcome.OUTLIER)
+        if outcome in {Acceptance.ACCEPTED, Acceptance.OUTLIER}:
+            self._judged.append(outcome is Acceptance.OUTLIER)
             if (rejected := sum(self._judged)) >= REJECTED_POSES:
                 self._fail(f"{rejected} of the last {len(self._judged)} {POSES} rejected", "external-pose")
 
@@ -298,7 +298,7 @@ class Estimator:
             words = f"by the external poses the rover turns {gain:.1f} times what odometry says"
             self._fail(f"{words}: is their frame turned or mirrored?", "external-pose")
 
-    def _reject(self, what: str, outcome: Outcome, limit: int, rule: str) -> None:
+    def _reject(self, what: str, outcome: Acceptance, limit: int, rule: str) -> None:
         """Count a rejection; so many in a row are the fault ``rule``."""
         self._in_a_row[what] += 1
         if self._in_a_row[what] >= limit:

@@ -29,12 +29,12 @@ from typing import Any
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-from deploy.estimator.measurements import (
+from deploy.estimator.inputs import (
+    Acceptance,
     Applied,
     Disturbance,
     GyroAngle,
     Odometry,
-    Outcome,
     PoseMeasurement,
     Turn,
     irregular_covariance,
@@ -156,16 +156,16 @@ class History:
         if math.isnan(angle.rad):  # also if this sample is rejected: turns are not compared across a gap
             self._turn_began = began, angle, 0.0
         if t < self.t:
-            return Applied(Outcome.OUT_OF_ORDER)
+            return Applied(Acceptance.OUT_OF_ORDER)
         stood = self._stands(z)
         fits = self._predicted(z, t, stood)[0] <= self._settings.gate
         if t > self.t + GAP_S and not (stood and fits):
-            return Applied(Outcome.OUTLIER)
+            return Applied(Acceptance.OUTLIER)
         if stood and not fits:  # declared noise may hide a slow motion
             stood, fits = False, self._predicted(z, t, False)[0] <= self._settings.gate
         irregular = not (fits and self._settings.uses_speeds and t > self._irregular_until)
         if irregular and not self._pose_fits(z):
-            return Applied(Outcome.OUTLIER)
+            return Applied(Acceptance.OUTLIER)
         if not fits:
             self._irregular_until = t + IRREGULAR_S
         turn, turn_outcome = None, None
@@ -178,7 +178,7 @@ class History:
             self._turn_began = t, angle, ahead
             if math.isfinite(turned):
                 turn = self._apply_turn(turned, seconds, ahead - ahead_before)
-                turn_outcome = Outcome.ACCEPTED if turn else Outcome.OUTLIER
+                turn_outcome = Acceptance.ACCEPTED if turn else Acceptance.OUTLIER
         self._entries.append(self._entry(t, stood, Odometry(z, ends_turn, turn, irregular)))
         self._last = t, z
         self._valid += 1
@@ -191,7 +191,7 @@ class History:
         self._apply_again(keep + 1)
         del self._entries[:keep]
         self._valid -= keep
-        return Applied(Outcome.ACCEPTED, turn_outcome, outcomes)
+        return Applied(Acceptance.ACCEPTED, turn_outcome, outcomes)
 
     def misfit(self, z: Array, t: float) -> float:
         """Return −2 log likelihood, but for a constant, of odometry measured at ``t``."""
@@ -207,19 +207,19 @@ class History:
         covariance = self._ekf.P[REPORTED, REPORTED] + self._odometry_covariance
         return normalised_square(residual(z, self._ekf.x[REPORTED]), covariance), covariance
 
-    def pose(self, z: Array, covariance: Array, t: float) -> Outcome:
+    def pose(self, z: Array, covariance: Array, t: float) -> Acceptance:
         """Apply an external pose of stamp ``t`` at its moment, unless it is rejected."""
         begin = self._entries[0].t
         if t < begin:
-            return Outcome.TOO_OLD
+            return Acceptance.TOO_OLD
         at = max(t - max(float(self._entries[self._valid - 1].x[DELAY]), 0.0), begin)
         measured = PoseMeasurement(z, covariance, t - at)
         if at <= self.t:
             return self._insert(at, measured)
         if len(self._waiting) >= WAITING_MAX:
-            return Outcome.DROPPED
+            return Acceptance.DROPPED
         insort(self._waiting, (at, measured), key=lambda waiting: waiting[0])
-        return Outcome.WAITING
+        return Acceptance.WAITING
 
     def turn_rate(self) -> float:
         """Return the turn rate that a gyro should show."""
@@ -252,7 +252,7 @@ class History:
         """Return whether a sample and the one before report no motion, and the same place."""
         return stands(self._last[1], z, self._still)
 
-    def _insert(self, t: float, measured: PoseMeasurement) -> Outcome:
+    def _insert(self, t: float, measured: PoseMeasurement) -> Acceptance:
         place = bisect_right(self._entries, t, key=lambda entry: entry.t)
         self._apply_again(place)
         stood = self._entries[min(place, len(self._entries) - 1)].stood
@@ -274,7 +274,7 @@ class History:
             self._valid = place + 1
         self._disturbed = disturbed or (self._disturbed and not accepted)
         self._rejected = [] if accepted else [*self._rejected, measured][: PUSH_POSES - 1]
-        return Outcome.ACCEPTED if accepted else Outcome.OUTLIER
+        return Acceptance.ACCEPTED if accepted else Acceptance.OUTLIER
 
     def _pushed(self, measured: PoseMeasurement) -> bool:
         """Return whether this pose and enough rejected ones show the same place."""

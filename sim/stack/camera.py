@@ -54,7 +54,7 @@ class PoseSource(ABC):
             self._send(data, round(due * NS_PER_S))
 
 
-class Localiser(PoseSource):
+class CeilingCamera(PoseSource):
     """A camera that sees the rover on its course."""
 
     hz, delay_s = 5.0, 0.1

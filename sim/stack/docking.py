@@ -12,13 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deploy.drive.config import DriveConfig
+from deploy.drive.config import DriveConfig, place_config
 from deploy.drive.control_loop import Drive
 from deploy.place.docking import Docking
 from deploy.place.outcome import DockResult, PoseErrors
 from deploy.place.place import Place
 from deploy.place.plan import approach
-from deploy.place.settings import place_config
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import NoPose, UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT

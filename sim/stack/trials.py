@@ -34,7 +34,7 @@ from rover_ncp.robot.profile import RoverProfile
 from sim.base.trial import BaseTrial, Drawn, draw_rover
 from sim.learn.engine.driver import Driver
 from sim.learn.workers import ProcessPool, available_processes, made_in_each_process
-from sim.stack.camera import Localiser
+from sim.stack.camera import CeilingCamera
 from sim.stack.estimates import Belief, belief_of
 from sim.stack.lines import simulated_base
 from sim.stack.virtual import TicklessPublisher, VirtualBridge, VirtualLink
@@ -131,7 +131,7 @@ class Stack:
         bridge, received = VirtualBridge(base), list[Recorded]()
         link = VirtualLink(bridge, rover.pose, received.append)
         stream = random_stream(seed, Domain.IDENTIFICATION, number)
-        base.observe = Localiser(rover, stream, link.localise).observe
+        base.observe = CeilingCamera(rover, stream, link.localise).observe
         measurements = Measurements(link)
         monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
         monitor.wait()
@@ -150,7 +150,7 @@ class Stack:
         watching = [truth.note]
         if self.camera:
             stream = random_stream(self.seed, Domain.CAMERA, number)
-            watching.append(Localiser(rover, stream, link.localise).observe)
+            watching.append(CeilingCamera(rover, stream, link.localise).observe)
 
         def observe(now: float) -> None:
             for watch in watching:

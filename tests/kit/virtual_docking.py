@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from deploy.drive.config import place_config
 from deploy.place.docking import Docking
 from deploy.place.place import Place
 from deploy.place.plan import approach
-from deploy.place.settings import place_config
 from kit.virtual_drive import VirtualDrive
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.clock_offset import NS_PER_S

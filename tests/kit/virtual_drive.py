@@ -12,7 +12,7 @@ from deploy.drive.mission import CourseMission
 from deploy.drive.records import TICKS_TOPIC, attachments
 from deploy.drive.result import result_of
 from deploy.drive.tick_messages import Publisher
-from deploy.estimator.measurements import Outcome
+from deploy.estimator.inputs import Acceptance
 from deploy.estimator.settings import EstimatorSettings
 from kit.paths import DATA
 from rover_ncp.circuit.policy_file import load_policy
@@ -71,7 +71,7 @@ def controlled(
     for index in range(course.ticks):
         poses.append(rover.pose)
         measured = report(compose(to_odom, rover.pose), rover.velocity)
-        assert controller.estimator.odometry(*measured, index * TICK_S) is Outcome.ACCEPTED
+        assert controller.estimator.odometry(*measured, index * TICK_S) is Acceptance.ACCEPTED
         ticks.append(controller.tick(index, index * TICK_S + latency))
         rover.command(*ticks[-1].command)
         for _ in range(10):

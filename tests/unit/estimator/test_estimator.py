@@ -11,7 +11,7 @@ from kit.described import described
 
 from deploy.drive.config import settings_for
 from deploy.estimator.estimator import Estimator
-from deploy.estimator.measurements import Outcome
+from deploy.estimator.inputs import Acceptance
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, wrap_angle
 
 DT = 0.1
@@ -37,7 +37,7 @@ def manoeuvre():
 def test_follows_a_bases_odometry_within_its_resolution_and_without_lag():
     estimator, errors, turns = started(), [], []
     for t, pose, velocity in manoeuvre():
-        assert estimator.odometry(*reported(pose, velocity), t) is Outcome.ACCEPTED
+        assert estimator.odometry(*reported(pose, velocity), t) is Acceptance.ACCEPTED
         estimate = estimator.at(t)
         errors.append(distance(estimate.pose, pose))
         turns.append(abs(wrap_angle(estimate.pose.theta - pose.theta)))
@@ -86,7 +86,7 @@ def test_lost_odometry_is_not_taken_for_late():
     estimator, random = started(), np.random.default_rng(1)
     for t, pose, velocity in manoeuvre():
         if random.random() > 0.3:
-            assert estimator.odometry(*reported(pose, velocity), t) is Outcome.ACCEPTED
+            assert estimator.odometry(*reported(pose, velocity), t) is Acceptance.ACCEPTED
             assert distance(estimator.at(t).pose, pose) < 0.0025
 
 
@@ -111,7 +111,7 @@ def test_a_single_outlier_is_rejected_and_forgotten(jump):
     for tick in range(1, 20):
         outlier = tick == 10
         measured = Pose(*jump) if outlier else Pose(0.0, 0.0, 0.0)
-        expected = Outcome.OUTLIER if outlier else Outcome.ACCEPTED
+        expected = Acceptance.OUTLIER if outlier else Acceptance.ACCEPTED
         assert estimator.odometry(measured, STANDSTILL, tick * DT) is expected
         assert distance(estimator.at(tick * DT).pose, Pose(0, 0, 0)) < 0.001
     assert estimator.rejected == 1
@@ -137,11 +137,11 @@ def test_values_that_are_not_finite_never_reach_the_filter(where, what, others):
     estimator, values = started(), list(others)
     values[where] = what
     before = estimator.at(1.0)
-    assert estimator.odometry(Pose(*values[:3]), Velocity(*values[3:]), 0.5) is Outcome.NOT_FINITE
+    assert estimator.odometry(Pose(*values[:3]), Velocity(*values[3:]), 0.5) is Acceptance.NOT_FINITE
     after = estimator.at(1.0)
     assert after.pose == before.pose
     assert np.array_equal(after.covariance, before.covariance)
-    assert estimator.odometry(Pose(0, 0, 0), STANDSTILL, math.nan) is Outcome.NOT_FINITE
+    assert estimator.odometry(Pose(0, 0, 0), STANDSTILL, math.nan) is Acceptance.NOT_FINITE
     assert not estimator.fault
     estimator.odometry(Pose(*values[:3]), Velocity(*values[3:]), 0.5)
     assert "not finite" in estimator.fault
@@ -166,7 +166,7 @@ def test_declared_noise_does_not_move_a_standing_rover(speed_noise):
     for tick in range(1, 200):
         reported_pose = Pose(*(rng.normal(size=3) * [0.005, 0.005, 0.009]))
         velocity = Velocity(*(rng.normal(size=2) * speed_noise))
-        assert estimator.odometry(reported_pose, velocity, tick * DT) is Outcome.ACCEPTED
+        assert estimator.odometry(reported_pose, velocity, tick * DT) is Acceptance.ACCEPTED
         assert estimator.at(tick * DT).pose == pytest.approx((1.0, 2.0, 0.5), abs=1e-9)
 
 
@@ -189,8 +189,8 @@ def test_a_rover_that_stands_may_wait_for_long_before_its_first_odometry(gap_s, 
     robot = described("husky-a200", odometry={"noise_m": noise_m})
     estimator = Estimator(settings_for(None, robot))
     estimator.start(Pose(0.0, 0.0, 0.0), 0.0, Pose(3.0, 0.0, 0.5))
-    assert estimator.odometry(Pose(3.0, 0.0, 0.5), STANDSTILL, gap_s) is Outcome.ACCEPTED
-    assert estimator.odometry(Pose(3.01, 0.005, 0.5), Velocity(0.1, 0.0), gap_s + 0.1) is Outcome.ACCEPTED
+    assert estimator.odometry(Pose(3.0, 0.0, 0.5), STANDSTILL, gap_s) is Acceptance.ACCEPTED
+    assert estimator.odometry(Pose(3.01, 0.005, 0.5), Velocity(0.1, 0.0), gap_s + 0.1) is Acceptance.ACCEPTED
     assert distance(estimator.at(gap_s + 0.1).pose, Pose(0.0, 0.0, 0.0)) < 0.02
 
 
@@ -198,7 +198,7 @@ def test_a_rover_that_stands_may_wait_for_long_before_its_first_odometry(gap_s, 
 def test_odometry_that_moved_in_a_long_gap_is_not_used(away_m, v):
     estimator = Estimator()
     estimator.start(Pose(0.0, 0.0, 0.0), 0.0, Pose(3.0, 0.0, 0.0))
-    assert estimator.odometry(Pose(3.0 + away_m, 0.0, 0.0), Velocity(v, 0.0), 11.0) is Outcome.OUTLIER
+    assert estimator.odometry(Pose(3.0 + away_m, 0.0, 0.0), Velocity(v, 0.0), 11.0) is Acceptance.OUTLIER
 
 
 def test_past_estimate_is_that_of_its_moment():

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from deploy.drive.config import settings_for
 from deploy.estimator.estimator import Estimator
 from deploy.estimator.history import WAITING_MAX, History
-from deploy.estimator.measurements import Outcome
+from deploy.estimator.inputs import Acceptance
 from deploy.estimator.motion import OMEGA, initial, true_motion, turned_without_gain
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
@@ -62,15 +62,15 @@ def test_late_poses_out_of_order_count_as_prompt_ones():
     for tick in range(1, 120):
         t = tick * DT
         for estimator in (prompt, late):
-            assert estimator.odometry(*drive.report(tick), t) is Outcome.ACCEPTED
-        assert prompt.external(drive.pose(tick), COVARIANCE, t) is Outcome.ACCEPTED
+            assert estimator.odometry(*drive.report(tick), t) is Acceptance.ACCEPTED
+        assert prompt.external(drive.pose(tick), COVARIANCE, t) is Acceptance.ACCEPTED
         held.append(tick)
         if tick % 7 == 0:
             for past in shuffled.permutation(held):
                 late.external(drive.pose(past), COVARIANCE, past * DT)
             held.clear()
-    assert late.poses[Outcome.TOO_OLD] == 0
-    assert late.poses[Outcome.ACCEPTED] == 119
+    assert late.poses[Acceptance.TOO_OLD] == 0
+    assert late.poses[Acceptance.ACCEPTED] == 119
     a, b = prompt.at(t), late.at(t)
     assert distance(a.pose, b.pose) < 0.001  # the delay is known a little later
     assert np.allclose(np.diag(a.covariance), np.diag(b.covariance), rtol=0.05)
@@ -147,36 +147,36 @@ def test_a_rover_that_a_cable_turns_is_found_again(side):
 def test_a_refused_pose_leaves_the_estimate_where_it_is(off_rad, may_be_a_push):
     estimator = straight(2.0)
     before, seen = estimator.at(2.0), Pose(way_m(2.0), 0.0, off_rad)
-    assert estimator.external(seen, COVARIANCE, 2.0) is Outcome.OUTLIER
+    assert estimator.external(seen, COVARIANCE, 2.0) is Acceptance.OUTLIER
     after = estimator.at(2.0)
     assert after.pose == pytest.approx(before.pose, abs=1e-12)
     grown = np.diag(after.covariance - before.covariance)[:3]
     push = np.square([SETTINGS.disturbance_m, SETTINGS.disturbance_m, SETTINGS.disturbance_rad])
     assert grown == pytest.approx(may_be_a_push * push, rel=1e-3, abs=1e-12)
     again = estimator.external(seen, COVARIANCE, 2.0)
-    assert again is (Outcome.ACCEPTED if may_be_a_push else Outcome.OUTLIER)
+    assert again is (Acceptance.ACCEPTED if may_be_a_push else Acceptance.OUTLIER)
 
 
 def test_a_pose_counts_for_the_moment_at_which_it_was_measured():
     sure, prompt = 1e-8 * np.eye(3), EstimatorSettings(pose_delay_s=0.0, pose_delay_std_s=1e-6)
     late = straight(3.0, prompt)
-    assert late.external(Pose(way_m(2.35) + 0.01, 0.02, 0.0), sure, 2.35) is Outcome.ACCEPTED
+    assert late.external(Pose(way_m(2.35) + 0.01, 0.02, 0.0), sure, 2.35) is Acceptance.ACCEPTED
     assert late.at(3.0).pose == pytest.approx((way_m(3.0) + 0.01, 0.02, 0.0), abs=0.003)
-    assert straight(3.0).external(Pose(0, 0, 0), sure, 1.7) is Outcome.TOO_OLD
-    assert straight(3.0).external(Pose(0, 0, 0), sure, -0.1) is Outcome.TOO_OLD
+    assert straight(3.0).external(Pose(0, 0, 0), sure, 1.7) is Acceptance.TOO_OLD
+    assert straight(3.0).external(Pose(0, 0, 0), sure, -0.1) is Acceptance.TOO_OLD
 
     early = straight(3.0, prompt)
-    assert early.external(Pose(way_m(3.05), 0.02, 0.0), sure, 3.05) is Outcome.WAITING
+    assert early.external(Pose(way_m(3.05), 0.02, 0.0), sure, 3.05) is Acceptance.WAITING
     assert early.at(3.1).pose.y == pytest.approx(0.0)
     early.odometry(Pose(way_m(3.1), 0.0, 0.0), Velocity(0.1, 0.0), 3.1)
     assert early.at(3.1).pose.y == pytest.approx(0.02, abs=0.001)
-    assert early.poses[Outcome.ACCEPTED] == 1
+    assert early.poses[Acceptance.ACCEPTED] == 1
 
 
 def test_poses_beyond_those_that_may_wait_for_odometry_are_dropped():
     estimator = straight(1.0)
     found = [estimator.external(Pose(0, 0, 0), COVARIANCE, 1.5) for _ in range(WAITING_MAX + 1)]
-    assert found == [*[Outcome.WAITING] * WAITING_MAX, Outcome.DROPPED]
+    assert found == [*[Acceptance.WAITING] * WAITING_MAX, Acceptance.DROPPED]
     assert not estimator.fault
 
 
@@ -186,7 +186,7 @@ def test_many_late_poses_at_once_cost_hardly_more_than_one(monkeypatch):
     monkeypatch.setattr(History, "_updated", lambda *args: (entered.append(1), once(*args))[1])
     times = np.linspace(2.05, 2.95, 80)
     for t in times:
-        assert estimator.external(Pose(way_m(t), 0.0, 0.0), COVARIANCE, t) is Outcome.ACCEPTED
+        assert estimator.external(Pose(way_m(t), 0.0, 0.0), COVARIANCE, t) is Acceptance.ACCEPTED
     estimator.at(3.0)
     assert len(entered) < 3 * len(times)  # applied again each time it would be 80 times 50
 
@@ -195,12 +195,12 @@ def test_one_wrong_pose_is_rejected_and_many_are_a_fault_that_stays():
     estimator = straight(1.0)
     wrong, right = Pose(way_m(1.0), 0.3, 0.0), Pose(way_m(1.0), 0.0, 0.0)
     for _ in range(4):
-        assert estimator.external(wrong, COVARIANCE, 1.0) is Outcome.OUTLIER
-    assert estimator.external(right, COVARIANCE, 1.0) is Outcome.ACCEPTED
+        assert estimator.external(wrong, COVARIANCE, 1.0) is Acceptance.OUTLIER
+    assert estimator.external(right, COVARIANCE, 1.0) is Acceptance.ACCEPTED
     assert not estimator.fault
     before = estimator.at(1.0)
     for _ in range(5):
-        assert estimator.external(wrong, COVARIANCE, 1.0) is Outcome.OUTLIER
+        assert estimator.external(wrong, COVARIANCE, 1.0) is Acceptance.OUTLIER
     assert estimator.fault_rule == "external-pose"
     assert estimator.fault == "5 external poses rejected in a row (last: outlier)"
     assert estimator.at(1.0).pose == pytest.approx(before.pose, abs=1e-12)
@@ -223,8 +223,8 @@ def test_one_wrong_pose_is_rejected_and_many_are_a_fault_that_stays():
 def test_invalid_poses_are_rejected(pose, covariance):
     estimator = straight(1.0)
     before = estimator.at(1.0)
-    assert estimator.external(pose, covariance, 1.0) is Outcome.NOT_FINITE
-    assert estimator.external(Pose(0, 0, 0), COVARIANCE, math.nan) is Outcome.NOT_FINITE
+    assert estimator.external(pose, covariance, 1.0) is Acceptance.NOT_FINITE
+    assert estimator.external(Pose(0, 0, 0), COVARIANCE, math.nan) is Acceptance.NOT_FINITE
     after = estimator.at(1.0)
     assert after.pose == pytest.approx(before.pose, abs=1e-12)
     assert np.array_equal(after.covariance, before.covariance)
@@ -258,7 +258,7 @@ def test_a_refused_sample_after_a_gap_of_the_gyro_adds_no_turn(rate):
             estimator.gyro(rate, t)
         if tick == 15:
             late = estimator.odometry(Pose(0, 0, rate * 1.35), Velocity(0, rate), 1.35)
-            assert late is Outcome.OUT_OF_ORDER
+            assert late is Acceptance.OUT_OF_ORDER
         estimator.odometry(Pose(0, 0, rate * t), Velocity(0, rate), t)
     estimate = estimator.at(1.5)
     assert estimate.pose.theta == pytest.approx(rate * 1.5, abs=0.005)
@@ -286,7 +286,9 @@ def test_poses_show_how_a_slope_moves_a_turning_rover():
     for tick in range(1, 200):
         angle = rate * tick * DT
         pose = Pose(0.0, slide * angle, angle)
-        assert estimator.odometry(Pose(0.0, 0.0, angle), Velocity(0.0, rate), tick * DT) is Outcome.ACCEPTED
+        assert (
+            estimator.odometry(Pose(0.0, 0.0, angle), Velocity(0.0, rate), tick * DT) is Acceptance.ACCEPTED
+        )
         if angle < 2.0:
             estimator.external(pose, np.diag(np.square([0.003, 0.003, 0.003])), tick * DT)
     assert distance(estimator.at(200 * DT).pose, pose) < 0.01  # unknown, 2 rad more would be 6 cm

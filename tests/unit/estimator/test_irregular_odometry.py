@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from deploy.drive.config import settings_for
 from deploy.estimator.estimator import Estimator
-from deploy.estimator.measurements import Outcome
+from deploy.estimator.inputs import Acceptance
 from rover_ncp.core.geometry import Pose, Velocity, distance, wrap_angle
 from rover_ncp.robot.description import load_description
 
@@ -109,11 +109,11 @@ def test_irregular_odometry_is_accepted_and_its_error_is_inside_the_ellipse(robo
 def test_repeated_and_backward_stamps_neither_stop_the_drive_nor_move_the_estimate(form):
     estimator = started(settings_for(None, HUSKY))
     for number, (t, true, own, velocity) in enumerate(form(drive(1.0))):
-        assert estimator.odometry(own, velocity, t) is Outcome.ACCEPTED
+        assert estimator.odometry(own, velocity, t) is Acceptance.ACCEPTED
         if number % 7 == 3:
-            assert estimator.odometry(own, velocity, t) is Outcome.ACCEPTED
+            assert estimator.odometry(own, velocity, t) is Acceptance.ACCEPTED
         if number % 11 == 5:
-            assert estimator.odometry(own, velocity, t - 0.05) is Outcome.OUT_OF_ORDER
+            assert estimator.odometry(own, velocity, t - 0.05) is Acceptance.OUT_OF_ORDER
         assert distance(estimator.at(t).pose, true) < 0.01
     assert not estimator.fault
 
@@ -137,6 +137,6 @@ def test_recorded_odometry_of_a_husky_is_accepted():
     estimator = Estimator(settings_for(None, HUSKY))
     estimator.start(ORIGIN, rows[0][0])
     for t, x, y, theta, v, omega in rows[1:]:
-        assert estimator.odometry(Pose(x, y, theta), Velocity(v, omega), t) is Outcome.ACCEPTED
+        assert estimator.odometry(Pose(x, y, theta), Velocity(v, omega), t) is Acceptance.ACCEPTED
     assert distance(estimator.at(t).pose, Pose(x, y, theta)) < 0.01
     assert (estimator.rejected, estimator.fault) == (0, "")

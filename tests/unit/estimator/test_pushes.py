@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from kit.base_odometry import started
 
-from deploy.estimator.measurements import Outcome
+from deploy.estimator.inputs import Acceptance
 from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.geometry import Pose, Velocity
 
@@ -22,8 +22,8 @@ def test_a_rover_that_was_pushed_while_it_stands_is_found_again(noise_std):
     place = Pose(*PUSH)
     noise = noise_std * rng.multivariate_normal(np.zeros(3), COVARIANCE, 12)
     outcomes = [see(estimator, Pose(*(place + noise[i])), 1.0 + 0.1 * i) for i in range(12)]
-    assert outcomes[:3] == [Outcome.OUTLIER] * 3
-    assert outcomes[3:] == [Outcome.ACCEPTED] * 9
+    assert outcomes[:3] == [Acceptance.OUTLIER] * 3
+    assert outcomes[3:] == [Acceptance.ACCEPTED] * 9
     assert not estimator.fault
     end = estimator.at(2.1)
     assert end.pose == pytest.approx(place, abs=0.007)
@@ -47,7 +47,7 @@ def test_poses_that_no_push_explains_stop_a_rover_that_stands(seen):
     estimator = standing(1.0)
     before = estimator.at(1.0)
     for i in range(5):
-        assert see(estimator, Pose(*seen(i)), 1.0 + 0.1 * i) is Outcome.OUTLIER
+        assert see(estimator, Pose(*seen(i)), 1.0 + 0.1 * i) is Acceptance.OUTLIER
     assert estimator.fault_rule == "external-pose"
     assert estimator.at(1.4).pose == pytest.approx(before.pose, abs=1e-9)
 
@@ -56,7 +56,7 @@ def standing(until_s):
     """An estimator of a rover that stands at the origin and sees it."""
     estimator = started(EstimatorSettings(), covariance=COVARIANCE)
     for tick in range(1, round(until_s / DT)):
-        assert see(estimator, Pose(0.0, 0.0, 0.0), tick * DT) is Outcome.ACCEPTED
+        assert see(estimator, Pose(0.0, 0.0, 0.0), tick * DT) is Acceptance.ACCEPTED
     return estimator
 
 

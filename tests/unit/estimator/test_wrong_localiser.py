@@ -3,7 +3,7 @@
 import numpy as np
 from kit.base_odometry import DT, POSE_COVARIANCE, moved, started, straight, way_m
 
-from deploy.estimator.measurements import Outcome
+from deploy.estimator.inputs import Acceptance
 from rover_ncp.core.geometry import Pose, Velocity
 
 
@@ -38,7 +38,7 @@ def drive_on(estimator, seconds, see, velocity=AHEAD):
 def test_localiser_that_repeats_an_old_pose_while_the_rover_drives_is_a_fault():
     estimator, frozen = straight(1.0), Pose(way_m(1.0) + 0.01, 0.0, 0.0)
     end = drive_on(estimator, 5.0, lambda pose: frozen)
-    assert estimator.poses[Outcome.REPEATED] == 5
+    assert estimator.poses[Acceptance.REPEATED] == 5
     assert "the same pose again, although odometry moved" in estimator.fault
     assert end.x - frozen.x < 0.1
 
@@ -47,7 +47,7 @@ def test_localiser_without_noise_may_repeat_the_pose_of_a_rover_that_stands():
     estimator = started(covariance=POSE_COVARIANCE)
     for tick in range(1, 50):
         estimator.odometry(Pose(0.0, 0.0, 0.0), Velocity(0.0, 0.0), tick * DT)
-        assert estimator.external(Pose(0.001, 0.0, 0.0), POSE_COVARIANCE, tick * DT) is Outcome.ACCEPTED
+        assert estimator.external(Pose(0.001, 0.0, 0.0), POSE_COVARIANCE, tick * DT) is Acceptance.ACCEPTED
 
 
 def test_poses_of_a_mirrored_frame_are_a_fault():

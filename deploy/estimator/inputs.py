@@ -21,8 +21,8 @@ STILL_SIGMAS = 5.0
 """Limit for no motion between two samples, in standard deviations of odometry's noise."""
 
 
-class Outcome(Enum):
-    """Outcome of a measurement."""
+class Acceptance(Enum):
+    """Whether a measurement was accepted, or why not."""
 
     ACCEPTED = "accepted"
     OUTLIER = "outlier"
@@ -72,11 +72,11 @@ class Odometry(NamedTuple):
 
 
 class Applied(NamedTuple):
-    """Outcome of an odometry sample, of its gyro's turn (None without), and of the poses that waited."""
+    """What became of an odometry sample, of its gyro's turn (None without), and of the poses that waited."""
 
-    odometry: Outcome
-    turn: Outcome | None = None
-    poses: tuple[Outcome, ...] = ()
+    odometry: Acceptance
+    turn: Acceptance | None = None
+    poses: tuple[Acceptance, ...] = ()
 
 
 class PoseMeasurement(NamedTuple):

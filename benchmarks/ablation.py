@@ -17,8 +17,8 @@ from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.course.course import load_course
 from rover_ncp.course.scoring import Parked
 from rover_ncp.robot.description import load_description
-from sim.evaluate.commands import Sensors
 from sim.evaluate.evaluate import trial_count
+from sim.evaluate.options import Sensors
 from sim.learn.engine.driver import load_driver
 from sim.stack.estimates import summary
 from sim.stack.trials import Stack, drive_all

@@ -46,7 +46,7 @@ CONDITIONS = {
     },
 }
 """By policy, the conditions and the command that measures each."""
-KEPT = ("trials", "success_rate", "success_ci95", "error_m", "error_rad", "failures", "falsely_docked")
+KEPT = ("trials", "success_rate", "success_ci95", "error_m", "error_rad", "failures")
 
 
 def measure(command: str) -> dict[str, object]:

@@ -28,10 +28,13 @@ from sim.world.randomization import Randomization, Trials, draw_trials
 from sim.world.rover import RoverModel
 
 if TYPE_CHECKING:
+    from sim.stack.docking import Docked
     from sim.stack.trials import Driven
 
 _BATCH = 500
 """Trials at a time, so that drawn noise takes some 10 MB whatever is asked for."""
+_FEW = 3
+"""So few trials are driven one by one, with the same bits: a kernel of whole episodes takes long to load."""
 _SHOWN = 5
 """Largest number of lines about scaled courses; random courses may be many."""
 
@@ -56,6 +59,8 @@ class Ended(NamedTuple):
     error_m: float
     error_rad: float
     reason: str
+    total: float
+    """The return."""
 
 
 class Evaluation(BaseModel):
@@ -67,6 +72,7 @@ class Evaluation(BaseModel):
     error_m: Spread = Field(description="final position error")
     error_rad: Spread = Field(description="final heading error")
     failures: dict[str, int] = Field(description="by the first condition that was missed: number of trials")
+    mean_return: float | None = Field(description="the paper's, of all trials; null through the stack")
 
 
 def trial_count(asked: int | None, courses: int, ranges: Randomization, varies: bool) -> int:
@@ -130,7 +136,7 @@ def drive_trials(
         raise UsageError(f"at least one trial must be driven, got {trials}")
     model = model or default_rover()
     ticks = max(course.ticks for course in courses)
-    if driver.circuit:
+    if driver.circuit and trials > _FEW:
         drive = _drive_lanes(driver.circuit, courses, model)
     else:
         drive = _drive_runner(driver, courses, model)
@@ -162,7 +168,12 @@ def _drive_lanes(
             [Failure.NONE.value, Failure.TOUCHED.value, Failure.FAR.value, Failure.TURNED.value],
             Failure.MOVING.value,
         )
-        columns = found.error_m[0].tolist(), found.error_rad[0].tolist(), reasons.tolist()
+        columns = (
+            found.error_m[0].tolist(),
+            found.error_rad[0].tolist(),
+            reasons.tolist(),
+            found.total[0].tolist(),
+        )
         return [Ended(*row) for row in zip(*columns, strict=True)]
 
     return drive
@@ -186,19 +197,19 @@ def _drive_runner(
             reference=references[place],
             runner=runner,
         )
-        return Ended(run.verdict.error_m, run.verdict.error_rad, run.verdict.failure)
+        return Ended(run.verdict.error_m, run.verdict.error_rad, run.verdict.failure, run.total)
 
     return lambda trials, first: [
         ended(trials, row, (first + row) % len(courses)) for row in range(trials.size)
     ]
 
 
-def tally(ended: "Sequence[Ended | Driven]") -> Evaluation:
+def tally(ended: "Sequence[Ended | Driven | Docked]") -> Evaluation:
     """Sum up trials."""
     from scipy.stats import binomtest  # slow to load
 
     count, failures = len(ended), Counter(str(trial.reason) for trial in ended if trial.reason)
-    successes = count - failures.total()
+    successes, returns = count - failures.total(), [one.total for one in ended if isinstance(one, Ended)]
     low, high = binomtest(successes, count).proportion_ci(method="wilson")
     return Evaluation(
         trials=count,
@@ -207,7 +218,15 @@ def tally(ended: "Sequence[Ended | Driven]") -> Evaluation:
         error_m=Spread.of(np.array([trial.error_m for trial in ended])),
         error_rad=Spread.of(np.array([trial.error_rad for trial in ended])),
         failures=dict(failures.most_common()),
+        mean_return=float(np.mean(returns)) if returns else None,
     )
+
+
+def load_courses(names: Sequence[str], random_courses: int | None, seed: int) -> list[Course]:
+    """Return the named courses, or random ones of a seed in their place."""
+    if random_courses:
+        return unseen_courses(seed, random_courses)
+    return [load_course(name) for name in names]
 
 
 def unseen_courses(seed: int, count: int) -> list[Course]:

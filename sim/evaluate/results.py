@@ -1,31 +1,17 @@
-"""Results of the command ``eval``; those of trials and of the paper's benchmarks have more fields."""
+"""The result of the command ``eval``, and its words."""
 
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
 from pydantic import BaseModel, Field
 
-from sim.evaluate.evaluate import Evaluation
-from sim.learn.results import VerdictFields
-from sim.stack.estimates import EstimateSummary
+from sim.evaluate.evaluate import Ended, Evaluation
+from sim.stack.docking import Docked
+from sim.stack.estimates import EstimateSummary, summary, words
+from sim.stack.trials import Driven
 
-
-class DriveOnceResult(VerdictFields):
-    """Result of one drive on the nominal rover."""
-
-    return_: float = Field(serialization_alias="return", description="the paper's; 0 is out of reach")
-    rms_m: float = Field(description="of the distances to the checkpoints, each when it was judged")
-    model: str | None = Field(description="the robot's description, if one was named")
-    scaled: list[str] = Field(description="lines on the courses that were changed for the robot")
-
-
-class TrialsResult(Evaluation):
-    """Result of random trials."""
-
-    randomize: str = Field(description="the name or file of the randomization")
-    model: str | None = Field(description="the robot's description, if one was named")
-    scaled: list[str] = Field(description="lines on the courses that were changed for the robot")
-    body: str = Field(description="the simulator's")
-    seed: int = Field(description="root seed")
-    random_courses: int = Field(description="how many")
-    course: str = Field(description="several are joined by commas")
+FINE_M, FINE_RAD = 0.01, math.radians(1.0)
 
 
 class StackDrive(BaseModel):
@@ -43,14 +29,112 @@ class StackDrive(BaseModel):
 
 
 class StackResult(BaseModel):
-    """Fields of trials through the stack, beside those of all trials."""
+    """What trials of courses through the stack have beside their ends."""
 
     overruns: int = Field(description="of all trials")
     wall_s: float = Field(description="how long it took")
     times_real_time: float = Field(description="driven time over computing time")
     estimate: EstimateSummary = Field(description="of the driver, against the truth")
-    drives: list[StackDrive] = Field(description="each trial")
 
 
-class StackTrialsResult(StackResult, TrialsResult):
-    """Result of random trials through the stack."""
+class DockingResult(BaseModel):
+    """What trials of docking have beside their ends."""
+
+    place: str = Field(description="its name")
+    said_docked: int = Field(description="trials that the driver declared docked")
+    falsely_docked: int = Field(description="those of them whose true pose is outside the tolerances")
+    within_1_cm_1_degree: int = Field(description="successes whose true pose is so near to the place")
+    first_try: int = Field(description="successes of the first try")
+    drive_s: float = Field(description="median time of a drive, in simulated time")
+
+
+class EvalResult(Evaluation):
+    """Result of trials: of a course in plain simulation or through the stack, or of docking at a place."""
+
+    randomize: str = Field(description="the name or file of the randomization")
+    model: str | None = Field(description="the robot's description, if one was named")
+    scaled: list[str] = Field(description="lines on the courses that were changed for the robot")
+    body: str = Field(description="the simulator's")
+    seed: int = Field(description="root seed")
+    random_courses: int = Field(description="how many")
+    course: str = Field(description="several are joined by commas; with --to empty")
+    stack: StackResult | None = Field(description="with --stack, without --to; else null")
+    docking: DockingResult | None = Field(description="with --to; else null")
+    drives: list[StackDrive] = Field(description="with --stack each trial; else empty")
+
+
+def stack_result(driven: Sequence[Driven], driven_s: float, wall_s: float) -> StackResult:
+    """Return what trials of courses show that took ``wall_s`` for ``driven_s`` of driving."""
+    return StackResult(
+        overruns=sum(trial.overruns for trial in driven),
+        wall_s=wall_s,
+        times_real_time=driven_s / wall_s,
+        estimate=summary([trial.belief for trial in driven], [trial.parked for trial in driven]),
+    )
+
+
+def docking_result(place: str, driven: Sequence[Docked]) -> DockingResult:
+    """Return what trials of docking at a place show."""
+    good = [trial for trial in driven if not trial.reason]
+    return DockingResult(
+        place=place,
+        said_docked=sum(trial.result.success for trial in driven),
+        falsely_docked=sum(trial.result.success and not trial.docked for trial in driven),
+        within_1_cm_1_degree=sum(trial.error_m <= FINE_M and trial.error_rad <= FINE_RAD for trial in good),
+        first_try=sum(trial.result.num_retries == 0 for trial in good),
+        drive_s=float(np.median([trial.seconds for trial in driven])),
+    )
+
+
+def drives_of(ended: Sequence[Ended | Driven | Docked]) -> Iterator[StackDrive]:
+    """Yield the trials that went through the stack."""
+    for number, trial in enumerate(ended):
+        if isinstance(trial, Ended):
+            continue
+        if isinstance(trial, Driven):
+            verdict: str | None = trial.belief.verdict
+            probability = trial.belief.probability
+        else:
+            said = "docked" if trial.result.success else "not docked"
+            verdict, probability = None if trial.stop else said, trial.result.probability
+        yield StackDrive(
+            trial=number,
+            parked=not trial.reason,
+            reason=trial.reason,
+            error_m=trial.error_m,
+            error_rad=trial.error_rad,
+            verdict=verdict,
+            probability=probability,
+        )
+
+
+def result_words(found: EvalResult) -> Iterator[str]:
+    """Yield lines about a result."""
+    yield from found.scaled
+    end = "" if found.mean_return is None else f"; mean return {found.mean_return:.4f}"
+    if found.trials == 1:
+        reason = "".join(f"not parked: {reason}" for reason in found.failures)
+        yield f"{reason or 'parked'}{end.replace('mean ', '')}"
+    else:
+        low, high = found.success_ci95
+        share = f"{found.success_rate:.1%} of {found.trials} trials parked"
+        yield f"{share} (95 % interval {low:.1%} to {high:.1%}){end}"
+    for name, spread, unit in (
+        ("final position error", found.error_m, "mm"),
+        ("final heading error", found.error_rad, "mrad"),
+    ):
+        p50, p95, largest = (1000 * error for error in (spread.p50, spread.p95, spread.max))
+        several = f"median {p50:.0f}, 95th percentile {p95:.0f}, largest {largest:.0f} {unit}"
+        yield f"{name}: {several if found.trials > 1 else f'{largest:.0f} {unit}'}"
+    if found.trials > 1:
+        for reason, count in found.failures.items():
+            yield f"not parked, {reason}: {count}"
+    if found.stack:
+        yield from words(found.stack.estimate)
+        yield f"{found.stack.times_real_time:.0f} times real time"
+    if docking := found.docking:
+        yield (
+            f"parked within the place's tolerances; declared docked: {docking.said_docked}, falsely: "
+            f"{docking.falsely_docked}; at the first try: {docking.first_try}; within 1 cm and 1°: "
+            f"{docking.within_1_cm_1_degree}; median time {docking.drive_s:.0f} s"
+        )

@@ -1,45 +1,81 @@
-"""Random trials of one policy through the stack, and the words of a result."""
+"""The trials of the command ``eval``: in plain simulation, through the stack, and of docking."""
 
 import itertools
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import Progress
 
-from sim.evaluate.evaluate import Evaluation, tally
-from sim.evaluate.results import StackDrive, StackResult
+from deploy.place.place import load_place
+from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.course.course import Course
+from rover_ncp.robot.description import RobotDescription
+from sim.evaluate.evaluate import Ended, drive_trials, trial_count
+from sim.evaluate.options import EvalOptions
+from sim.learn.engine.driver import load_driver
 from sim.learn.progress import progress_lines
-from sim.stack.estimates import summary, words
-from sim.stack.trials import Stack, drive_all
+from sim.stack.docking import Docked, DockTrials
+from sim.stack.tag_camera import TagLocaliser
+from sim.stack.trials import Driven, Stack, drive_all
+from sim.world.described import described_rover
+from sim.world.randomization import Randomization
 
 
-def evaluate_stack(stack: Stack, trials: int, processes: int | None) -> tuple[Evaluation, StackResult]:
-    """Drive trials through a stack; return their outcomes and the stack's result. Raises WorkerDied."""
-    began = time.monotonic()
-    with progress(trials) as done:
-        driven = drive_all(stack, trials, processes, done)
-    wall_s = time.monotonic() - began
-    driven_s = sum(stack.course(number).horizon_s for number in range(trials))
-    return tally(driven), StackResult(
-        overruns=sum(trial.overruns for trial in driven),
-        wall_s=wall_s,
-        times_real_time=driven_s / wall_s,
-        estimate=summary([trial.belief for trial in driven], [trial.parked for trial in driven]),
-        drives=[
-            StackDrive(
-                trial=number,
-                parked=trial.parked,
-                reason=trial.reason,
-                error_m=trial.error_m,
-                error_rad=trial.error_rad,
-                verdict=trial.belief.verdict,
-                probability=trial.belief.probability,
-            )
-            for number, trial in enumerate(driven)
-        ],
+def drive_courses(
+    options: EvalOptions, courses: Sequence[Course], robot: RobotDescription | None, ranges: Randomization
+) -> list[Ended]:
+    """Drive courses in plain simulation. Raises UsageError for an unsuitable number of trials."""
+    trials = trial_count(options.trials, len(courses), ranges, ranges.varies)
+    model = described_rover(robot) if robot else None
+    return drive_trials(
+        load_driver(options.policy), courses, ranges, trials=trials, seed=options.seed, model=model
     )
+
+
+def drive_stack(
+    options: EvalOptions,
+    courses: Sequence[Course],
+    robot: RobotDescription | None,
+    ranges: Randomization,
+    sensors: tuple[bool, bool],
+) -> tuple[list[Driven], float, float]:
+    """Drive courses through the stack; return the trials, their time, and the time that this took, in s.
+
+    Raises UsageError as `drive_courses`, and WorkerDied.
+    """
+    driver = load_driver(options.policy)
+    stack = Stack(driver, tuple(courses), ranges, options.seed, *sensors, options.identify, robot)
+    count = trial_count(options.trials, len(courses), ranges, stack.varies)
+    began = time.monotonic()
+    with progress(count) as done:
+        driven = drive_all(stack, count, options.processes, done)
+    return driven, sum(stack.course(number).horizon_s for number in range(count)), time.monotonic() - began
+
+
+def drive_dockings(
+    options: EvalOptions, name: str, robot: RobotDescription | None, ranges: Randomization, gyro: bool
+) -> tuple[str, list[Docked]]:
+    """Dock at a place through the stack; return the place's name and the trials. Raises WorkerDied."""
+    place, localiser = load_place(name), TagLocaliser
+    if options.images:
+        from sim.stack.rendered_camera import RenderedLocaliser
+
+        localiser = RenderedLocaliser
+    trials = DockTrials(
+        load_policy("course"),
+        load_policy(options.policy),
+        place,
+        ranges,
+        options.seed,
+        gyro=gyro,
+        robot=robot,
+        localiser=localiser,
+    )
+    count = options.trials or 1
+    with progress(count) as done:
+        return place.name, drive_all(trials, count, options.processes, done)
 
 
 @contextmanager
@@ -53,20 +89,3 @@ def progress(total: int) -> Iterator[Callable[[], None]]:
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("trials", total=total)
         yield lambda: bar.advance(task)
-
-
-def result_words(found: Evaluation, stack: StackResult | None) -> Iterator[str]:
-    """Yield lines about an evaluation, and about the stack if it was driven through one."""
-    low, high = found.success_ci95
-    yield f"{found.success_rate:.1%} of {found.trials} trials parked (95 % interval {low:.1%} to {high:.1%})"
-    for name, spread, unit in (
-        ("final position error", found.error_m, "mm"),
-        ("final heading error", found.error_rad, "mrad"),
-    ):
-        p50, p95, largest = (1000 * error for error in (spread.p50, spread.p95, spread.max))
-        yield f"{name}: median {p50:.0f}, 95th percentile {p95:.0f}, largest {largest:.0f} {unit}"
-    for reason, count in found.failures.items():
-        yield f"not parked, {reason}: {count}"
-    if stack:
-        yield from words(stack.estimate)
-        yield f"{stack.times_real_time:.0f} times real time"

@@ -15,7 +15,7 @@ import numpy as np
 from deploy.drive.config import DriveConfig, place_config
 from deploy.drive.control_loop import Drive
 from deploy.place.docking import Docking
-from deploy.place.outcome import DockResult, PoseErrors
+from deploy.place.outcome import DockError, DockResult, PoseErrors
 from deploy.place.place import Place
 from deploy.place.plan import approach
 from rover_ncp.circuit.policy import Policy
@@ -53,6 +53,25 @@ class Docked(NamedTuple):
     docked: bool
     """Whether the true pose is within the place's tolerances."""
     seconds: float
+
+    @property
+    def error_m(self) -> float:
+        """The distance from the place."""
+        return math.hypot(self.off.longitudinal_m, self.off.lateral_m)
+
+    @property
+    def error_rad(self) -> float:
+        """The turn from the place's heading."""
+        return abs(self.off.yaw_rad)
+
+    @property
+    def reason(self) -> str:
+        """Why the trial is no success; "" if the driver says docked and the true pose agrees."""
+        if self.stop:
+            return f"stopped by {self.stop}"
+        if self.result.success:
+            return "" if self.docked else "falsely docked"
+        return DockError(self.result.error_code).name
 
 
 @dataclass(frozen=True)

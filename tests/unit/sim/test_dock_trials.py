@@ -11,10 +11,12 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.wire.messages import pose_with_covariance, read_pose
-from sim.evaluate.docking_runs import evaluate_docking
+from sim.evaluate.evaluate import tally
+from sim.evaluate.results import docking_result
 from sim.stack.docking import BEARING_RAD, DISTANCES_M, DockTrials
 from sim.stack.rendered_camera import RenderedLocaliser
 from sim.stack.tag_camera import TagLocaliser
+from sim.stack.trials import drive_all
 from sim.world.described import default_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 from sim.world.randomization import load_randomization
@@ -76,9 +78,9 @@ def test_a_trial_whose_robot_never_sees_the_tags_is_counted():
         farthest_m = 0.1
 
     drawn = dataclasses.replace(trials(), localiser=Blind)
-    found = evaluate_docking(drawn, 2, 1, randomize="none", model=None, body="pymunk")
-    assert (found.trials, found.said_docked) == (2, 0)
-    assert found.failures == {"stopped by no-pose": 2}
+    driven = drive_all(drawn, 2, 1)
+    assert docking_result("dock", driven).said_docked == 0
+    assert tally(driven).failures == {"stopped by no-pose": 2}
 
 
 @pytest.mark.parametrize("pose", [Pose(1.9, 1.0, 0.0), Pose(0.2, 0.3, 0.4)])
@@ -110,6 +112,7 @@ def test_docked_counts_by_the_true_pose(moved_m, reasons):
             return pose_with_covariance(there, seen.covariance, wall_ns, seen.frame)
 
     drawn = dataclasses.replace(trials(retries=0), localiser=Moved)
-    found = evaluate_docking(drawn, 1, 1, randomize="none", model=None, body="pymunk")
-    assert (found.said_docked, found.failures) == (1, reasons)
+    driven = drive_all(drawn, 1, 1)
+    found, docking = tally(driven), docking_result("dock", driven)
+    assert (docking.said_docked, docking.falsely_docked, found.failures) == (1, len(reasons), reasons)
     assert found.success_rate == (not reasons)

@@ -50,33 +50,34 @@ def files(tmp_path, monkeypatch):
 def test_scores_a_published_circuit_with_sensors_that_are_not_clamped(files, run_json):
     code, fields = run_json("eval untuned.yaml")
     expected = rollout(parking_policy(load_circuit("parking"), clamp=False), load_course("parking"))
-    assert (code, fields) == (
-        1,
-        {
-            "return": expected.total,
-            "parked": False,
-            "reason": expected.verdict.reason,
-            "failure": "too far from the goal",
-            "error_m": expected.verdict.error_m,
-            "error_rad": expected.verdict.error_rad,
-            "rms_m": expected.rms_m,
-            "model": None,
-            "scaled": [],
-        },
-    )
-    assert fields["return"] == pytest.approx(-47.06, abs=0.02)  # by the published simulator
+    assert (code, fields["trials"], fields["success_rate"]) == (1, 1, 0.0)
+    assert fields["failures"] == {"too far from the goal": 1}
+    assert fields["error_m"]["max"] == pytest.approx(expected.verdict.error_m)
+    assert fields["mean_return"] == pytest.approx(expected.total)
+    assert fields["mean_return"] == pytest.approx(-47.06, abs=0.02)  # by the published simulator
 
 
 def test_a_policy_that_parks_ends_with_0(files, run_json, capsys):
     code, fields = run_json("eval numb.yaml --course stay.yaml")
-    assert (code, fields["parked"]) == (0, True)
-    assert fields["return"] == pytest.approx(-(0.03**2 + 0.04**2 + 0.05**2))
-    assert fields["rms_m"] == pytest.approx(0.05 / np.sqrt(2))
-    assert (fields["error_m"], fields["error_rad"]) == (0.0, pytest.approx(0.05))
+    assert (code, fields["success_rate"]) == (0, 1.0)
+    assert fields["mean_return"] == pytest.approx(-(0.03**2 + 0.04**2 + 0.05**2))
+    assert (fields["error_m"]["max"], fields["error_rad"]["max"]) == (0.0, pytest.approx(0.05))
     assert run(["eval", "numb.yaml", "--course", "stay.yaml"]) == 0
-    out = capsys.readouterr().out
-    assert out.startswith("parked; return -0.0050; final errors 0 mm and 50 mrad")
-    assert out.count("\n") == 1
+    out = capsys.readouterr().out.splitlines()
+    assert out == ["parked; return -0.0050", "final position error: 0 mm", "final heading error: 50 mrad"]
+
+
+def test_few_trials_are_those_of_the_kernel(files):
+    policy, full, courses = (
+        course_policy(load_circuit("tracking")),
+        load_randomization("full"),
+        [load_course(ARC)],
+    )
+    given = {"courses": courses, "ranges": full, "seed": 5}
+    few = evaluate.drive_trials(circuit_driver(policy), **given, trials=3)
+    many = evaluate.drive_trials(circuit_driver(policy), **given, trials=4)
+    for one, other in zip(few, many, strict=False):
+        assert one == pytest.approx(other)
 
 
 def test_trials_are_counted_as_each_alone_is_judged(files, run_json):
@@ -104,7 +105,9 @@ def test_only_a_single_trial_that_fails_ends_with_1(files, capsys):
     arguments = ["eval", "numb.yaml", "--randomize", "mild", "--trials"]
     assert run([*arguments, "1"]) == 1
     assert run([*arguments, "3"]) == 0
-    assert capsys.readouterr().out.count("0.0% of") == 2
+    out = capsys.readouterr().out
+    assert out.startswith("not parked: ")
+    assert "\n0.0% of 3" in out
 
 
 def test_random_courses_are_driven_in_turn(files, run_json):

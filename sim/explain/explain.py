@@ -1,13 +1,12 @@
-"""Explanation of a circuit on a course or on a task: the findings about one run, and what-ifs.
+"""Explanation of a circuit on a course: the findings about one drive, and what-ifs.
 
-The run is simulated or recorded. The what-ifs are always simulated.
+The drive is simulated or recorded. The what-ifs are always simulated.
 """
 
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,25 +37,20 @@ class Simulated(ResultModel):
     """The intact circuit in simulation."""
 
     total: float = Field(serialization_alias="return")
-    """of the drive, or the mean of the episodes"""
-    returns: tuple[float, ...]
-    """of the drive, or of each episode"""
-    enough: float | None
-    """the return that counts as solved; null for a course"""
-    parked: bool | None
-    """whether it parks; null for a task"""
+    """of the drive"""
+    parked: bool
+    """whether it parks"""
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """Result of ``rover-ncp explain``; a course or a task is None."""
+    """Result of ``rover-ncp explain``."""
 
     source: str
     command: str
     """The command that makes this, without ``--out``."""
-    course: Course | None
-    task: str | None
-    verdict: Verdict | None
+    course: Course
+    verdict: Verdict
     """Verdict on the explained drive, simulated or recorded."""
     simulated: Simulated
     """Result of the whole circuit, to which the what-ifs are compared."""
@@ -65,7 +59,7 @@ class Explanation:
     knock_outs: tuple[Knockout, ...]
     sensitivities: tuple[Sensitivity, ...]
     robot: RobotDescription | None = None
-    """The simulated robot; None for the default one and for a task."""
+    """The simulated robot; None for the default one."""
 
     @property
     def policy(self) -> Policy:
@@ -74,15 +68,12 @@ class Explanation:
 
     @property
     def title(self) -> str:
-        """Names of policy and course or task."""
-        where = self.task if self.course is None else f"course {self.course.name}"
-        return f"Policy {self.policy.circuit.name} on {where}"
+        """Names of policy and course."""
+        return f"Policy {self.policy.circuit.name} on course {self.course.name}"
 
     @property
     def ending(self) -> str:
-        """The run's end in words."""
-        if self.verdict is None:
-            return f"mean return {number(self.simulated.total)} of {len(self.simulated.returns)} episodes"
+        """The drive's end in words."""
         reason = self.verdict.reason and f": {self.verdict.reason}"
         robot = self.robot and f" of {self.robot.name}"
         return (
@@ -95,10 +86,9 @@ class Explanation:
         return Result(
             source=self.source,
             policy=self.policy.circuit.name,
-            course=None if self.course is None else self.course.name,
-            task=self.task,
+            course=self.course.name,
             run=self.verdict,
-            verdict=None if self.verdict is None else self.verdict.words,
+            verdict=self.verdict.words,
             simulated=self.simulated,
             phases=self.findings.phases,
             contributions=tuple(found.contributions[a, b] for b in found.motors for a in found.sources),
@@ -116,13 +106,11 @@ class Result(ResultModel):
     """the argument"""
     policy: str
     """its name"""
-    course: str | None
-    """its name; null for a task"""
-    task: str | None
-    """its name; null for a course"""
-    run: Verdict | None
-    """the explained drive, simulated or recorded; null for a task"""
-    verdict: Parked | None
+    course: str
+    """its name"""
+    run: Verdict
+    """the explained drive, simulated or recorded"""
+    verdict: Parked
     """on that drive: parked, 'parked, uncertain' or not parked"""
     simulated: Simulated
     """the intact circuit"""
@@ -133,7 +121,7 @@ class Result(ResultModel):
     time_constants: tuple[TimeConstant, ...]
     """in the run"""
     knock_outs: tuple[Knockout, ...]
-    """drives or episodes without a neuron or a synapse"""
+    """drives without a neuron or a synapse"""
     sensitivities: tuple[Sensitivity, ...]
     """of the return to each parameter"""
     files: tuple[str, ...]
@@ -148,7 +136,7 @@ def explain(
     Raises UsageError for the recording of a docking or a recording with a course, FileError and ConfigError.
     """
     source = str(source)
-    command = command_line(source, course=course)
+    command = command_line(source, course)
     if Path(source).suffix.lower() != ".mcap":
         policy, known = load_policy(source), load_course(course or "parking")
         return explain_drive(source, command, policy, known, on_progress=on_progress)
@@ -166,11 +154,9 @@ def explain(
     )
 
 
-def command_line(source: str | None, **options: str | None) -> str:
+def command_line(source: str, course: str | None) -> str:
     """Return the command that makes an explanation, without ``--out``."""
-    words = ["rover-ncp", "explain", *([source] if source else [])]
-    words += [word for name, value in options.items() if value for word in (f"--{name}", value)]
-    return shlex.join(words)
+    return shlex.join(["rover-ncp", "explain", source, *(["--course", course] if course else [])])
 
 
 def explain_drive(
@@ -192,43 +178,22 @@ def explain_drive(
         found = rollout(other, course, model)
         return Outcome(found.total, found.verdict)
 
-    return explain_run(
-        trace,
-        Simulated(total=run.total, returns=(run.total,), enough=None, parked=run.verdict.parked),
-        simulate,
-        Evaluator(policy, course, model).returns,
-        on_progress,
-        source=source,
-        command=command,
-        course=course,
-        task=None,
-        verdict=verdict,
-        robot=robot,
-    )
-
-
-def explain_run(
-    trace: Trace,
-    simulated: Simulated,
-    simulate: Callable[[Policy], Outcome],
-    score: Callable[[FloatArray], FloatArray],
-    on_progress: Progress,
-    **known: Any,
-) -> Explanation:
-    """Explain a run, with the what-ifs of ``simulate`` and ``score``; ``known`` are the other fields."""
-    policy = trace.policy
     parts = policy.circuit.size + policy.circuit.synapse_count
     on_progress(f"simulating without each of {parts} neurons and synapses")
-    without = knock_outs(policy, simulate, simulated.total)
+    without = knock_outs(policy, simulate, run.total)
     on_progress(f"moving each of {policy.layout().size} parameters a little")
     findings = analyse(trace)
     return Explanation(
-        simulated=simulated,
+        source=source,
+        command=command,
+        course=course,
+        verdict=verdict,
+        simulated=Simulated(total=run.total, parked=run.verdict.parked),
         findings=findings,
         interpretation=interpret(trace, findings.phases),
         knock_outs=without,
-        sensitivities=sensitivities(policy, score),
-        **known,
+        sensitivities=sensitivities(policy, Evaluator(policy, course, model).returns),
+        robot=robot,
     )
 
 

@@ -32,22 +32,13 @@ def page(found: Explanation) -> str:
     from rover_ncp.course.shapes import OUTLINE, outline_of
 
     verdict = found.verdict
-    if verdict is None:
-        headline = (
-            f"mean return {number(found.simulated.total)}",
-            "",
-            f"of {len(found.simulated.returns)} episodes",
-        )
-    else:
-        headline = verdict.words.capitalize(), KINDS[verdict.words], verdict.reason
-    drives = found.course is not None
     parts = sorted(found.knock_outs, key=lambda row: row.total)
     return run_page(
         found.findings,
         found.interpretation,
         found.course,
         title=found.title,
-        headline=headline,
+        headline=(verdict.words.capitalize(), KINDS[verdict.words], verdict.reason),
         rows=[("Result", found.ending), ("Command", found.command)],
         outline=outline_of(found.robot) if found.robot else OUTLINE,
         tables=[
@@ -55,7 +46,7 @@ def page(found: Explanation) -> str:
                 "Without a part",
                 f"The simulation without each neuron and each synapse. The return of the whole circuit is "
                 f"{number(found.simulated.total)}.",
-                ["without", "return", *(["m from the goal", "parks"] if drives else [])],
+                ["without", "return", "m from the goal", "parks"],
                 [(_part(row), -row.change) for row in parts],
             ),
             Table(
@@ -69,8 +60,6 @@ def page(found: Explanation) -> str:
 
 
 def _part(row: Knockout) -> list[str]:
-    if row.error_m is None:
-        return [row.title, number(row.total)]
     return [row.title, number(row.total, ".2f"), f"{row.error_m:.2f}", "yes" if row.parked else "no"]
 
 

@@ -19,28 +19,28 @@ STEP = 0.01
 
 
 class Outcome(NamedTuple):
-    """Return of a drive, or mean return of the episodes of a task, which has no verdict."""
+    """Return and verdict of a drive."""
 
     total: float
-    verdict: Verdict | None = None
+    verdict: Verdict
 
 
 class Knockout(ResultModel):
-    """The simulation without a part; errors and ``parked`` are None for a task that is no drive."""
+    """The simulation without a part."""
 
     kind: str
     """neuron or synapse"""
     name: str
     """of the neuron or synapse"""
     total: float
-    """the return, or mean return"""
+    """the return"""
     change: float
     """difference of the return to that of the intact circuit"""
-    error_m: float | None = None
+    error_m: float
     """final position error"""
-    error_rad: float | None = None
+    error_rad: float
     """final heading error"""
-    parked: bool | None = None
+    parked: bool
     """whether the rover parked"""
 
     @property
@@ -87,7 +87,7 @@ def knock_outs(policy: Policy, simulate: Callable[[Policy], Outcome], intact: fl
     found = []
     for kind, name, rest in _damaged(policy):
         total, verdict = simulate(rest)
-        ending = {key: getattr(verdict, key) for key in ("error_m", "error_rad", "parked") if verdict}
+        ending = {key: getattr(verdict, key) for key in ("error_m", "error_rad", "parked")}
         found.append(Knockout(kind=kind, name=name, total=total, change=total - intact, **ending))
     return tuple(found)
 

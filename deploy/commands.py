@@ -167,11 +167,11 @@ def replay(
     *,
     json: Json = False,
 ) -> int:
-    """Recompute a drive from its recorded odometry and compare every number with the recorded one.
+    """Recompute a drive from its recorded odometry, and compare each estimate and command with the record.
 
     A damaged recording, or one of another version of the estimator, is refused (2); 'report' reads both.
-    Estimator and circuit run again at the recorded moments; estimates, potentials and commands must come out
-    the same to the last bit. Ends with 0 if they do, 1 if not, and names the first that does not.
+    Estimator and circuit run again at the recorded moments; estimates and commands must come out the
+    same to the last bit. Ends with 0 if they do, 1 if not, and names the first that does not.
 
         rover-ncp replay run.mcap
     """

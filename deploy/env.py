@@ -196,7 +196,7 @@ class RoverEnv(gymnasium.Env[FloatArray, FloatArray]):
             drive = Drive(link, CourseMission(controller, config), publisher, config, closing.is_set)
             handover.drive, handover.controller = drive, controller
             drive.wait()
-            drive.run({})
+            drive.run()
             if drive.stop is not None:
                 self._error = drive.stop
 

@@ -118,15 +118,15 @@ class Drive:
         """Wait for bridge, permission and odometry. Raises as `SafetyMonitor.wait`."""
         self.monitor.wait(drives=not self.config.dry_run)
 
-    def run(self, attachments: dict[str, int]) -> None:
-        """Drive, after `wait`. ``attachments`` are the checksums of the recording's files.
+    def run(self) -> None:
+        """Drive, after `wait`.
 
         Raises AnotherDriver, NotAuthorised and NoBridge when the motors are refused, NoPose when a required
         pose does not come. ``phase``, ``reason`` and ``stop`` hold the reason for a later end.
         """
         try:
             try:
-                self._arm(attachments)
+                self._arm()
                 self._drive()
             finally:
                 self._link.release()
@@ -145,7 +145,7 @@ class Drive:
             self._publisher.dock(docked)
         self._publisher.finish()
 
-    def _arm(self, attachments: dict[str, int]) -> None:
+    def _arm(self) -> None:
         detector = StartDetector(self._link, self.measurements, self.config, self._clock)
         start = detector.wait(self.monitor)
         self._enter(Phase.ARMED)
@@ -158,7 +158,6 @@ class Drive:
             sample=start.ref,
             pose=pose,
             covariance=None if covariance is None else tuple(covariance.ravel().tolist()),
-            attachments=attachments,
         )
         self.mission.start(start.sample.pose, 0.0, pose, covariance)
         self._publisher.start(record, start.sample.pose)

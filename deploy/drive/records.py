@@ -4,6 +4,8 @@ JSON on two topics that exist in recordings only. They do not repeat the measure
 samples that the controller used, with the moment of measurement that it gave them.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -27,17 +29,16 @@ START_TOPIC = "deploy/start"
 TICKS_TOPIC = recorded.TICKS_TOPIC
 
 
-class StartRecord(StrictModel):
+class StartRecord(StrictModel, extra="ignore"):
     """The start of a drive: at ``pose`` in the course's frame, at the moment of ``sample``.
 
     ``covariance`` of that pose has nine numbers, row by row; None where the pose defines the course's frame.
-    ``attachments`` are the CRC-32s of the files in the recording, by name.
+    Recordings of earlier versions have checksums of their files here, which are ignored.
     """
 
     sample: SampleRef
     pose: tuple[float, float, float]
     covariance: tuple[float, ...] | None = Field(default=None, min_length=9, max_length=9)
-    attachments: dict[str, int]
 
     @property
     def covariance_matrix(self) -> NDArray[np.float64] | None:
@@ -84,11 +85,22 @@ def attachments(
 
 def attached(recording: Recording) -> tuple[Policy, Course, DriveConfig]:
     """Read policy, course and settings from a recording. Raises FileError and ConfigError."""
-    return (
-        attached_policy(recording),
-        parse_yaml(attached_text(recording, COURSE_FILE), Course, f"{recording.path}, {COURSE_FILE}"),
-        _drive_config(attached_text(recording, CONFIG_FILE), f"{recording.path}, {CONFIG_FILE}"),
-    )
+    policy, course = attached_policy(recording), attached_course(recording)
+    where = f"{recording.path}, {CONFIG_FILE}"
+    return policy, course, _drive_config(attached_text(recording, CONFIG_FILE), where)
+
+
+def attached_course(recording: Recording) -> Course:
+    """Read a course from a recording. Raises FileError and ConfigError."""
+    return parse_yaml(attached_text(recording, COURSE_FILE), Course, f"{recording.path}, {COURSE_FILE}")
+
+
+def attached_settings(recording: Recording, name: str = CONFIG_FILE) -> dict[str, Any]:
+    """Read a driver's settings as they are; {} if there are none. Raises FileError and ConfigError."""
+    if name not in recording.attachments:
+        return {}
+    settings = read_yaml(attached_text(recording, name), f"{recording.path}, {name}")
+    return settings if isinstance(settings, dict) else {}
 
 
 def attached_policy(recording: Recording, name: str = POLICY_FILE) -> Policy:

@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import Field
 
 from deploy.drive.measurements import Measurements
-from deploy.drive.records import CONFIG_FILE, attached_text
+from deploy.drive.records import CONFIG_FILE, attached_settings
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.zenoh_link import ZenohLink
 from deploy.identify.excitation import excite, steps
@@ -16,7 +16,7 @@ from deploy.identify.fit import identify
 from deploy.identify.motion_log import motion_log
 from deploy.recorder import Recorder
 from deploy.zenoh_client import BridgeAddress
-from rover_ncp.core.config import dump_yaml, name_from, read_yaml
+from rover_ncp.core.config import dump_yaml, name_from
 from rover_ncp.core.console import Output, reject
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import require_writable, write_atomic
@@ -119,12 +119,9 @@ def identify_robot(
 def _recorded_robot(recording: Recording) -> RobotDescription | None:
     """Return the description that deploy or identify recorded. Raises FileError and ConfigError."""
     for name in (CONFIG_FILE, SETTINGS_FILE):
-        if name in recording.attachments:
-            where = f"{recording.path}, {name}"
-            settings = read_yaml(attached_text(recording, name), where)
-            robot = recorded_robot(settings, where) if isinstance(settings, dict) else None
-            if robot is not None:
-                return robot
+        robot = recorded_robot(attached_settings(recording, name), f"{recording.path}, {name}")
+        if robot is not None:
+            return robot
     return None
 
 

@@ -6,18 +6,17 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from deploy.drive.records import STAGING_FILE, attached_course, attached_policy, attached_settings
 from deploy.place.outcome import DockResult, PoseErrors
 from deploy.view.timeline import TOPICS, Moved, Tick, Timeline
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.policy_file import policy_from_yaml
-from rover_ncp.core.config import parse_yaml, read_yaml
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import relative
 from rover_ncp.course.course import Course
 from rover_ncp.course.scoring import Parked, Verdict
 from rover_ncp.course.shapes import OUTLINE, FloatArray, outline_of
 from rover_ncp.recording.recorded import steady
-from rover_ncp.recording.recording import Recording, read_recording
+from rover_ncp.recording.recording import read_recording
 from rover_ncp.robot.description import RobotDescription, recorded_robot
 from rover_ncp.wire.protocol import DriverStatus
 
@@ -84,22 +83,14 @@ class Summary(NamedTuple):
 def read_drive(path: Path) -> Drive:
     """Read a recording of ``rover-ncp deploy``. Raises FileError and ConfigError."""
     recording = read_recording(path, topics=TOPICS)
-    policy = policy_from_yaml(_attached(recording, "policy.yaml"), f"{path}, policy.yaml")
-    course = parse_yaml(_attached(recording, "course.yaml"), Course, f"{path}, course.yaml")
-    settings: Any = {}
-    if "deploy.yaml" in recording.attachments:
-        settings = read_yaml(_attached(recording, "deploy.yaml"), f"{path}, deploy.yaml")
-    staging = None
-    if "staging.yaml" in recording.attachments:
-        staging = policy_from_yaml(_attached(recording, "staging.yaml"), f"{path}, staging.yaml")
+    policy, course = attached_policy(recording), attached_course(recording)
+    staging = attached_policy(recording, STAGING_FILE) if STAGING_FILE in recording.attachments else None
     timeline = Timeline(policy, course, staging)
     for message in steady(recording.messages):
         timeline.take(message)
     if not timeline.ticks:
         raise FileError(f"{path}: holds no tick of a drive")
-    return Drive(
-        path, policy, course, settings if isinstance(settings, dict) else {}, timeline, recording.damage
-    )
+    return Drive(path, policy, course, attached_settings(recording), timeline, recording.damage)
 
 
 def summarise(drive: Drive) -> Summary:
@@ -218,10 +209,3 @@ def _origin(drive: Drive) -> Iterator[tuple[str, str]]:
     if "version" in drive.settings:
         yield "Driven with", f"rover-ncp {drive.settings['version']}"
     yield "Recording", drive.path.name
-
-
-def _attached(recording: Recording, name: str) -> str:
-    try:
-        return recording.attachment(name).decode()
-    except UnicodeDecodeError as error:
-        raise FileError(f"{recording.path}: its {name} is not text") from error

@@ -228,7 +228,7 @@ class _Truth:
 def drive_whole(drive: Drive) -> None:
     """Drive until the end. Raises NoPose, and KeyboardInterrupt, which a driver takes for its own end."""
     drive.wait()
-    drive.run({})
+    drive.run()
     if drive.verdict is None and drive.stop is None:
         raise KeyboardInterrupt
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import functools
-import zlib
 
 from deploy.drive.config import DriveConfig
 from deploy.drive.control_loop import Drive
@@ -216,7 +215,7 @@ class VirtualDrive:
         drive = Drive(self.link, self.mission(), publisher, self.config, self.interrupted, clock=self.bridge)
         try:
             drive.wait()
-            drive.run({name: zlib.crc32(content) for name, content in files.items()})
+            drive.run()
         finally:
             if self.path:
                 self._write(files)

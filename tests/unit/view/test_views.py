@@ -22,7 +22,7 @@ def recorded(ticks=3):
     messages = []
     link, clock = SimpleNamespace(publish=lambda *_: None), SimpleNamespace(time_ns=lambda: 1_000)
     publisher = Publisher(link, messages.append, NAMES, clock)
-    start = StartRecord(sample=SampleRef(0, 0, 0), pose=(0.5, 0.0, 0.1), attachments={})
+    start = StartRecord(sample=SampleRef(0, 0, 0), pose=(0.5, 0.0, 0.1))
     publisher.start(start, Pose(3.0, -2.0, 1.0))
     for k in range(ticks):
         estimate = Estimate(0.0, Pose(0.1 * k, 0.2, 0.3), STANDSTILL, np.eye(5), 1.0, 0.0)

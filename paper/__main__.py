@@ -1,13 +1,14 @@
 """The commands ``run``, ``replay`` and ``report``; heavy libraries load only when one of them runs."""
 
+import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paper import run_command_line
 from paper.runs import BudgetName
-from rover_ncp.core.errors import FileError, UsageError
+from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
 from rover_ncp.core.files import require_writable
 
 if TYPE_CHECKING:
@@ -138,6 +139,17 @@ def report(
         draw_curves(store, curves)
     judged = judge_claims(store, file.claims)
     print(long_report(store, judged) if long else short_report(store, file, judged))
+
+
+def run_command_line(app: typer.Typer, name: str) -> None:
+    """Run this process's command line and end the process; a user's mistake is one line on stderr."""
+    # For the processes of ``run``: for matrices as small as these, the threads of BLAS only wait.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    try:
+        app(prog_name=f"python -m {name}")
+    except RoverNcpError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
 
 
 if __name__ == "__main__":

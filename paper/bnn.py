@@ -25,7 +25,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from paper import run_command_line
+from paper.__main__ import run_command_line
 from rover_ncp.circuit.circuit import DEFAULTS, MAX_NEURONS, Circuit, ParameterKind, SynapseKind
 from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.policy_file import circuit_to_yaml, policy_to_yaml

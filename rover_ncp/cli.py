@@ -19,7 +19,7 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from rover_ncp.core.console import BLOCKED_S, Output, print_line, printable, unwritten
+from rover_ncp.core.console import Output, print_line, printable, unwritten
 from rover_ncp.core.errors import INTERRUPTED, FileError, MissingExtra, RoverNcpError
 from rover_ncp.core.process import interrupt_on_signals
 
@@ -121,11 +121,12 @@ def _options(
 
 def _fail(message: str, kind: str, code: int, as_json: bool) -> int:
     Output.ended = True
+    unwritten()
     line = printable(" ".join(message.split()))
-    print_line(sys.stderr, f"rover-ncp: {line}", wait_s=BLOCKED_S)
+    print_line(sys.stderr, f"rover-ncp: {line}")
     if as_json:
         fields: dict[str, Any] = {"error": line, "kind": kind, "exit_code": code}
-        print_line(sys.stdout, json.dumps(fields), wait_s=BLOCKED_S)
+        print_line(sys.stdout, json.dumps(fields))
     return code
 
 

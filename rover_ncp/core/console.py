@@ -8,6 +8,7 @@ import contextlib
 import inspect
 import json
 import logging
+import math
 import os
 import queue
 import shutil
@@ -81,18 +82,15 @@ class _Lines(QueueHandler):
         self.failure: OSError | None = None
         """Error of the last write to stdout, if it failed."""
         self._stream, self._drawn = stream, False
+        self._began_s = math.inf
+        """When the present write began."""
         writer = logging.Handler()
         writer.emit = self._write  # type: ignore[method-assign]
         QueueListener(self.queue, writer).start()
 
-    def put(self, stream: TextIO, text: str, *, drawn: bool = False, wait_s: float = 0.0) -> None:
+    def put(self, stream: TextIO, text: str, *, drawn: bool = False) -> None:
         """Queue a line, or with ``drawn`` one that the next line replaces."""
-        record = logging.makeLogRecord({"msg": text, "stream": stream, "drawn": drawn})
-        with contextlib.suppress(queue.Full):
-            if wait_s:
-                self.queue.put(record, timeout=wait_s)
-                return
-        self.enqueue(record)
+        self.enqueue(logging.makeLogRecord({"msg": text, "stream": stream, "drawn": drawn}))
 
     def enqueue(self, record: logging.LogRecord) -> None:
         """Queue a record of the log."""
@@ -103,11 +101,8 @@ class _Lines(QueueHandler):
 
     def drained(self) -> bool:
         """Wait until all is written, or the reader takes nothing for `BLOCKED_S`; return whether all is."""
-        left, since_s = self.queue.unfinished_tasks, time.monotonic()
         while self.queue.unfinished_tasks:
-            if self.queue.unfinished_tasks < left:
-                left, since_s = self.queue.unfinished_tasks, time.monotonic()
-            elif time.monotonic() - since_s > BLOCKED_S:
+            if time.monotonic() - self._began_s > BLOCKED_S:
                 return False
             time.sleep(0.001)
         return True
@@ -123,12 +118,13 @@ class _Lines(QueueHandler):
         if self._drawn or drawn:
             text = _ERASE + text
         self._drawn = drawn
-        failure = None
+        failure, self._began_s = None, time.monotonic()
         try:
             stream.write(text)
             stream.flush()
         except OSError as error:
             failure = error
+        self._began_s = math.inf
         if stream is not sys.stderr:
             self.failure = failure
 
@@ -189,24 +185,25 @@ class Output(logging.Handler):
     def result(self, result: "BaseModel", text: str) -> None:
         """End a command: its result as JSON, or the text. A number that is not finite becomes null."""
         Output.ended = True
+        unwritten()  # a slow reader gets what was said before, and the whole result
         if self.as_json:
             # numpy's numbers and arrays have tolist.
             plain = to_jsonable_python(
                 result.model_dump(by_alias=True), inf_nan_mode="null", fallback=lambda value: value.tolist()
             )
-            print_line(sys.stdout, json.dumps(plain, allow_nan=False), wait_s=BLOCKED_S)
+            print_line(sys.stdout, json.dumps(plain, allow_nan=False))
         else:
             for line in text.split("\n"):
-                print_line(sys.stdout, line, wait_s=BLOCKED_S)
+                print_line(sys.stdout, line)
 
 
-def print_line(stream: TextIO, text: str, *, wait_s: float = 0.0) -> None:
-    """Print a line; where a rover depends on this process, queue it, for ``wait_s`` if the queue is full.
+def print_line(stream: TextIO, text: str) -> None:
+    """Print a line; where a rover depends on this process, queue it.
 
     Raises FileError if it cannot be written.
     """
     if Output.lines is not None:
-        Output.lines.put(stream, text, wait_s=wait_s)
+        Output.lines.put(stream, text)
         return
     try:
         print(printable(text), file=stream, flush=True)

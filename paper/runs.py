@@ -42,6 +42,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.core.files import read_text
+from rover_ncp.core.spawned import end_with_parent
 from sim.learn.record import made_with
 
 _FINAL = 99
@@ -360,8 +361,11 @@ def make_runs(
     library()
     count = min(processes or os.cpu_count() or 1, len(names))
     # Spawned, never forked: numba does not survive a fork.
-    with ProcessPoolExecutor(count, multiprocessing.get_context("spawn")) as workers:
-        for run in as_completed([workers.submit(train_run, name) for name in names]):
-            result = run.result()
-            store.save(result)
-            on_result(result)
+    with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), end_with_parent) as workers:
+        try:
+            for run in as_completed([workers.submit(train_run, name) for name in names]):
+                result = run.result()
+                store.save(result)
+                on_result(result)
+        finally:  # or an error and Ctrl-C would wait for all runs, and lose them
+            workers.shutdown(wait=False, cancel_futures=True)

@@ -54,7 +54,7 @@ class Randomization(StrictModel):
     name: str = Field(min_length=1, description="of these ranges, for messages and results")
     body: Body = Field(default=Body.PYMUNK, description="the simulator of the rover")
     skid_steer: SkidRanges | None = Field(default=None, description="of the body mujoco, and only there")
-    start_m: float = Field(default=0.0, ge=0, le=100, description="start in x and in y, known to the rover")
+    start_m: float = Field(default=0.0, ge=0, le=1, description="start in x and in y, known to the rover")
     start_rad: float = Field(default=0.0, ge=0, le=math.pi, description="start heading, known to the rover")
     delay_v_s: Range[Delay] | None = Field(default=None, description="least and most, not the model's")
     delay_omega_s: Range[Delay] | None = Field(default=None, description="least and most for turn commands")

@@ -322,6 +322,11 @@ def test_range_that_no_robot_has_is_refused(key):
             Randomization(name="own", **{key: wrong})
 
 
+def test_start_far_from_any_course_is_refused():
+    with pytest.raises(ValidationError, match="start_m"):
+        Randomization(name="own", start_m=100.0)
+
+
 @pytest.mark.parametrize("key", ["friction", "slope_rad"])
 def test_ground_that_does_not_exist_is_refused(key):
     for wrong in ((-0.1, 0.4), (0.1, 90.0), (0.4, 0.3)):

@@ -6,8 +6,6 @@ period of the due time triggers the tick. Without any, the tick runs on predicti
 
 from typing import NamedTuple
 
-import numpy as np
-
 from rover_ncp.core.clock_offset import NS_PER_S
 
 
@@ -17,11 +15,7 @@ class RateReport(NamedTuple):
     ticks: int
     overruns: int
     """Ticks that ran on prediction, and ticks that did not run at all."""
-    predicted: int
-    missed: int
     tick_rate_hz: float
-    lateness_ms: dict[str, float]
-    """Median and maximum of the time after the due time; negative for an early tick."""
 
 
 class RateKeeper:
@@ -30,9 +24,9 @@ class RateKeeper:
     def __init__(self, period_ns: int, start_ns: int) -> None:
         self._period, self._start = period_ns, start_ns
         self.index = 0
-        self.predicted = 0
-        self.missed = 0
-        self._lateness_ns: list[int] = []
+        self.overruns = 0
+        """Ticks without fresh odometry, and ticks that could not run in time at all."""
+        self._ticks = 0
         self._first_ns = self._last_ns = start_ns
 
     @property
@@ -50,11 +44,6 @@ class RateKeeper:
         """At this moment the next tick runs on prediction."""
         return self.due_ns + self._period // 2
 
-    @property
-    def overruns(self) -> int:
-        """Ticks without fresh odometry, and ticks that could not run in time at all."""
-        return self.predicted + self.missed
-
     def skip_missed(self, now_ns: int, end: int) -> int:
         """Skip ticks before ``end`` whose successor's window is over too; return their number.
 
@@ -62,27 +51,20 @@ class RateKeeper:
         """
         missed = max(0, min((now_ns - self.deadline_ns) // self._period, end - self.index))
         self.index += missed
-        self.missed += missed
+        self.overruns += missed
         return missed
 
     def ticked(self, now_ns: int, predicted: bool) -> None:
         """Note that the next tick ran at ``now_ns``, and move on to its successor."""
-        if not self._lateness_ns:
+        if not self._ticks:
             self._first_ns = now_ns
         self._last_ns = now_ns
-        self._lateness_ns.append(now_ns - self.due_ns)
-        self.predicted += predicted
+        self._ticks += 1
+        self.overruns += predicted
         self.index += 1
 
     def report(self) -> RateReport:
         """Return the figures of the whole run."""
-        ticks, span = len(self._lateness_ns), self._last_ns - self._first_ns
-        late_ms = np.array(self._lateness_ns or [0]) / 1e6
-        return RateReport(
-            ticks=ticks,
-            overruns=self.overruns,
-            predicted=self.predicted,
-            missed=self.missed,
-            tick_rate_hz=(ticks - 1) * NS_PER_S / span if span > 0 else 0.0,
-            lateness_ms={"p50": float(np.median(late_ms)), "max": float(late_ms.max())},
-        )
+        span = self._last_ns - self._first_ns
+        rate_hz = (self._ticks - 1) * NS_PER_S / span if span > 0 else 0.0
+        return RateReport(self._ticks, self.overruns, rate_hz)

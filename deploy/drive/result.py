@@ -47,13 +47,6 @@ class ExternalPoses(Samples):
     nis: Nis = Field(description="normalised innovation squared; 3 if all is as assumed")
 
 
-class Lateness(BaseModel):
-    """How long after their due time ticks ran."""
-
-    p50: float = Field(description="median")
-    max: float = Field(description="largest")
-
-
 class Latency(BaseModel):
     """Time from the arrival of a sample to its command."""
 
@@ -76,17 +69,12 @@ class DriveResult(RecordingResult):
     estimate_error_rad: float | None = Field(description="of its heading")
     dock: DockResult | None = Field(description="how a drive to or from a place ended; null for a course")
     ticks: int = Field(description="steps of control, 0.1 s each")
-    overruns: int = Field(description="predicted and missed ticks")
-    predicted: int = Field(description="ticks without fresh odometry")
-    missed: int = Field(description="ticks that did not run")
+    overruns: int = Field(description="ticks without fresh odometry, and ticks that did not run")
     tick_rate_hz: float = Field(description="reached over the whole drive")
-    lateness_ms: Lateness = Field(description="of ticks")
     odometry_to_command_ms: Latency = Field(description="from a sample's arrival to its command")
     odometry: Odometry = Field(description="samples")
     gyro: Odometry = Field(description="readings")
     pose: ExternalPoses = Field(description="external poses")
-    policy: str = Field(description="its name")
-    course: str = Field(description="its name")
     dry_run: bool = Field(description="whether no command was sent")
     recording_dropped: int = Field(description="messages that the recording lacks")
     exit_code: int = Field(description="of the command")
@@ -164,8 +152,6 @@ def result_of(drive: Drive, recording: Mapping[str, Any]) -> DriveResult:
             nis=Nis(**estimator.nis),
         ),
         dock=drive.mission.result(drive.reason),
-        policy=config.policy,
-        course=config.course,
         dry_run=config.dry_run,
         exit_code=code,
         **drive.keeper.report()._asdict(),

@@ -22,7 +22,7 @@ from sim.live.processes import wait_for
 def test_a_drive_from_start_to_end(bridge, drive, tmp_path):
     code, result = drive()
     assert (code, result["state"], result["verdict"]) == (1, "ended", "not parked")
-    assert result["ticks"] + result["missed"] == 20
+    assert result["ticks"] <= 20 <= result["ticks"] + result["overruns"]
 
     # One driver, rising numbers, the last command is zero, and then the lease is released.
     wait_for(lambda: bridge.commands[-1][1] == STANDSTILL)  # it may arrive after the release

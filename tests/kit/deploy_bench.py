@@ -109,9 +109,9 @@ def driver(bridge, folder, capsys, monkeypatch):
             "policy": str(DATA / "golden/parking.yaml"),
             "course": str(course),
             "record": folder / "run.mcap",
-            "overwrite": True,
             "json": True,
         }
+        options["record"].unlink(missing_ok=True)  # of the drive before
         code = deploy(**options | changes)
         unwritten()
         Output.lines = None

@@ -144,7 +144,9 @@ class Base(Protocol):
     """A base. Its own thread puts what arrives from it into the bridge's inbox; all else runs in the loop.
 
     ``now`` is the bridge's monotonic clock in seconds. A base whose odometry restarted sends `Ready` again.
-    An exception counts as the loss of the base. At the end, the bridge drives zero before it calls ``close``.
+    If the bridge hangs, the robot must halt by itself: ``base_timeout`` says after which time, and the gate
+    believes it. An exception ends the bridge: it drives zero with the motors off, calls ``close``, and exits
+    with 3, or with 4 if there is a fence. At every other end it does the same.
     """
 
     def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:

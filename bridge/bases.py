@@ -1,7 +1,13 @@
 """Opens the base that an address and a model name: a Pioneer, a ROS 2 robot over Zenoh, or another base.
 
-Other bases are entry points of the group `BASES`: an address NAME/REST calls the one with this name. It gets
-REST, the robot's description and a function that puts arrivals into the inbox.
+Other bases are classes of other packages, with the methods of `bridge.base.Base`. A package registers its own
+in pyproject.toml:
+
+    [project.entry-points."rover_ncp.bases"]
+    json = "json_base:JsonBase"
+
+``bridge --base json/REST --model FILE`` calls it with REST, the robot's description and a function that puts
+arrivals into the bridge's inbox, from any thread. They come to ``receive`` in the bridge's loop, in order.
 """
 
 from collections.abc import Callable

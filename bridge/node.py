@@ -6,7 +6,7 @@ Rules of this file:
    The base's keep-alives come from this loop, so a loop that hangs stops the rover.
 2. Only the gate's verdict is sent to the base as a speed, and the same value is published.
 3. Every exit stops the rover, switches its motors off and closes the connection. It does not rely on the
-   base's `close` for that, and an exception of the base is a lost base.
+   base's `close` for that. An exception of the base is such an exit.
 """
 
 import logging
@@ -48,7 +48,7 @@ from bridge.inbox import CommandMessage, Query, ThreadError
 from bridge.queries import Answers
 from bridge.ros2 import messages as ros
 from bridge.ros2.covariance import Variances, odometry_variances
-from rover_ncp.core.errors import FormatError, NoRobot
+from rover_ncp.core.errors import FormatError, NoRobot, SafetyStop
 from rover_ncp.core.process import Clock, suspended_s
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.messages import read_twist, text, twist_stamped
@@ -134,10 +134,19 @@ class Node:
         self._acted_s = self._status_due_s = self._slow_due_s = -math.inf
 
     def run(self, stopping: Callable[[], bool]) -> None:
-        """Serve until ``stopping``. Raises NoRobot if the base cannot be reached the first time."""
+        """Serve until ``stopping``.
+
+        Raises NoRobot if the base cannot be reached the first time, or fails. With a fence, a failure is a
+        SafetyStop: after a restart the fence would be in another place.
+        """
         try:
             while not stopping():
                 self.run_once()
+        except NoRobot as error:
+            if self.reconnects < 0 or self._limits.fence is None:
+                raise
+            words = f"{error}; put the rover where the fence begins, then start the bridge"
+            raise SafetyStop(str(Reason.FENCE_LOST), words) from error
         finally:
             self._log += self._base.shut_down(self._clock.monotonic())
             self._flush_log()

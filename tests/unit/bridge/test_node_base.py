@@ -1,15 +1,17 @@
 """The bridge's loop and its base: exceptions of a base, its end, its reconnection, its motors."""
 
 import logging
+from importlib.metadata import EntryPoint
 
 import pytest
 from kit.driver_client import DriverClient
 
 from bridge.base import BaseReport, BaseTimeout, Failed, LinkHealth, Lost, Ready, Recovered, Setpoint
+from bridge.bases import choose_base, open_base
 from bridge.gate.limits import Fence, Limits
-from bridge.inbox import CommandMessage, Query
+from bridge.inbox import CommandMessage, Inbox, Query
 from bridge.node import Node
-from rover_ncp.core.errors import NoRobot
+from rover_ncp.core.errors import NoRobot, SafetyStop, UsageError
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.protocol import (
@@ -147,42 +149,46 @@ def test_error_of_the_loop_stops_the_base_too(driving):
     assert driving.base.driven[-1] == STOP
 
 
-@pytest.mark.parametrize("fails", ["receive", "drive"])
-@pytest.mark.parametrize(
-    "error", [BrokenPipeError(32, "Broken pipe"), ValueError("x"), NoRobot("y"), KeyError()]
-)
-def test_exception_of_the_base_is_a_lost_base(driving, fails, error, caplog):
-    loop = driving
-    caplog.clear()
-    loop.base.fails[fails] = error
-    loop.drive()
-    (lost,) = [line for line in caplog.messages if line.startswith("the base is lost: the base failed: ")]
-    assert (str(error) or "KeyError") in lost
-    assert not loop.driver.motors().granted
-    loop.base.fails.clear()
-    loop.turn()
-    assert loop.base.driven[-1][:2] == STOP[:2]
-    loop.turn(3)
-    assert caplog.messages[-1] == "the base works again"
-    loop.driver.lease.end()
+@pytest.mark.parametrize("fenced", [False, True])
+@pytest.mark.parametrize("fails", ["receive", "drive", "health", "base_timeout"])
+@pytest.mark.parametrize("error", [BrokenPipeError(32, "Broken pipe"), ValueError("x"), KeyError()])
+def test_exception_of_the_base_stops_the_rover_and_ends_the_bridge(fenced, fails, error):
+    fence = Fence(x_min=-1.0, x_max=1.0, y_min=-1.0, y_max=1.0) if fenced else None
+    loop = Loop(limits=Limits(fence=fence), turns=3)
     assert loop.driver.motors().granted
     assert loop.drive().velocity == (0.2, 0.0)
+    loop.base.fails[fails] = error
+    with pytest.raises(SafetyStop if fenced else NoRobot, match="the base failed: ") as stop:
+        loop.node.run(lambda: loop.query("rover/base", b"{}") == b"")
+    assert (str(error) or "KeyError") in str(stop.value)
+    assert stop.value.exit_code == (4 if fenced else 3)
+    assert loop.base.driven[-1] == STOP or fails == "drive"
+    assert loop.base.calls[-1] == "close"
 
 
 @pytest.mark.parametrize("method", ["receive", "drive"])
-def test_base_that_returns_no_events_is_a_lost_base(driving, method, monkeypatch):
+def test_base_that_returns_no_events_ends_the_bridge(driving, method, monkeypatch):
     monkeypatch.setattr(driving.base, method, lambda *_: None)
-    driving.turn(3)
-    assert driving.node.gate.held == "no-base"
-    driving.node.run(lambda: True)
+    with pytest.raises(NoRobot, match="the base failed"):
+        driving.node.run(lambda: driving.turn() or False)
     assert driving.base.calls[-1] == "close"
 
 
-def test_base_that_takes_no_setpoint_gets_no_driver(driving):
-    driving.base.fails["drive"] = OSError("gone")
-    driving.turn(100)
-    driving.driver.lease.end()
-    assert driving.driver.motors().reason == "no-base"
+def test_base_of_another_package_is_opened_by_its_entry_point(monkeypatch):
+    opened = []
+    monkeypatch.setitem(globals(), "opens", lambda *what: opened.append(what) or FailingBase())
+    known = {"mine": f"{__name__}:opens", "bad": f"{__name__}:no"}
+    monkeypatch.setattr(
+        "bridge.bases.entry_points", lambda group, name: [EntryPoint(name, known[name], group)]
+    )
+    rest = {"no_base_watchdog": False, "interrupted": lambda: False, "say": print}
+    base, _ = open_base(choose_base("mine/10.0.0.1:9", "turtlebot4"), Limits(), Inbox(), None, **rest)
+    assert isinstance(base, FailingBase)
+    assert opened[0][:2] == ("10.0.0.1:9", load_description("turtlebot4"))
+    with pytest.raises(UsageError, match="cannot be loaded"):
+        open_base(choose_base("bad/x", "turtlebot4"), Limits(), Inbox(), None, **rest)
+    with pytest.raises(UsageError, match="only a Pioneer says what it is"):
+        choose_base("mine/x", "auto")
 
 
 @pytest.mark.parametrize(
@@ -206,16 +212,6 @@ def test_base_that_cannot_be_reached_later_does_not_end_the_bridge(driving):
     driving.base.reports = [Failed("it is no ARCOS base")]
     driving.turn()
     assert driving.node.gate.held is None
-
-
-@pytest.mark.parametrize("fails", ["health", "base_timeout"])
-def test_exception_of_another_call_of_the_base_ends_nothing(fails):
-    loop = Loop(turns=3)
-    loop.base.fails[fails] = OSError("gone")
-    loop.turn(60)
-    granted = loop.driver.motors()
-    assert granted.granted is (fails != "base_timeout")
-    assert fails != "base_timeout" or "gone" in granted.detail
 
 
 @pytest.mark.parametrize("fenced", [True, False])

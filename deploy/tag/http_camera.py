@@ -30,7 +30,9 @@ STAMP = "x-timestamp"
 """Header of a picture: its time in s by any clock, as mjpg-streamer and many other cameras send it."""
 MAX_STAMP_S = 1e10
 MIN_PERIOD_S = 0.1
-"""Time between two requests for single pictures."""
+"""Time between two requests for pictures."""
+RETRY_S = 2.0
+"""Time after the last picture in which a camera is asked again: below `TIMEOUT_S`, which has no reason."""
 JPEG, PNG = b"\xff\xd8\xff", b"\x89PNG"
 START, END, SCAN = 0xD8, 0xD9, 0xDA
 """Markers of a JPEG: its start, its end, and the start of a scan, whose data have no length."""
@@ -57,24 +59,38 @@ class HttpCamera(ReadCamera):
         self.start()
 
     def _pictures(self) -> Iterator[Callable[[], Picture]]:
-        try:
-            with requests.Session() as session:
-                session.trust_env = False  # no proxy, no password of ~/.netrc
-                while True:
-                    began_s = time.monotonic()
-                    with self._answer(session) as response:
-                        read = partial(response.raw.read1, CHUNK)
-                        first, wall_ns = b"", time.time_ns()
-                        while len(first.lstrip()) < len(PNG) and (more := read()):
-                            first, wall_ns = first + more, time.time_ns()
-                        if not first.lstrip().startswith((JPEG, PNG)):
-                            yield from self._stream(first, read, response.headers.get("content-type", ""))
-                            return
-                        data = _whole(first, read)
-                        yield from self._picture(data, response.headers.get(STAMP), wall_ns)
-                    time.sleep(max(0.0, began_s + MIN_PERIOD_S - time.monotonic()))
-        except (requests.RequestException, HTTPError, LookupError) as error:  # a challenge without a realm
-            raise ValueError(_reason(error)) from error
+        seen_s = -math.inf
+        with requests.Session() as session:
+            session.trust_env = False  # no proxy, no password of ~/.netrc
+            while True:
+                began_s = time.monotonic()
+                try:
+                    for picture in self._connected(session):
+                        seen_s = time.monotonic()
+                        yield picture
+                    ended = "it sends no more pictures"
+                # LookupError: a challenge without a realm.
+                except (OSError, HTTPError, LookupError) as error:
+                    ended = _reason(error)
+                except ValueError as error:
+                    ended = str(error)
+                # Many cameras close the connection after a picture, or for a moment.
+                if time.monotonic() - seen_s > RETRY_S:
+                    raise ValueError(ended)
+                time.sleep(max(0.0, began_s + MIN_PERIOD_S - time.monotonic()))
+
+    def _connected(self, session: requests.Session) -> Iterator[Callable[[], Picture]]:
+        """Yield the pictures of one connection."""
+        with self._answer(session) as response:
+            read = partial(response.raw.read1, CHUNK)
+            first, wall_ns = b"", time.time_ns()
+            while len(first.lstrip()) < len(PNG) and (more := read()):
+                first, wall_ns = first + more, time.time_ns()
+            if first.lstrip().startswith((JPEG, PNG)):
+                data = _whole(first, read)
+                yield from self._picture(data, response.headers.get(STAMP), wall_ns)
+            else:
+                yield from self._stream(first, read, response.headers.get("content-type", ""))
 
     def _answer(self, session: requests.Session) -> requests.Response:
         """Return the answer to a request. Raises ValueError for one that is an error."""
@@ -161,7 +177,11 @@ def _reason(error: BaseException) -> str:
         if isinstance(cause, OSError) and cause.strerror:
             return cause.strerror
         last, cause = cause, cause.__cause__ or cause.__context__
-    known = {"BadStatusLine": "it does not speak HTTP", "TooManyRedirects": "it redirects for ever"}
+    known = {
+        "BadStatusLine": "it does not speak HTTP",
+        "TooManyRedirects": "it redirects for ever",
+        "InvalidSchema": "it redirects to an address that is neither http nor https",
+    }
     return known.get(type(last).__name__, f"the connection failed ({type(last).__name__})")
 
 

@@ -1,15 +1,19 @@
 """Streams of cameras as bytes, their stamps, and the devices of a machine."""
 
+import contextlib
 import itertools
 import time
 from collections import Counter
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
+import requests
 
+from deploy.tag import http_camera
 from deploy.tag.camera import Device, DeviceCamera, DeviceSettings, PictureMoments, devices
-from deploy.tag.http_camera import MAX_PICTURE, PictureReader, _stamp_ns
+from deploy.tag.http_camera import MAX_PICTURE, HttpCamera, PictureReader, _stamp_ns
 from rover_ncp.core.errors import UsageError
 
 PICTURES = [cv2.imencode(".jpg", np.full((8, 8), level, np.uint8))[1].tobytes() for level in (10, 90, 200)]
@@ -219,3 +223,33 @@ def test_device_that_is_not_there_names_those_that_are(monkeypatch, number):
         pytest.raises(UsageError, match=f"no /dev/video{number}; cameras of this machine: /dev/video5"),
     ):
         next(iter(camera))
+
+
+@pytest.mark.parametrize(
+    ("then", "words"),
+    [
+        (requests.ConnectionError(), "the connection failed"),
+        (requests.exceptions.InvalidSchema(), "redirects to an address that is neither http nor https"),
+        (ValueError("it answers HTTP 503"), "HTTP 503"),
+    ],
+)
+def test_camera_that_closes_after_each_picture_is_asked_again_until_it_stays_away(monkeypatch, then, words):
+    parts = [*stream(PICTURES[:1]), b"", *stream(PICTURES[1:2]), b""]
+    asked = []
+
+    def answer(camera, session):
+        asked.append(1)
+        if not parts:
+            raise then
+        raw = SimpleNamespace(read1=lambda size: parts.pop(0))
+        return contextlib.nullcontext(SimpleNamespace(raw=raw, headers={}))
+
+    monkeypatch.setattr(http_camera, "RETRY_S", 0.2)
+    monkeypatch.setattr(http_camera, "MIN_PERIOD_S", 0.02)
+    monkeypatch.setattr(HttpCamera, "_answer", answer)
+    with HttpCamera("http://camera/stream", Counter()) as camera:
+        ended = []
+        while not ended:
+            ended = [each for each in camera.newest.take(5.0) if isinstance(each, str)]
+    assert words in ended[0]
+    assert 3 < len(asked) < 20

@@ -33,7 +33,6 @@ TESTS = {
     "bridge.gate.state": GATE,
     "rover_ncp.wire.protocol": ["core/test_protocol.py"],
     "bridge.pioneer.session": [
-        "bridge/test_states.py",
         "bridge/test_session_details.py",
         "bridge/test_session.py",
     ],

@@ -13,9 +13,9 @@ from kit.arcos_captures import CAPTURES
 from bridge.base import BaseReport, Failed, Lost, Notice, Ready, Recovered
 from bridge.pioneer.framing import Command, encode_frame
 from bridge.pioneer.packets import ConfigPac, Flag, GyroPac, Kind
-from bridge.pioneer.session import CONFIG_S, Session
+from bridge.pioneer.session import CONFIG_S, BaudChanged, Session
 from bridge.pioneer.setpoints import MotionLimits
-from bridge.pioneer.states import PATIENCE_S, SessionState
+from bridge.pioneer.states import PATIENCE_S, TABLE, Input, SessionState
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import load_description
 
@@ -295,3 +295,56 @@ def test_recorded_robots_are_followed(capture):
     end = next((x for name, x in ends.items() if capture.name.startswith(name)), 0.0)
     assert reports[-1] == pytest.approx(end)
     assert len(reports) > 25
+
+
+# What a base must be sent, by what it says
+
+
+ZEROS = [Command.VEL, Command.RVEL, Command.STOP]
+
+
+@pytest.mark.parametrize(
+    ("state", "what", "sent", "events"),
+    [
+        (SessionState.SYNC0, Input.ECHO0, [Command.OPEN], []),  # SYNC1
+        (SessionState.SYNC1, Input.ECHO1, [Command.CLOSE], []),  # SYNC2
+        (SessionState.SYNC2, Input.NAMES, [Command.OPEN, Command.CONFIG], []),
+        (SessionState.SYNC2, Input.STRANGER, [Command.CLOSE], [Failed]),
+        (SessionState.SYNC1, Input.SIP, [*ZEROS, Command.CLOSE], []),  # a session that is open already
+        (SessionState.READY, Input.EXPIRED, ZEROS, [Lost]),
+        (SessionState.READY, Input.LINK_DOWN, [], [Lost]),
+        (SessionState.ASKING_FASTER, Input.EXPIRED, [Command.PULSE], [BaudChanged]),
+    ],
+)
+def test_base_is_greeted_opened_and_left_in_order(state, what, sent, events):
+    bench = Bench().go_to(state)
+    bench.apply(what)
+    assert bench.commands() == sent
+    assert [type(event) for event in bench.events] == events
+
+
+@pytest.mark.parametrize(
+    ("state", "what", "events"),
+    [
+        (SessionState.LOST, Input.SIP, [Recovered, BaseReport]),
+        (SessionState.FASTER, Input.EXPIRED, [BaudChanged, Ready]),
+    ],
+)
+def test_base_that_is_ready_again_gets_zeros_and_its_motors_stay_off(state, what, events):
+    bench = Bench().go_to(state)
+    bench.apply(what)
+    assert [type(event) for event in bench.events] == events
+    last = bench.sent()[-3:]
+    assert [command for command, _ in last] == [Command.VEL, Command.RVEL, Command.ENABLE]
+    assert [argument for _, argument in last] == [0, 0, 0]
+
+
+def test_refusal_of_a_base_that_calls_itself_unknown_says_to_give_its_model():
+    bench = Bench().go_to(SessionState.SYNC2)
+    bench.hear(STRANGER)
+    assert "give its model with --model" in bench.events[-1].reason
+
+
+def test_every_action_of_the_table_exists():
+    actions = {action for row in TABLE.values() for _, action in row.values()} - {None}
+    assert all(isinstance(each, Command) or hasattr(Session, f"_do_{each}") for each in actions)

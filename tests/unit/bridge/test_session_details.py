@@ -12,7 +12,7 @@ from bridge.pioneer.states import PATIENCE_S, SessionState
 
 def silent(bench):
     """Let a base say nothing until the session gives up; return the rates and the number of handshakes."""
-    commands, began_s = [], bench.now
+    commands = []
     while not any(isinstance(event, Failed) for event in bench.events):
         bench.wait(0.05)
         commands += bench.commands()
@@ -20,7 +20,6 @@ def silent(bench):
     rates = [event.baudrate for event in bench.events if isinstance(event, BaudChanged)]
     handshakes = commands.count(Command.PULSE)
     assert bench.events[-1].reason == f"no answer to {handshakes} handshakes"
-    assert 0.9 * handshakes < bench.now - began_s < 1.2 * handshakes
     return rates, handshakes
 
 

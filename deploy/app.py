@@ -17,6 +17,7 @@ from deploy.drive.zenoh_link import ZenohLink
 from deploy.place.docking import Docking
 from deploy.recorder import Recorder
 from deploy.zenoh_client import BridgeAddress
+from rover_ncp.circuit.own_policy import OwnPolicy
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.console import Output
 from rover_ncp.core.geometry import ORIGIN, STANDSTILL
@@ -43,7 +44,7 @@ def run(
     address: BridgeAddress,
     output: Output,
     *,
-    policy: Policy,
+    policy: Policy | OwnPolicy,
     course: Course,
     config: DriveConfig,
     recorder: Recorder,
@@ -52,18 +53,23 @@ def run(
 ) -> int:
     """Drive once, and return the exit code; ``period_s`` is how long a tick lasts by the clock.
 
-    ``staging`` drives to the staging pose, if the settings name a place. Raises
-    RoverNcpError if the drive could not begin.
+    ``staging`` drives to the staging pose, if the settings name a place. A policy of a user drives courses
+    alone, and its drive is not recorded. Raises RoverNcpError if the drive could not begin.
     """
     mission: Mission
-    if staging is None:
-        if needs_reference(policy.sensing.inputs):
-            output.say(planning_notice(course))
-        controller = Controller(policy, course, config.estimator, config.rover, config.described)
+    known = config.estimator, config.rover, config.described
+    if needs_reference(policy.sensing.inputs if isinstance(policy, Policy) else policy.signals):
+        output.say("" if staging else planning_notice(course))
+    files, names = dict[str, bytes](), tuple[str, ...]()
+    if isinstance(policy, OwnPolicy):
+        controller = Controller(policy.signals, course, *known, runner=policy.runner())
         mission = CourseMission(controller, config)
     else:
-        mission = Docking(config, staging, policy)
-    files = attachments(policy, course, config, staging)
+        files, names = attachments(policy, course, config, staging), policy.circuit.neurons
+        if staging is None:
+            mission = CourseMission(Controller(policy, course, *known), config)
+        else:
+            mission = Docking(config, staging, policy)
 
     def record(message: Recorded) -> None:
         if message.topic == TICKS_TOPIC:  # without a tick it would only be in the way of the next recording
@@ -72,7 +78,7 @@ def run(
 
     prepare_for_real_time()
     with Interrupts() as interrupts, recorder, ZenohLink(address, recorder.put) as link:
-        publisher = Publisher(link, record, policy.circuit.neurons, frame=mission.frame)
+        publisher = Publisher(link, record, names, frame=mission.frame)
         drive = Drive(
             link, mission, publisher, config, lambda: interrupts.raised, period_s=period_s, id=uuid4().hex
         )

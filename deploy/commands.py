@@ -26,7 +26,9 @@ Record = Annotated[
 def deploy(
     *,
     robot: Robot,
-    policy: Annotated[str, typer.Option(help="Policy by name or file.")] = "course",
+    policy: Annotated[
+        str, typer.Option(help="Policy by name or file, or module:name for a policy in Python.")
+    ] = "course",
     course: Annotated[
         str | None, typer.Option(help="Course by name or file.", show_default="parking")
     ] = None,
@@ -99,6 +101,9 @@ def deploy(
     interrupted.
 
         rover-ncp deploy --robot tcp/192.168.1.20 --record run.mcap
+
+    module:name is a policy of your own in Python, as 'rover-ncp eval' takes it. It drives courses, and its
+    drive is not recorded. An exception in it ends the drive (2); after 0.3 s in it the gate stops the rover.
     """
     if duration == math.inf:
         raise UsageError(f"--duration {duration}: expected seconds")
@@ -106,14 +111,19 @@ def deploy(
     from deploy.drive.config import config_for
     from deploy.recorder import Recorder
     from deploy.zenoh_client import BridgeAddress
+    from rover_ncp.circuit.own_policy import is_own, load_own_policy
+    from rover_ncp.circuit.policy import Policy
     from rover_ncp.circuit.policy_file import load_policy
     from rover_ncp.course.course import TICK_S, load_course
     from rover_ncp.course.slowdown import slowed
     from rover_ncp.robot.description import load_description
     from rover_ncp.robot.profile import load_profile
 
-    output = Output(json, controls=True)
-    circuit, recorder = load_policy(policy), Recorder(record)
+    if own := is_own(policy):
+        other = f"does not go with --policy {policy}, which is no circuit"
+        reject(other, record=record, to=to, undock=undock)
+    output, recorder = Output(json, controls=True), Recorder(record)
+    driver = load_own_policy(policy) if own else load_policy(policy)
     address = BridgeAddress(robot, namespace, zenoh_config)
     rover = load_profile(profile) if profile else None
     described = load_description(model) if model else None
@@ -140,7 +150,13 @@ def deploy(
         )
         way = approach(place).course
         return run(
-            address, output, policy=dock, course=way, config=config, recorder=recorder, staging=circuit
+            address,
+            output,
+            policy=dock,
+            course=way,
+            config=config,
+            recorder=recorder,
+            staging=load_policy(policy),
         )
     reject("needs --to or --undock", dock_policy=dock_policy)
     goal = load_course(course or "parking")
@@ -153,13 +169,13 @@ def deploy(
         described,
         robot=robot,
         namespace=namespace,
-        policy=circuit.circuit.name,
+        policy=driver.circuit.name if isinstance(driver, Policy) else driver.name,
         dry_run=dry_run,
         ticks=goal.ticks if duration is None else min(goal.ticks, round(duration / TICK_S)),
         pose=pose,
         require_certainty=require_certainty,
     )
-    return run(address, output, policy=circuit, course=goal, config=config, recorder=recorder)
+    return run(address, output, policy=driver, course=goal, config=config, recorder=recorder)
 
 
 def replay(

@@ -1,9 +1,4 @@
-"""A policy in Python: it follows the course's reference. Drives the simulator, or a robot if one is named.
-
-python own_policy.py [ROBOT]
-"""
-
-import sys
+"""A policy in Python: it follows the course's reference. ``python own_policy.py`` drives the simulator."""
 
 import gymnasium
 import numpy as np
@@ -38,10 +33,7 @@ class Follow:
 def main():
     """Drive the parking course once."""
     policy = Follow()
-    if len(sys.argv) > 1:
-        env = gymnasium.make("deploy.env:rover_ncp/Rover-v0", robot=sys.argv[1], signals=SIGNALS)
-    else:
-        env = gymnasium.make("sim.world.env:rover_ncp/RoverParking-v0", signals=SIGNALS)
+    env = gymnasium.make("sim.world.env:rover_ncp/RoverParking-v0", signals=SIGNALS)
     observation, info = env.reset()
     total, over = 0.0, False
     while not over:

@@ -26,7 +26,6 @@ class Domain(Enum):
     SOAK_ORDER = (13,)
     SOAK_MOMENTS = (14,)
     EXPORT_VECTORS = (15,)
-    NETWORK_START = (16,)
     STUDY = (17,)
     PICTURES = (18,)
     DOCKING = (19,)

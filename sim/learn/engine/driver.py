@@ -1,22 +1,18 @@
 """Policies under test: circuits and policies of a user, both by the names of their signals."""
 
-import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rover_ncp.circuit.own_policy import is_own, load_own_policy, own_policy
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.circuit.rover_interface import DEFAULT_SIGNALS, FunctionRunner, RoverInterface
+from rover_ncp.circuit.rover_interface import FunctionRunner, RoverInterface
 from rover_ncp.circuit.runner import Runner
-from rover_ncp.core.errors import ConfigError, RoverNcpError, UsageError
-from rover_ncp.core.files import importable_working_folder
 
 FloatArray = NDArray[np.float64]
 AnyRunner: TypeAlias = Runner | FunctionRunner
@@ -44,8 +40,8 @@ def load_driver(name: str) -> Driver:
 
     Raises ConfigError, FileError or UsageError.
     """
-    if ":" in name and not Path(name).exists():
-        return _own_driver(name, partial(_imported, name))
+    if is_own(name):
+        return Driver(*load_own_policy(name))
     return circuit_driver(load_policy(name))
 
 
@@ -58,57 +54,4 @@ def circuit_driver(policy: Policy) -> Driver:
 def function_driver(policy: Callable[[FloatArray], Any]) -> Driver:
     """Return a policy of a user under test. Raises ConfigError or UsageError."""
     name = getattr(policy, "__name__", type(policy).__name__)
-    return _own_driver(name, lambda: policy)
-
-
-def _own_driver(name: str, load: Callable[[], Any]) -> Driver:
-    policy = load()
-    if not callable(policy):
-        raise UsageError(f"policy {name}: expected a function of an observation, got {policy!r}")
-    signals = getattr(policy, "signals", DEFAULT_SIGNALS)
-    if isinstance(signals, str) or not isinstance(signals, Sequence):
-        raise UsageError(f"policy {name}: expected signals as a tuple of names, got {signals!r}")
-    try:
-        RoverInterface(signals)
-    except ConfigError as error:
-        raise ConfigError(f"policy {name}", error.problems) from error
-    return Driver(name, tuple(signals), partial(_function_runner, name, load))
-
-
-def _imported(source: str) -> Any:
-    """Return what ``module:name`` names; a class is called without arguments. Raises UsageError."""
-    module, _, name = source.partition(":")
-    try:
-        with importable_working_folder():
-            found = getattr(import_module(module), name)
-        return found() if isinstance(found, type) else found
-    except RoverNcpError:
-        raise
-    except Exception as error:
-        raise UsageError(f"policy {source}: {_described(error)}") from error
-
-
-def _function_runner(name: str, load: Callable[[], Any]) -> AnyRunner:
-    policy = load()
-    return FunctionRunner(partial(_command, name, policy), getattr(policy, "reset", lambda: None))
-
-
-def _command(name: str, policy: Any, observation: FloatArray) -> FloatArray:
-    """Return the policy's v and omega. Raises UsageError unless they are two finite numbers."""
-    try:
-        answer = policy(observation)
-        command = np.asarray(answer, np.float64)
-    except RoverNcpError:
-        raise
-    except Exception as error:
-        raise UsageError(f"policy {name}: {_described(error)}") from error
-    if command.shape != (2,) or not np.isfinite(command).all():
-        raise UsageError(f"policy {name}: expected v and omega as two finite numbers, got {answer!r}")
-    return command
-
-
-def _described(error: Exception) -> str:
-    """Return an exception of a user's module in one line, with its place."""
-    last = traceback.extract_tb(error.__traceback__)[-1]
-    words = " ".join(str(error).split())
-    return f"{type(error).__name__}: {words} ({Path(last.filename).name}, line {last.lineno})"
+    return Driver(*own_policy(name, lambda: policy))

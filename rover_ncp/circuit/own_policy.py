@@ -1,0 +1,91 @@
+"""Policies of a user in Python: a function from an observation to v and omega, named as ``module:name``."""
+
+import traceback
+from collections.abc import Callable, Sequence
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.circuit.rover_interface import DEFAULT_SIGNALS, FunctionRunner, RoverInterface
+from rover_ncp.core.errors import ConfigError, RoverNcpError, UsageError
+from rover_ncp.core.files import importable_working_folder
+
+FloatArray = NDArray[np.float64]
+
+
+class OwnPolicy(NamedTuple):
+    """A policy of a user."""
+
+    name: str
+    signals: tuple[str, ...]
+    """What it observes."""
+    runner: Callable[[], FunctionRunner]
+    """Return a runner of the policy; other processes may call this, too."""
+
+
+def is_own(name: str) -> bool:
+    """Return whether the name of a policy is a ``module:name`` and no file."""
+    return ":" in name and not Path(name).exists()
+
+
+def load_own_policy(name: str) -> OwnPolicy:
+    """Import a policy as ``module:name``. Raises ConfigError or UsageError."""
+    return own_policy(name, partial(_imported, name))
+
+
+def own_policy(name: str, load: Callable[[], Any]) -> OwnPolicy:
+    """Return a policy of a user that ``load`` returns. Raises ConfigError or UsageError."""
+    policy = load()
+    if not callable(policy):
+        raise UsageError(f"policy {name}: expected a function of an observation, got {policy!r}")
+    signals = getattr(policy, "signals", DEFAULT_SIGNALS)
+    if isinstance(signals, str) or not isinstance(signals, Sequence):
+        raise UsageError(f"policy {name}: expected signals as a tuple of names, got {signals!r}")
+    try:
+        RoverInterface(signals)
+    except ConfigError as error:
+        raise ConfigError(f"policy {name}", error.problems) from error
+    return OwnPolicy(name, tuple(signals), partial(_function_runner, name, load))
+
+
+def _imported(source: str) -> Any:
+    """Return what ``module:name`` names; a class is called without arguments. Raises UsageError."""
+    module, _, name = source.partition(":")
+    try:
+        with importable_working_folder():
+            found = getattr(import_module(module), name)
+        return found() if isinstance(found, type) else found
+    except RoverNcpError:
+        raise
+    except Exception as error:
+        raise UsageError(f"policy {source}: {_described(error)}") from error
+
+
+def _function_runner(name: str, load: Callable[[], Any]) -> FunctionRunner:
+    policy = load()
+    return FunctionRunner(partial(_command, name, policy), getattr(policy, "reset", lambda: None))
+
+
+def _command(name: str, policy: Any, observation: FloatArray) -> FloatArray:
+    """Return the policy's v and omega. Raises UsageError unless they are two finite numbers."""
+    try:
+        answer = policy(observation)
+        command = np.asarray(answer, np.float64)
+    except RoverNcpError:
+        raise
+    except Exception as error:
+        raise UsageError(f"policy {name}: {_described(error)}") from error
+    if command.shape != (2,) or not np.isfinite(command).all():
+        raise UsageError(f"policy {name}: expected v and omega as two finite numbers, got {answer!r}")
+    return command
+
+
+def _described(error: Exception) -> str:
+    """Return an exception of a user's module in one line, with its place."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    words = " ".join(str(error).split())
+    return f"{type(error).__name__}: {words} ({Path(last.filename).name}, line {last.lineno})"

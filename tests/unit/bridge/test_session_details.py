@@ -38,6 +38,14 @@ def test_line_to_a_base_that_was_ready_is_given_up_sooner(bench, baudrate, rates
     assert silent(bench.connect()) == (rates, handshakes)
 
 
+def test_silence_counts_anew_after_an_answer():
+    bench, handshakes = Bench().go_to(SessionState.SYNC1), 1
+    while not any(isinstance(event, Failed) for event in bench.events):
+        bench.wait(0.05)
+        handshakes += bench.commands().count(Command.PULSE)
+    assert handshakes == 6
+
+
 def test_packets_that_a_session_does_not_use_are_no_answer():
     bench = Bench().connect()
     while bench.session.state is not SessionState.IDLE:

@@ -1,8 +1,7 @@
 """Limits of the gate: the tighter of the file and the robot, in ranges with which the gate can compute."""
 
 import pytest
-from kit.driver_client import DriverClient
-from kit.virtual_bench import VirtualRig
+from kit.virtual_bench import VirtualDriver, VirtualRig
 
 from bridge.bases import gate_limits
 from bridge.pioneer.setpoints import MotionLimits
@@ -45,14 +44,14 @@ def test_the_gate_keeps_the_limits_of_a_pioneers_description(checked, tmp_path):
         robot = load_description(file)
         rig = VirtualRig(robot, limits=gate_limits(limits, robot if checked else None))
         rig.sleep(3.0)
-        return robot, DriverClient(rig)
+        return robot, VirtualDriver(rig)
 
     file, arm = tmp_path / "arm.yaml", "name: arm\nbased_on: p3at-sh\nmotion: {v_max: 0.2, omega_max: 0.4}"
     _, driver = connected(22.0, None if checked else limits_file(tmp_path, "battery_min_v: 11"))
     assert driver.motors().reason == "low-battery"  # the mock reports 12.7 V
     robot, driver = connected(11.5)
-    limits = driver.motors().limits
-    assert (limits["v"], limits["omega"]) == (0.2, 0.4)
+    driver.start().drive(1.0, 0.9, 0.9)
+    assert driver.out == (0.2, 0.4)
     with pytest.raises(UsageError, match=r"v_max is 0.25, but arm has 0.2"):
         gate_limits(limits_file(tmp_path, "v_max: 0.25"), robot)
 

@@ -104,6 +104,12 @@ def test_signature_is_valid_for_its_lease_key_kind_and_bytes_only():
         assert not replace(lease, **change).signed(tag, *message)
     for attachment in (None, b"", b"x" * 39):
         assert not lease.signed(read_tag(attachment), *message)
+        assert read_tag(attachment) == CommandTag(0, 0, 0)  # no lease has the number 0
+
+
+@pytest.mark.parametrize("bumpers", [(1, 0), (0, 1)])
+def test_a_bumper_is_a_hazard_without_a_lease(bumpers):
+    assert Gate().at(0.0, BaseReport(bumpers=bumpers)).held is Reason.BUMPER
 
 
 def test_command_is_unsigned_and_a_loss_is_no_restart_unless_they_say_so():

@@ -27,7 +27,7 @@ help: ## Print this list.
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-16s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 .PHONY: park
-park: $(STAMP) ## Park a simulated robot with a circuit trained on the spot.
+park: $(STAMP) ## Train a circuit (our search; the paper's is train --search published) and park a simulated robot.
 	$(BIN)/rover-ncp park --out runs/park --overwrite
 
 .PHONY: dock

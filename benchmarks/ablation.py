@@ -19,7 +19,7 @@ from rover_ncp.course.scoring import Parked
 from rover_ncp.robot.description import load_description
 from sim.evaluate.evaluate import trial_count
 from sim.evaluate.options import Sensors
-from sim.learn.engine.driver import load_driver
+from sim.learn.policies import load_driver
 from sim.stack.estimates import summary
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body

@@ -24,7 +24,7 @@ from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import load_course
 from sim.base.trial import Drawn
 from sim.evaluate.trial_runs import evaluate_stack, result_words
-from sim.learn.engine.driver import load_driver
+from sim.learn.policies import load_driver
 from sim.stack.trials import Stack
 from sim.world.bodies import Body
 from sim.world.mujoco_rover import CONTROL_S, Motor, MujocoRover

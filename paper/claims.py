@@ -28,7 +28,7 @@ from rover_ncp.core.config import StrictModel, parse_yaml
 from rover_ncp.core.files import read_text
 from rover_ncp.course.course import load_course
 from rover_ncp.neurons.interpretation import STILL_MV, Sign, sign_of, time_constant_ranges
-from sim.learn.engine.rollout import Rollout, rollout
+from sim.learn.rollout import Rollout, rollout
 
 CLAIMS = Path(__file__).parent / "claims.yaml"
 MIN_RUNS = 5

@@ -43,7 +43,7 @@ from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.core.files import read_text
 from rover_ncp.core.spawned import end_with_parent
-from sim.learn.record import made_with
+from sim.learn.settings import made_with
 
 _FINAL = 99
 """Stream of the fresh episodes that a run is judged by."""

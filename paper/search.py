@@ -20,10 +20,10 @@ from paper.tasks import Benchmark, Net, Task, Vector, draw_seeds, rng_of
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout, Policy
 from rover_ncp.course.course import load_course
-from sim.learn.engine import evaluator as engine
+from sim.learn import evaluator as engine
 from sim.learn.search.algorithm1 import ALPHA, ESTIMATE_AFTER, START_SCALE
-from sim.learn.search.published import FAILURES_TO_WIDEN, RULES, KindRule
-from sim.learn.search.random_search import perturb
+from sim.learn.search.published import FAILURES_TO_WIDEN, RULES, KindRule, perturb
+from sim.learn.search.strategies import Batch
 
 _SEARCH, _ROLLOUTS = 0, 1
 """Streams of random numbers."""
@@ -273,9 +273,9 @@ class ParkingEvaluator:
         Without chance, the ``number`` of an evaluation does not matter.
         """
         self.steps += len(vectors) * self.task.horizon
-        self._stream.submit(0, vectors, np.full(len(vectors), to_beat))
-        [answer] = self._stream.collect()
-        return answer.returns.copy()
+        self._stream.submit(0, Batch(vectors, np.full(len(vectors), to_beat)))
+        [(_, scores)] = self._stream.collect()
+        return scores.returns.copy()
 
 
 def run_search(task: Task, agent: Policy | Net, seed: int, budget: Budget) -> Found:

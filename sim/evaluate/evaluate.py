@@ -18,9 +18,9 @@ from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.scoring import Failure
 from rover_ncp.course.slowdown import rounded_up, slowed
 from rover_ncp.robot.description import RobotDescription, load_description
-from sim.learn.engine.driver import Driver, circuit_driver, function_driver, load_driver
-from sim.learn.engine.evaluator import Evaluator
-from sim.learn.engine.rollout import rollout
+from sim.learn.evaluator import Evaluator
+from sim.learn.policies import Driver, circuit_driver, function_driver, load_driver
+from sim.learn.rollout import rollout
 from sim.world.bodies import Body
 from sim.world.described import default_rover, ranges_for
 from sim.world.random_course import random_course

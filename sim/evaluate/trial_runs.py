@@ -14,7 +14,7 @@ from rover_ncp.course.course import Course
 from rover_ncp.robot.description import RobotDescription
 from sim.evaluate.evaluate import Ended, drive_trials, trial_count
 from sim.evaluate.options import EvalOptions
-from sim.learn.engine.driver import load_driver
+from sim.learn.policies import load_driver
 from sim.learn.progress import progress_lines
 from sim.stack.docking import Docked, DockTrials
 from sim.stack.tag_camera import TagLocaliser

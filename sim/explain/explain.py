@@ -25,8 +25,8 @@ from rover_ncp.neurons.phases import ExplainedPhase
 from rover_ncp.neurons.trace import Trace
 from rover_ncp.robot.description import RobotDescription
 from sim.explain.what_if import Knockout, Outcome, Sensitivity, knock_outs, sensitivities
-from sim.learn.engine.evaluator import Evaluator
-from sim.learn.engine.rollout import Rollout, rollout
+from sim.learn.evaluator import Evaluator
+from sim.learn.rollout import Rollout, rollout
 from sim.world.described import described_rover
 
 FloatArray = NDArray[np.float64]

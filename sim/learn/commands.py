@@ -15,10 +15,8 @@ from sim.learn.search.strategies import SearchName
 from sim.world.bodies import PRESETS, Body
 
 if TYPE_CHECKING:
-    from sim.learn.agents import Snapshot
-    from sim.learn.record import RobustSettings, Settings, TrainSettings
     from sim.learn.results import RobustResult, TrainResult
-    from sim.learn.robust import Generation
+    from sim.learn.settings import RobustSettings, Settings, TrainSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,8 +59,9 @@ class TrainOptions:
     search: Annotated[
         SearchName | None,
         typer.Option(
-            help="gauss-newton: descents on the residuals of all checkpoints. published: a few random "
-            "entries change. algorithm1: all change, by an adapting scale.",
+            help="gauss-newton (ours): descents on the residuals of all checkpoints. published (the "
+            "paper's): a few random entries change. algorithm1 (the paper's): all change, by an "
+            "adapting scale.",
             show_default="gauss-newton",
         ),
     ] = None
@@ -136,16 +135,16 @@ class TrainOptions:
 def train(options: TrainOptions) -> None:
     """Train circuits in simulation until one drives a course.
 
-    Agents start from the same untuned wiring, slightly perturbed, and search independently. Each keeps the
-    best parameters found so far and tries others near them. A return is minus the sum of the squared errors
-    at the checkpoints (1 rad counts as 1 m): 0 would be perfect, about -0.1 parks.
+    Agents start from the same untuned wiring and search independently. The default search, Gauss-Newton, is
+    ours. The paper's is --search published: 11 of 48 of its runs park. A return is minus the sum of the
+    squared errors at the checkpoints (1 rad counts as 1 m): 0 would be perfect, about -0.1 parks.
 
     In the folder: policy.yaml (the best agent's circuit, ready for deploy and eval), curve.csv and curve.png
     (best return so far of each agent), settings.yaml, agents/. The same settings give the same bytes, for
     any number of processes. A run can be interrupted at any time: with --resume it ends in the same files,
-    and needs none of the options again. It stays with the course, circuit,
-    robot, randomization and profile that it began with: a file that has changed is an error. Other versions
-    of the software are a warning.
+    and needs none of the options again. Agents that had not ended begin again. The run stays with the course,
+    circuit, robot, randomization and profile that it began with: a file that has changed is an error. Other
+    versions of the software are a warning.
 
         rover-ncp train --seed 1 --out runs/mine
         rover-ncp train --out runs/mine --resume
@@ -153,8 +152,8 @@ def train(options: TrainOptions) -> None:
     A circuit with the motor neuron REV, such as four_dof, also drives backward.
 
     With --cluster, agents train on the workers of a Dask cluster, which need the same rover-ncp. The bytes
-    are those of a run on this machine; a worker that dies costs time only. Every peer that reaches a Dask
-    scheduler can run code on its workers: use it only on a network that you trust.
+    are those of a run on this machine; a worker that dies costs time only. A cluster is trusted like this
+    machine: its workers can run code here, and every peer that reaches the scheduler can run code on them.
 
         rover-ncp train --cluster tcp://192.168.1.5:8786
 
@@ -171,7 +170,7 @@ def train(options: TrainOptions) -> None:
         rover-ncp train --randomize full --circuit course --refine --iterations 450
 
     """
-    from sim.learn.record import RobustSettings
+    from sim.learn.settings import RobustSettings
 
     output, settings = Output(options.json), _settings(options)
     if options.cluster is not None and (
@@ -194,8 +193,8 @@ _OF_THE_RUN = ("out", "resume", "processes", "cluster", "json")
 def _settings(options: TrainOptions) -> "Settings":
     """Return the settings of a command's options, and of the run to go on with."""
     from rover_ncp.core.config import validated
-    from sim.learn.record import RobustSettings, TrainSettings
-    from sim.learn.run_folder import saved_settings
+    from sim.learn.folder import saved_settings
+    from sim.learn.settings import RobustSettings, TrainSettings
 
     given: dict[str, Any] = {
         name: str(value) if isinstance(value, Path | SearchName) else value
@@ -221,16 +220,16 @@ def _settings(options: TrainOptions) -> "Settings":
 
 @contextmanager
 def _progress(
-    output: Output, options: TrainOptions, settings: "Settings"
-) -> "Iterator[tuple[Path, Callable[[Snapshot | Generation], None]]]":
+    output: Output, options: TrainOptions, total: int, unit: str
+) -> Iterator[tuple[Path, Callable[[int, object], None]]]:
     """Give the folder and a function that shows progress; say how to go on after an interruption."""
+    from sim.learn.folder import new_run_path
     from sim.learn.progress import train_progress
-    from sim.learn.run_folder import new_run_path
     from sim.learn.workers import WorkerDied
 
     out = options.out or new_run_path()
     try:
-        with train_progress(settings.iterations) as show:
+        with train_progress(total, unit) as show:
             yield out, show
     except (KeyboardInterrupt, WorkerDied):
         output.say(f"Go on with: rover-ncp train --out {out} --resume")
@@ -241,19 +240,19 @@ def _train_ensemble(
     output: Output, options: TrainOptions, settings: "TrainSettings"
 ) -> "tuple[TrainResult, str]":
     """Train agents on one course."""
-    from sim.learn.record import resolve_task
+    from sim.learn.ensemble import train as run_training
     from sim.learn.results import TrainResult
-    from sim.learn.train import train as run_training
+    from sim.learn.settings import resolve_task
 
     resolve_task(settings)  # before a folder is made, so that a typo leaves none behind
-    with _progress(output, options, settings) as (out, show):
+    with _progress(output, options, settings.agents, "agents") as (out, show):
         result = run_training(
             settings,
             out,
             resume=options.resume,
             processes=options.processes,
             cluster=options.cluster,
-            on_progress=show,
+            on_progress=lambda ensemble: show(len(ensemble.agents), ensemble),
         )
     best, median = result.agents.best.value, result.agents.median_return
     found = TrainResult(
@@ -265,7 +264,7 @@ def _train_ensemble(
         iterations_per_s=result.iterations_per_s,
         seed=settings.seed,
         agents=settings.agents,
-        iterations=result.agents.iterations,
+        iterations=settings.iterations,
         out=str(out),
         policy=str(result.policy_path),
     )
@@ -279,12 +278,16 @@ def _train_robust(
 ) -> "tuple[RobustResult, str]":
     """Train on random trials."""
     from sim.learn.results import RobustResult
-    from sim.learn.robust_run import start_of, train_robust
+    from sim.learn.robust import start_of, train_robust
 
     start_of(settings)  # before a folder is made, so that a typo leaves none behind
-    with _progress(output, options, settings) as (out, show):
+    with _progress(output, options, settings.iterations, "generations") as (out, show):
         _, path, last = train_robust(
-            settings, out, resume=options.resume, processes=options.processes, on_generation=show
+            settings,
+            out,
+            resume=options.resume,
+            processes=options.processes,
+            on_generation=lambda now: show(now.iterations, now),
         )
     found = RobustResult(
         **settings.model_dump(), generations=last.iterations, cost=last.best, policy=str(path)

@@ -1,14 +1,52 @@
-"""Learning curves as a table and as a picture, both a function of the agents alone: same run, same bytes."""
+"""Agents and their learning curves, as a table and as a picture.
+
+Both are a function of the agents alone: same run, same bytes.
+"""
 
 import io
+from bisect import bisect_right
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from sim.learn.agents import AgentState, curve_point
-
 _MIN_LOSS = 1e-4
+
+
+@dataclass(frozen=True)
+class Agent:
+    """An agent at the end of its search."""
+
+    number: int
+    vector: Sequence[float]
+    """(P,) the best parameters."""
+    improvements: Sequence[tuple[int, float]]
+    """(iteration, return) where the best return changed, the last one before each `curve_point`; iteration 0
+    is the start."""
+
+    @property
+    def value(self) -> float:
+        """The best return."""
+        return self.improvements[-1][1]
+
+    def value_at(self, iteration: int) -> float:
+        """Return the best return after ``iteration``, a `curve_point` or the last one."""
+        known = bisect_right(self.improvements, iteration, key=lambda change: change[0])
+        return self.improvements[known - 1][1]
+
+
+def curve_point(iteration: int) -> int:
+    """Return the first point of a learning curve from ``iteration`` on: at most two significant digits."""
+    step = int(10 ** max(len(str(iteration - 1)) - 2, 0))
+    return -(-iteration // step) * step
+
+
+def note_improvement(improvements: list[tuple[int, float]], iteration: int, value: float) -> None:
+    """Keep a change of the best return, and drop an earlier one before the same `curve_point`."""
+    if improvements and curve_point(improvements[-1][0]) == curve_point(iteration):
+        improvements.pop()
+    improvements.append((iteration, value))
 
 
 def curve_iterations(last: int) -> list[int]:
@@ -19,7 +57,7 @@ def curve_iterations(last: int) -> list[int]:
     return shown
 
 
-def curve_csv(agents: Sequence[AgentState], last: int) -> str:
+def curve_csv(agents: Sequence[Agent], last: int) -> str:
     """Return the table: iteration, then each agent's best return so far, with all digits."""
     lines = [",".join(["iteration", *(f"agent_{agent.number:02}" for agent in agents)])]
     for iteration in curve_iterations(last):
@@ -27,7 +65,7 @@ def curve_csv(agents: Sequence[AgentState], last: int) -> str:
     return "\n".join(lines) + "\n"
 
 
-def curve_png(agents: Sequence[AgentState], last: int, title: str) -> bytes:
+def curve_png(agents: Sequence[Agent], last: int, title: str) -> bytes:
     """Return a picture of all agents' curves, their median and the best agent, as PNG.
 
     Returns of a task whose best is 0 differ by orders of magnitude, so the axis is that of −return,

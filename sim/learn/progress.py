@@ -4,15 +4,17 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-if TYPE_CHECKING:
-    from sim.learn.agents import Snapshot
-    from sim.learn.robust import Generation
-
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 LINE_S = 15.0
 """Time between two lines."""
@@ -32,25 +34,22 @@ def progress_lines() -> Callable[[str], None]:
 
 
 @contextmanager
-def train_progress(iterations: int) -> "Iterator[Callable[[Snapshot | Generation], None]]":
-    """Give a function that shows a search as it is now: iterations, results and speed."""
+def train_progress(total: int, unit: str) -> Iterator[Callable[[int, object], None]]:
+    """Give a function that shows how many of ``total`` agents or generations are done, and the best."""
     console = Console(stderr=True)
     if not console.is_terminal:
         line = progress_lines()
-        yield lambda now: line(f"{now.iterations} of {iterations} iterations, {now.summary}")
+        yield lambda done, summary: line(f"{done} of {total} {unit}, {summary}")
         return
     with Progress(
+        SpinnerColumn(),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("{task.fields[summary]}  {task.fields[speed]}"),
+        TextColumn(unit),
+        TextColumn("{task.fields[summary]}"),
+        TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=console,
     ) as bar:
-        task = bar.add_task("", total=iterations, summary="", speed="starting")
-
-        def show(now: "Snapshot | Generation") -> None:
-            speed = bar.tasks[0].speed
-            text = f"{speed:.3g} iterations/s" if speed else ""
-            bar.update(task, completed=now.iterations, summary=now.summary, speed=text)
-
-        yield show
+        task = bar.add_task("", total=total, summary="")
+        yield lambda done, summary: bar.update(task, completed=done, summary=str(summary))

@@ -3,7 +3,7 @@
 from pydantic import BaseModel, Field
 
 from rover_ncp.course.scoring import Failure
-from sim.learn.record import RobustSettings
+from sim.learn.settings import RobustSettings
 
 
 class VerdictFields(BaseModel):
@@ -23,7 +23,7 @@ class TrainResult(VerdictFields):
     best_return: float = Field(description="of all agents")
     median_return: float = Field(description="of all agents")
     wall_s: float = Field(description="how long it took")
-    iterations_per_s: float | None = Field(description="of all agents together, without start-up")
+    iterations_per_s: float | None = Field(description="of all agents together")
     seed: int = Field(description="root seed")
     agents: int = Field(description="how many")
     iterations: int = Field(description="of each agent")

@@ -11,24 +11,37 @@ Parameters are searched in the unit box, at whose walls the search is reflected.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import repeat
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.compiled import dead_parameters
-from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.policy import Policy, course_policy
+from rover_ncp.circuit.policy_file import load_start
+from rover_ncp.circuit.rover_interface import RoverInterface
+from rover_ncp.core.errors import UsageError
 from rover_ncp.core.streams import Domain, stream_seed
 from rover_ncp.course.course import Course, ParkedRule
-from rover_ncp.course.reference import Reference
-from sim.learn.engine.evaluator import Evaluator, Outcomes
+from rover_ncp.course.reference import Reference, plan_reference
+from sim.learn.evaluator import Evaluator, Outcomes
+from sim.learn.folder import open_run
 from sim.learn.search.cma import Cma, default_population
 from sim.learn.search.unit_box import UnitBox, reflected
+from sim.learn.settings import Record, RobustSettings, course_of
+from sim.learn.workers import Workers, available_processes, local_workers, made_in_each_process
 from sim.world.random_course import mirrored, mirrored_reference, random_course
 from sim.world.randomization import Randomization, draw_trials
 from sim.world.rover import RoverModel
 
 FloatArray = NDArray[np.float64]
+
+_STATE = "search.json"
+"""File of the search between two generations."""
 
 
 class Stage(NamedTuple):
@@ -114,9 +127,7 @@ class Generation(NamedTuple):
     best: float
     """Lowest cost of the generation."""
 
-    @property
-    def summary(self) -> str:
-        """The state in a few words."""
+    def __str__(self) -> str:
         return f"cost {self.best:.4g}"
 
 
@@ -271,3 +282,96 @@ class RobustSearch:
         """Continue from a ``state()``."""
         self._cma.restore(state["cma"])
         self._means = state["means"]
+
+
+class RobustResult(NamedTuple):
+    """The trained policy, its file, and where the search stood at the end."""
+
+    policy: Policy
+    path: Path
+    last: Generation
+
+
+def _drive(settings: RobustSettings, start: Policy, course: Course, ranges: Randomization) -> Drive:
+    """Return what drives the trials of a training; it is made in each process."""
+    courses, references = training_courses(
+        course, plan_reference(course), settings.seed, settings.random_courses
+    )
+    engine = Evaluator(start, courses, settings.rover, references=references)
+    return drive_trials(engine, ranges, settings.rover, settings.seed)
+
+
+def _drive_parts(workers: Workers, count: int, drive: Drive, vectors: FloatArray, *which: Any) -> FloatArray:
+    """Drive trials in workers, each of which takes its part of the vectors (k, P)."""
+    parts = np.array_split(vectors, count)
+    return np.concatenate(list(workers.map(drive, parts, *map(repeat, which))))
+
+
+def start_of(settings: RobustSettings) -> tuple[Policy, Course, Randomization]:
+    """Return the policy to start from, the course and the randomization.
+
+    Raises UsageError, ConfigError or FileError.
+    """
+    ranges, loaded = settings.ranges, load_start(settings.circuit)
+    if settings.refine and not isinstance(loaded, Policy):
+        raise UsageError(
+            f"--refine needs a policy in --circuit, and {settings.circuit} is an untrained circuit"
+        )
+    start = loaded if isinstance(loaded, Policy) else course_policy(loaded)
+    RoverInterface(start)  # raises for a policy that drives none
+    return start, course_of(settings), ranges
+
+
+def train_robust(
+    settings: RobustSettings,
+    out: Path,
+    *,
+    resume: bool = False,
+    processes: int | None = None,
+    on_generation: Callable[[Generation], None] = lambda _: None,
+) -> RobustResult:
+    """Train a course-relative circuit and leave the run in the folder ``out``.
+
+    ``processes`` defaults to one for each core; it changes the speed, never the result. A run that is
+    interrupted, however it dies, goes on after its last generation and ends in the same files. Raises
+    UsageError, ConfigError or FileError, WorkerDied if one of its processes was killed, KeyboardInterrupt.
+    """
+    start, course, ranges = start_of(settings)
+    courses = (course.name, *(["random"] if settings.random_courses else []))
+    search = RobustSearch(
+        policy_box(start),
+        seed=settings.seed,
+        rollouts=settings.rollouts,
+        worst=settings.worst,
+        schedule=REFINING if settings.refine else TRAINING,
+    )
+    curve: list[tuple[float, float]] = []
+    with open_run(out, Record[RobustSettings].of(settings, start, course), resume) as folder:
+        if saved := folder.read_state(_STATE):
+            search.restore(saved["search"])
+            curve = [(best, sigma) for best, sigma in saved["curve"]]
+
+        def policy() -> Policy:
+            provenance = folder.record.provenance(search.number, cost=curve[-1][0])
+            return replace(start.with_parameters(search.winner), courses=courses, provenance=provenance)
+
+        def save() -> None:
+            folder.write_state(_STATE, {"search": search.state(), "curve": curve})
+            folder.write("policy.yaml", policy())
+            rows = [f"{number},{best!r},{sigma!r}" for number, (best, sigma) in enumerate(curve, 1)]
+            folder.write("curve.csv", "\n".join(["generation,cost,spread", *rows, ""]))
+
+        count = min(processes or available_processes(), search.population)
+        if search.number == settings.iterations:
+            save()  # a run may have died between two files
+            count = 1
+        with local_workers(count) as workers:
+            make = made_in_each_process(partial(_drive, settings, start, course, ranges))
+            while search.number < settings.iterations:
+                last = search.advance(partial(_drive_parts, workers, count, make))
+                curve.append((last.best, last.sigma))
+                save()
+                on_generation(last)
+        best, sigma = curve[-1]
+        last = Generation(search.number, search.winner, sigma, best)
+        return RobustResult(policy(), folder.policy_path, last)

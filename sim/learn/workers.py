@@ -1,46 +1,54 @@
-"""Workers of a training: this process, processes on this machine, or a Dask cluster (``cluster.py``).
+"""Workers of a training: this process, processes on this machine, or a Dask cluster.
 
 Processes are spawned, never forked: numba and cffi do not survive a fork.
+
+A cluster is trusted like this machine. Anyone who reaches a Dask scheduler can run code on its workers, and
+any worker can run code here: Dask unpickles its answers. Every worker must have the same versions of what
+decides a result.
 """
 
 import gc
+import logging
 import multiprocessing
 import os
 import pickle
 import signal
-from collections.abc import Callable, Sized
-from concurrent.futures import Future, ProcessPoolExecutor
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from functools import lru_cache, partial
 from multiprocessing.context import SpawnContext, SpawnProcess
 from types import TracebackType
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, Protocol, Self
 
 from rover_ncp.core.errors import RoverNcpError, UsageError
 from rover_ncp.core.spawned import end_with_parent, starting_processes
+from sim.learn.settings import versions
 
-AnswerT = TypeVar("AnswerT", bound=Sized)
+CONNECT_S = 10.0
+"""How long a scheduler has to answer, and then a first worker to be there."""
+_RETRIES = 1000
+"""Workers that may die on one task; Dask's own three would end a run on machines that come and go."""
+
+# A Dask worker may have several threads, but evaluators serve one at a time.
+_one_task = threading.Lock()
 
 
 class WorkerDied(RoverNcpError):
-    """A worker process ended while it had work, or answered what is no result."""
+    """A worker process ended while it had work, or a cluster is gone."""
 
 
 class Workers(Protocol):
     """The part of an executor of ``concurrent.futures`` that trainings need."""
 
-    @property
-    def count(self) -> int:
-        """Tasks that run at the same time."""
-
-    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
-        """Call a function in a worker."""
+    def map(self, function: Callable[..., Any], /, *arguments: Iterable[Any]) -> Iterator[Any]:
+        """Call a function with each row of arguments; return the results in order."""
 
 
 class Inline:
-    """The executor that calls each function at once, in this process."""
-
-    count = 1
+    """Calls each function in this process, when its result is needed."""
 
     def __enter__(self) -> Self:
         return self
@@ -48,11 +56,9 @@ class Inline:
     def __exit__(self, *error: object) -> None:
         pass
 
-    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
-        """Call a function; its exceptions are raised here."""
-        future: Future[Any] = Future()
-        future.set_result(function(*arguments))
-        return future
+    def map(self, function: Callable[..., Any], /, *arguments: Iterable[Any]) -> Iterator[Any]:
+        """Call a function with each row of arguments; its exceptions are raised here."""
+        return map(function, *arguments)
 
 
 class _Spawning(SpawnContext):
@@ -69,16 +75,16 @@ class _Spawning(SpawnContext):
 
 
 class ProcessPool:
-    """Processes on this machine. An error in its context kills them at once, and no others of this program.
+    """Processes on this machine. Its context kills those that still work at its end, and no others.
 
     Raises WorkerDied, with some advice, if one of them dies. They end when this process dies.
     """
 
     def __init__(self, count: int, advice: str = "") -> None:
-        self.count = count
         self._advice = advice
         self._context = _Spawning()
         self._executor = ProcessPoolExecutor(count, self._context, end_with_parent)
+        self._calls: list[Future[Any]] = []
 
     def __enter__(self) -> Self:
         return self
@@ -86,13 +92,19 @@ class ProcessPool:
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
         """Call a function in the next idle process; errors of this project arrive as UsageError."""
         with starting_processes():  # the executor starts a process where none is idle
-            return self._executor.submit(_call, function, *arguments)
+            self._calls.append(self._executor.submit(_call, function, *arguments))
+        return self._calls[-1]
+
+    def map(self, function: Callable[..., Any], /, *arguments: Iterable[Any]) -> Iterator[Any]:
+        """Call a function with each row of arguments; return the results in order."""
+        calls = [self.submit(function, *row) for row in zip(*arguments, strict=False)]
+        return (call.result() for call in calls)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         broken = isinstance(error, BrokenProcessPool)  # then the executor ends the other processes
-        if error is not None and not broken:
+        if not broken and not all(call.done() for call in self._calls):
             self._executor.shutdown(wait=False, cancel_futures=True)
             for process in self._context.started:
                 process.kill()  # it holds nothing that could be left half-done
@@ -122,17 +134,55 @@ def local_workers(count: int) -> Inline | ProcessPool:
     return Inline() if count == 1 else ProcessPool(count)
 
 
-def answer(call: Future[Any], kind: type[AnswerT], count: int) -> AnswerT:
-    """Return what a worker answered: ``count`` results. Raises WorkerDied for anything else.
+class _Cluster:
+    """The workers of a Dask cluster."""
 
-    Only a worker of a cluster, which may run another program, can answer anything else.
+    def __init__(self, executor: Executor) -> None:
+        self._executor = executor
+
+    def map(self, function: Callable[..., Any], /, *arguments: Iterable[Any]) -> Iterator[Any]:
+        """Call a function with each row of arguments; return the results in order."""
+        call = partial(_call_if_same, versions(), function)
+        calls = [self._executor.submit(call, *row) for row in zip(*arguments, strict=False)]
+        return (future.result() for future in calls)
+
+
+@contextmanager
+def cluster_workers(address: str) -> Iterator[_Cluster]:
+    """Give the workers of a Dask cluster; what still runs there at the end is cancelled.
+
+    Raises UsageError for a scheduler or workers that are missing or unsuitable, and WorkerDied.
     """
-    found = call.result()
-    if not isinstance(found, kind) or len(found) != count:
-        raise WorkerDied(
-            f"a worker answered {type(found).__name__}, expected {count} results in {kind.__name__}"
-        )
-    return found
+    from distributed import Client, KilledWorker
+    from distributed.comm.core import CommClosedError
+
+    connect: Any = Client
+    # Dask reports a connection that ends with tracebacks; this command does it in one line.
+    for name in ("distributed", "distributed.core", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    try:
+        client = connect(address, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise UsageError(f"no Dask scheduler answers at {address}") from error
+    try:
+        client.wait_for_workers(1, timeout=CONNECT_S)
+        yield _Cluster(client.get_executor(pure=False, retries=_RETRIES))
+    except TimeoutError as error:
+        raise UsageError(f"the Dask scheduler at {address} has no workers") from error
+    except (ModuleNotFoundError, pickle.PickleError) as error:
+        raise UsageError(f"the workers at {address} lack rover-ncp: {error}") from error
+    except (CancelledError, CommClosedError, KilledWorker) as error:
+        raise WorkerDied(f"the Dask cluster at {address} is gone: {error}") from error
+    finally:
+        client.close()
+
+
+def _call_if_same(wanted: Mapping[str, str], function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function on a worker. Raises UsageError for other versions than those of the client."""
+    if versions() != wanted:
+        raise UsageError(f"a worker has {versions()}, this machine {dict(wanted)}: results would differ")
+    with _one_task:
+        return function(*arguments)
 
 
 def made_in_each_process(make: Callable[[], Callable[..., Any]]) -> Callable[..., Any]:

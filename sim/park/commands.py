@@ -48,7 +48,7 @@ def park(
     pose is judged, which the driver does not know. Ends with 0 parked, 1 not parked, or with the exit code of
     what failed.
 
-    Training ends when the best agent parks with half the tolerance to spare, or after 20,000 iterations. The
+    Training ends with the first agent that parks with half the tolerance to spare, or after 12. The
     folder has train/, run.mcap (with the true pose as truth/pose), run.html, trajectory.png and log/.
 
     With --dock, a localiser by tags is the fourth process, and the first approach is blocked on purpose.

@@ -1,14 +1,13 @@
 """The main job in one go: train a circuit in simulation, then park a mock Pioneer with it as real processes.
 
-The agents drive the course and the robot that are driven afterwards. Training ends when the best agent parks
-with half the tolerance to spare, as a reserve for what the simulator leaves out (encoder steps, the age of a
-packet, the estimate), or after `ITERATIONS`, however slow the machine is. Then mock Pioneer, bridge and
+The agents drive the course and the robot that are driven afterwards. Training ends with the first agent that
+parks with half the tolerance to spare, as a reserve for what the simulator leaves out (encoder steps, the age
+of a packet, the estimate), or after `AGENTS`, however slow the machine is. Then mock Pioneer, bridge and
 deploy run as three processes over TCP and Zenoh, and the true pose is judged, which the driver does not know.
 """
 
 import shutil
 import signal
-from collections.abc import Callable
 from pathlib import Path
 
 from pydantic import BaseModel, Field
@@ -27,11 +26,10 @@ from rover_ncp.course.shapes import outline_of
 from rover_ncp.course.slowdown import slowed
 from rover_ncp.recording.recording import read_recording, rewrite
 from rover_ncp.robot.description import load_description
-from sim.learn.agents import Snapshot
-from sim.learn.engine.rollout import rollout
+from sim.learn.ensemble import train
 from sim.learn.progress import train_progress
-from sim.learn.record import TrainSettings, course_of
-from sim.learn.train import train
+from sim.learn.rollout import rollout
+from sim.learn.settings import TrainSettings, course_of
 from sim.live.live_run import PIONEER, ROS2DDS, LiveRun
 from sim.live.processes import Finished, ProcessError
 from sim.live.truth import TRUTH, judge_truth, recorded_truth
@@ -41,6 +39,8 @@ ITERATIONS, AGENTS = 20_000, 12
 TRACKING_POLICY = "course"
 """The policy for robots that training does not simulate: it was trained on random robots and courses."""
 _MARGIN = 0.5
+_BLOCK = 2
+"""Agents that a process trains side by side: the first ones usually park, and nobody waits for more."""
 _DEPLOY_EXTRA_S = 300.0
 """For the start of the driver on a slow and busy machine."""
 
@@ -54,7 +54,7 @@ class ParkTraining(BaseModel):
     iterations_per_s: float | None = Field(description="of all agents together")
 
     def __str__(self) -> str:
-        return f"best return {self.best_return:.4f} after {self.iterations} iterations"
+        return f"best return {self.best_return:.4f} of {len(self.returns)} agents"
 
 
 class NotTrained(BaseModel):
@@ -114,8 +114,8 @@ def run_park(
         if reason:
             output.result(
                 NotTrained(parked=False, reason=f"no agent parks: {reason}", train=training),
-                f"not parked: no agent parks in simulation: {reason} ({training}; the limit is "
-                f"{ITERATIONS}); try another --seed, or a trained policy: --policy {TRACKING_POLICY}",
+                f"not parked: no agent parks in simulation: {reason} ({training}); try "
+                f"another --seed, or a trained policy: --policy {TRACKING_POLICY}",
             )
             return 1
         output.say(f"{training}: it parks in simulation")
@@ -178,44 +178,31 @@ def run_park(
 def _train(
     output: Output, course: str, model: str, seed: int, folder: Path, *, overwrite: bool
 ) -> tuple[ParkTraining, str, str]:
-    """Train until the best agent parks with room to spare, for `ITERATIONS` at most.
+    """Train agents until one parks with room to spare, `AGENTS` at most.
 
-    Returns the training, the policy's file, and the reason why the best agent does not park, if it does not.
+    Returns the training, the policy's file, and the reason why its policy does not park, if it does not.
     """
     # The shipped settings name no robot for a 3-AT.
     described = None if model == DEFAULT_ROBOT else model
     settings = TrainSettings(course=course, model=described, seed=seed, agents=AGENTS, iterations=ITERATIONS)
     _clear(folder, overwrite=overwrite)
-    output.say("training twelve agents until the best one parks in simulation")
-    with train_progress(ITERATIONS) as show:
+    output.say(f"training up to {AGENTS} agents until one parks in simulation")
+    driven, rover = course_of(settings), settings.rover
+    with train_progress(AGENTS, "agents") as show:
         result = train(
             settings,
             folder,
-            on_progress=show,
-            stop_when=_stop_rule(course_of(settings), settings.rover),
+            on_progress=lambda ensemble: show(len(ensemble.agents), ensemble),
+            accept=lambda trained: _parks_well(trained, driven, rover),
+            block=_BLOCK,
         )
     training = ParkTraining(
         best_return=result.agents.best.value,
         returns=result.agents.returns,
-        iterations=result.agents.iterations,
+        iterations=ITERATIONS,
         iterations_per_s=result.iterations_per_s,
     )
     return training, str(result.policy_path), result.verdict.reason
-
-
-def _stop_rule(course: Course, rover: RoverModel) -> Callable[[Snapshot, Policy], bool]:
-    """Return whether the best agent of a training parks well; it is driven when it has changed."""
-    tested: tuple[int, float] | None = None
-
-    def stop(snapshot: Snapshot, policy: Policy) -> bool:
-        nonlocal tested
-        best = snapshot.best.number, snapshot.best.value
-        if best == tested:
-            return False
-        tested = best
-        return _parks_well(policy, course, rover)
-
-    return stop
 
 
 def _parks_well(policy: Policy, course: Course, rover: RoverModel) -> bool:

@@ -32,7 +32,7 @@ from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import RobotDescription, load_description
 from rover_ncp.robot.profile import RoverProfile
 from sim.base.trial import BaseTrial, Drawn, draw_rover
-from sim.learn.engine.driver import Driver
+from sim.learn.policies import Driver
 from sim.learn.workers import ProcessPool, available_processes, made_in_each_process
 from sim.stack.camera import CeilingCamera
 from sim.stack.estimates import Belief, belief_of

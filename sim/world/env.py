@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from rover_ncp.course.course import TICK_S, Course, load_course
 from rover_ncp.course.reference import plan_reference
-from rover_ncp.course.scoring import due_checkpoints, reward
 from rover_ncp.course.signals import SIGNALS, needs_reference, signals
 from rover_ncp.course.spaces import ACTIONS, observation_space
 from sim.world.described import default_rover
-from sim.world.pymunk_rover import Ground, PymunkRover, require_free_start
-from sim.world.rover import SUBSTEPS, RoverModel
+from sim.world.episode import Episode
+from sim.world.pymunk_rover import PymunkRover
+from sim.world.randomization import nominal_trials
+from sim.world.rover import RoverModel
 
 ENV_ID = "rover_ncp/RoverParking-v0"
 
@@ -73,43 +74,36 @@ class RoverParkingEnv(gymnasium.Env[FloatArray, FloatArray]):
         self._places = [SIGNALS.index(name) for name in self.signals]
         self._reference = plan_reference(self.course) if needs_reference(self.signals) else None
         self.action_space = ACTIONS
-        require_free_start(self.model, self.course)
-        self._due = due_checkpoints(self.course)
-        self._start()
+        self._trials = nominal_trials(self.model, self.course.ticks)
+        self._episode = Episode(self.course, self.model, self._trials)
 
-    def _start(self) -> None:
-        self.rover = PymunkRover(self.model, Ground(self.course.obstacles))
-        self.tick = 0
-        self.touched = False
+    @property
+    def rover(self) -> PymunkRover:
+        """The simulated rover."""
+        return self._episode.rover
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[FloatArray, dict[str, Any]]:
         """Put the rover to the origin, standing still."""
         super().reset(seed=seed, options=options)
-        self._start()
+        self._episode = Episode(self.course, self.model, self._trials)
         return self._observation(), self._info()
 
     def step(self, action: FloatArray) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
         """Command (v, omega) and advance by a control tick."""
         v, omega = np.clip(np.asarray(action, np.float64), ACTIONS.low, ACTIONS.high)
-        self.rover.command(float(v), float(omega))
-        for _ in range(SUBSTEPS):
-            self.rover.substep()
-            self.touched = self.touched or self.rover.in_contact
-        checkpoint = self._due[self.tick] if self.tick < len(self._due) else -1
-        self.tick += 1
-        gain = reward(self.rover.pose, self.course.checkpoints[checkpoint].pose) if checkpoint >= 0 else 0.0
-        terminated = self.tick >= self.course.ticks
-        return self._observation(), gain, terminated, False, self._info()
+        gain = self._episode.step(float(v), float(omega))
+        return self._observation(), gain, self._episode.over, False, self._info()
 
     def _observation(self) -> FloatArray:
-        reference = self._reference.tick(self.tick) if self._reference else None
-        values = signals(self.rover.pose, self.course.start_signal(TICK_S * self.tick), reference)
+        tick = self._episode.tick
+        reference = self._reference.tick(tick) if self._reference else None
+        values = signals(self._episode.seen, self.course.start_signal(TICK_S * tick), reference)
         return np.array([values[place] for place in self._places])
 
     def _info(self) -> dict[str, Any]:
-        return {"time_s": TICK_S * self.tick, "touched": self.touched}
+        return {"time_s": TICK_S * self._episode.tick, "touched": self._episode.touched}
 
 
 gymnasium.register(id=ENV_ID, entry_point="sim.world.env:RoverParkingEnv")

@@ -1,6 +1,5 @@
 """Training on a Dask cluster: a real scheduler and two worker processes; one is killed on the way."""
 
-import json
 import signal
 
 import pytest
@@ -8,13 +7,12 @@ from kit.paths import DATA, content
 from kit.training_processes import Cluster, start_rover_ncp
 
 from rover_ncp.cli import run
-from sim.learn.cluster import DaskCluster
 from sim.live.processes import wait_for
 
 pytestmark = pytest.mark.usefixtures("no_git")
 
 COURSE = DATA / "short_course.yaml"
-TRAIN = ["train", "--course", str(COURSE), "--agents", "4", "--seed", "3"]
+TRAIN = ["train", "--course", str(COURSE), "--agents", "8", "--seed", "3"]
 
 
 @pytest.fixture(scope="module")
@@ -24,16 +22,8 @@ def cluster(tmp_path_factory):
     found.stop()
 
 
-def progress(folder):
-    """Return how many iterations the first agent has saved."""
-    try:
-        return int(json.loads((folder / "agents" / "00.json").read_text())["state"]["search"]["evaluations"])
-    except (FileNotFoundError, json.JSONDecodeError):
-        return 0
-
-
 def test_without_scheduler_or_workers_it_says_so(cluster, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("sim.learn.cluster.CONNECT_S", 0.5)
+    monkeypatch.setattr("sim.learn.workers.CONNECT_S", 0.5)
     for number, (address, message) in enumerate(
         (
             ("tcp://127.0.0.1:9", "no Dask scheduler answers at tcp://127.0.0.1:9"),
@@ -43,14 +33,6 @@ def test_without_scheduler_or_workers_it_says_so(cluster, tmp_path, monkeypatch,
     ):
         assert run([*TRAIN, "--out", str(tmp_path / str(number)), "--cluster", address]) == 2
         assert message in capsys.readouterr().err
-
-
-def test_a_cluster_whose_last_worker_died_is_named(cluster, monkeypatch, caplog):
-    monkeypatch.setattr("sim.learn.cluster._LOOK_S", 0.1)
-    victim = cluster.add_worker()
-    with DaskCluster(cluster.address):
-        victim.kill()
-        wait_for(lambda: "no worker is left at" in caplog.text, 30.0, "the warning")
 
 
 @pytest.mark.long
@@ -63,12 +45,11 @@ def test_a_cluster_gives_the_bytes_of_one_machine_though_a_worker_is_killed(clus
         victim = cluster.add_worker()
     training = start_rover_ncp(*TRAIN, *iterations, "--out", str(there), "--cluster", cluster.address)
     try:
-        wait_for(lambda: progress(there) > 0, 60.0, "the first rounds")
+        wait_for((there / "agents" / "01.json").exists, 60.0, "the first block")
         victim.send_signal(signal.SIGKILL)
-        killed_at = progress(there)
+        assert not (there / "agents" / "07.json").exists()
         assert training.wait(timeout=60) == 0
     finally:
         training.kill()
         training.wait()
-    assert killed_at < 1000
     assert content(there) == content(here)

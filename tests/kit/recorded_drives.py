@@ -12,7 +12,7 @@ from rover_ncp.recording.recording import Recorded, RecordingWriter
 from rover_ncp.wire import messages
 from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.protocol import DriverStatus, GateStatus, dump_json
-from sim.learn.engine.rollout import rollout
+from sim.learn.rollout import rollout
 
 BEGAN_NS = 1_700_000_000_000_000_000
 TICK_NS = 100_000_000

@@ -5,6 +5,7 @@ import numpy as np
 from rover_ncp.circuit.compiled import dead_parameters
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
+from sim.learn.search.strategies import Scores, start_search
 
 POLICY = parking_policy(load_circuit("parking"))
 LAYOUT = POLICY.layout()
@@ -26,22 +27,41 @@ def candidates(count, seed=0, policy=POLICY):
 
 
 def sphere(vectors):
-    """Residuals (n, 1, C, 3): the distance of each parameter from the goal, as a fraction of its range."""
+    """Residuals (n, C, 3): the distance of each parameter from the goal, as a fraction of its range."""
     residuals = np.zeros((len(vectors), CHECKPOINTS * 3))
     residuals[:, : LAYOUT.size] = (vectors - GOAL) / WIDTH
-    return residuals.reshape(len(vectors), 1, CHECKPOINTS, 3)
+    return residuals.reshape(len(vectors), CHECKPOINTS, 3)
 
 
 def returns(residuals):
-    return -np.sum(residuals**2, axis=(1, 2, 3))
+    return -np.sum(residuals**2, axis=(1, 2))
 
 
-def advance(search, evaluations, toy=sphere, ahead=1000):
-    """Evaluate so many candidates; return all that were asked for (n, P)."""
-    asked = [np.empty((0, LAYOUT.size))]
-    while search.evaluations < evaluations:
-        asked.append(search.ask(min(evaluations - search.evaluations, ahead, search.max_ahead)))
-        assert len(search.to_beat) == len(asked[-1])
-        residuals = toy(asked[-1])
-        search.tell(returns(residuals), residuals)
-    return np.concatenate(asked)
+class ToySearch:
+    """A search on a toy objective, and the best that it has tried."""
+
+    def __init__(self, name, seed=0):
+        self._search = start_search(name, LAYOUT, DEFAULTS, np.random.default_rng(seed), INERT)
+        self.batch = next(self._search)
+        self.tried, self.value, self.best = 0, -np.inf, None
+
+    def step(self, toy=sphere):
+        """Evaluate what the search asks for; return these candidates (n, P)."""
+        residuals = toy(self.batch.vectors)
+        return self.tell(returns(residuals), residuals)
+
+    def tell(self, values, residuals):
+        """Hand over scores; return their candidates."""
+        vectors = self.batch.vectors.copy()
+        if values.max() > self.value:
+            self.value, self.best = values.max(), vectors[values.argmax()]
+        self.tried += len(vectors)
+        self.batch = self._search.send(Scores(values, residuals))
+        return vectors
+
+    def advance(self, count, toy=sphere):
+        """Evaluate at least so many candidates in all; return those of this call (n, P)."""
+        asked = []
+        while self.tried < count:
+            asked.append(self.step(toy))
+        return np.concatenate(asked)

@@ -10,7 +10,7 @@ from deploy.drive import controller
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.course.course import load_course
 from rover_ncp.export.c_sources import c_files
-from sim.learn.engine.driver import load_driver
+from sim.learn.policies import load_driver
 from sim.stack.trials import Stack, drive_all
 from sim.world.randomization import load_randomization
 

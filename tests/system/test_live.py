@@ -15,7 +15,7 @@ from rover_ncp.recording.recording import read_recording, rewrite
 from rover_ncp.wire.key_table import key
 from rover_ncp.wire.messages import read_text
 from rover_ncp.wire.protocol import GateStatus, parse_json
-from sim.learn.engine.driver import load_driver
+from sim.learn.policies import load_driver
 from sim.live.live_run import LiveRun
 from sim.live.peers import Peer
 from sim.live.truth import during, recorded_truth

@@ -21,7 +21,7 @@ from rover_ncp.wire.messages import (
     neurons,
     pose_with_covariance,
 )
-from sim.learn.engine.rollout import rollout
+from sim.learn.rollout import rollout
 
 SHORT = str(DATA / "short_course.yaml")
 

@@ -3,16 +3,18 @@
 Success multiplies the scale by alpha, failure divides it by alpha; after N iterations without success the
 incumbent's return is estimated anew, because it may have been lucky. The paper gives no numbers; ours are
 below. The kinds differ in size by four orders of magnitude, so the scale is a fraction of each one's range.
+An estimate counts as an iteration.
 """
 
-from dataclasses import dataclass, replace
-from typing import Self
+import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import ParameterLayout
-from sim.learn.search.base import Strategy, Vector
-from sim.learn.search.random_search import RandomSearch
+from sim.learn.search.published import perturb
+from sim.learn.search.strategies import Batch, Search
+from sim.learn.search.unit_box import Vector
 
 ALPHA = 1.05
 ESTIMATE_AFTER = 100
@@ -25,41 +27,23 @@ MIN_SCALE = 0.01
 MAX_SCALE = 0.5
 
 
-@dataclass(frozen=True)
-class Scale:
-    """The noise's scale as a fraction of each parameter's range, and the iterations without success."""
-
-    scale: float = START_SCALE
-    failures: int = 0
-
-    def after_success(self) -> Self:
-        """Return a greater scale."""
-        return type(self)(min(self.scale * ALPHA, MAX_SCALE))
-
-    def after_failure(self) -> Self:
-        """Return a smaller scale."""
-        return type(self)(max(self.scale / ALPHA, MIN_SCALE), self.failures + 1)
-
-
-class Algorithm1(RandomSearch[Scale]):
-    """Algorithm 1 with limits of its scale, and an estimate that counts as an iteration."""
-
-    def first_adaptation(self, layout: ParameterLayout) -> Scale:
-        """Return the first scale."""
-        return Scale()
-
-    def propose(self, adaptation: Scale, generator: np.random.Generator) -> Vector:
-        """Add noise to every entry."""
-        noise = adaptation.scale * (self.upper - self.lower) * generator.standard_normal(len(self.upper))
-        return self.clip(self.incumbent + noise)
-
-    def wants_estimate(self, adaptation: Scale) -> bool:
-        """Every N iterations without success."""
-        return adaptation.failures >= ESTIMATE_AFTER
-
-    def after_estimate(self, adaptation: Scale) -> Scale:
-        """Count the iterations without success anew; the scale stays."""
-        return replace(adaptation, failures=0)
-
-
-SEARCH: type[Strategy] = Algorithm1
+def search(
+    layout: ParameterLayout, defaults: Vector, rng: np.random.Generator, inert: NDArray[np.bool_]
+) -> Search:
+    """Search from the perturbed defaults (P,); inert parameters are changed like all others."""
+    lower, upper = layout.lower, layout.upper
+    incumbent = perturb(layout, defaults, rng)
+    value = (yield Batch(incumbent[None].copy(), np.array([-math.inf]))).returns[0]
+    scale, failures = START_SCALE, 0
+    while True:
+        if failures >= ESTIMATE_AFTER:
+            value = (yield Batch(incumbent[None].copy(), np.array([-math.inf]))).returns[0]
+            failures = 0
+        noise = scale * (upper - lower) * rng.standard_normal(len(upper))
+        candidate = np.clip(incumbent + noise, lower, upper)
+        found = (yield Batch(candidate[None].copy(), np.array([value]))).returns[0]
+        if found > value:
+            incumbent, value = candidate, found
+            scale, failures = min(scale * ALPHA, MAX_SCALE), 0
+        else:
+            scale, failures = max(scale / ALPHA, MIN_SCALE), failures + 1

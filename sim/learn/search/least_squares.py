@@ -10,7 +10,7 @@ import numpy as np
 from numba.extending import get_cython_function_address
 
 from rover_ncp.kernels.jit import call_fortran, kernel
-from sim.learn.search.base import Vector
+from sim.learn.search.unit_box import Vector
 
 _MIN_SHARE = 1e-12
 

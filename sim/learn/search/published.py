@@ -6,19 +6,32 @@ After 51 failures in a row every cap grows by one, after a success it shrinks by
 the scale of the noise never adapts. Constants: the published parking search.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple, Self
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout
-from sim.learn.search.base import Strategy, Vector
-from sim.learn.search.random_search import RandomSearch
+from sim.learn.search.strategies import Batch, Search
+from sim.learn.search.unit_box import Vector
 
 FAILURES_TO_WIDEN = 51
 """Failures in a row after which every cap grows by one, and the count begins anew."""
+
+_START_NOISE: Mapping[ParameterKind, tuple[int, float]] = {
+    ParameterKind.WEIGHT: (15, 0.5),
+    ParameterKind.SIGMA: (10, 0.2),
+    ParameterKind.LEAK_POTENTIAL: (8, 8.0),
+    ParameterKind.LEAK: (8, 0.2),
+    ParameterKind.CAPACITANCE: (10, 0.1),
+    # Parking has no layers. Ours: a layer's entries are weights too.
+    ParameterKind.INPUT_LAYER: (15, 0.5),
+    ParameterKind.OUTPUT_LAYER: (15, 0.5),
+}
+"""Changes of each kind at the start and their standard deviation."""
 
 
 class KindRule(NamedTuple):
@@ -46,61 +59,52 @@ RULES: Mapping[ParameterKind, KindRule] = {
 }
 
 
-@dataclass(frozen=True)
-class Caps:
-    """The largest number of changes of each kind in one iteration, and the failures since it last moved."""
-
-    least: tuple[int, ...]
-    most: tuple[int, ...]
-    caps: tuple[int, ...]
-    failures: int = 0
-
-    def after_success(self) -> Self:
-        """Shrink every cap by one, not below its least; count failures anew."""
-        caps = tuple(max(cap - 1, least) for cap, least in zip(self.caps, self.least, strict=True))
-        return replace(self, caps=caps, failures=0)
-
-    def after_failure(self) -> Self:
-        """Count a failure; with the 51st every cap grows by one, not above its most."""
-        if self.failures + 1 < FAILURES_TO_WIDEN:
-            # Not by ``replace``, which takes several times as long; every candidate comes here twice.
-            return type(self)(self.least, self.most, self.caps, self.failures + 1)
-        return self.widened()
-
-    def widened(self) -> Self:
-        """Grow every cap by one, not above its most; count failures anew."""
-        caps = tuple(min(cap + 1, most) for cap, most in zip(self.caps, self.most, strict=True))
-        return replace(self, caps=caps, failures=0)
+def perturb(layout: ParameterLayout, defaults: Vector, rng: np.random.Generator) -> Vector:
+    """Return the defaults (P,) with noise on some entries of each kind, so that no two agents start alike."""
+    vector = np.array(defaults, dtype=np.float64)
+    for block in layout.blocks:
+        changes, deviation = _START_NOISE[block.kind]
+        entries = rng.integers(block.slice.start, block.slice.stop, changes)
+        np.add.at(vector, entries, rng.normal(0.0, deviation, changes))
+    return np.clip(vector, layout.lower, layout.upper)
 
 
-class Published(RandomSearch[Caps]):
-    """The published variant of the random search."""
+class Changes:
+    """Draws candidates near an incumbent, by the rule of each kind."""
 
-    rules: ClassVar[Mapping[ParameterKind, KindRule]] = RULES
-    caps: ClassVar[type[Caps]] = Caps
-
-    def __init__(self, layout: ParameterLayout, start: Vector, generator: np.random.Generator) -> None:
-        super().__init__(layout, start, generator)
-        rules = [self.rules[block.kind] for block in layout.blocks]
+    def __init__(self, layout: ParameterLayout, rules: Mapping[ParameterKind, KindRule]) -> None:
+        self.rules = [rules[block.kind] for block in layout.blocks]
+        self._lower, self._upper = layout.lower, layout.upper
         self._starts = np.array([block.slice.start for block in layout.blocks])
         self._stops = np.array([block.slice.stop for block in layout.blocks])
-        self._low = np.array([rule.low for rule in rules])
-        self._width = np.array([rule.high - rule.low for rule in rules])
+        self._low = np.array([rule.low for rule in self.rules])
+        self._width = np.array([rule.high - rule.low for rule in self.rules])
 
-    def first_adaptation(self, layout: ParameterLayout) -> Caps:
-        """Return the first caps."""
-        rules = [self.rules[block.kind] for block in layout.blocks]
-        first = tuple(rule.first or rule.least for rule in rules)
-        return self.caps(tuple(rule.least for rule in rules), tuple(rule.most for rule in rules), first)
-
-    def propose(self, adaptation: Caps, generator: np.random.Generator) -> Vector:
+    def draw(self, incumbent: Vector, caps: Sequence[int], rng: np.random.Generator) -> Vector:
         """Draw the numbers of changes, the deviations, the entries and the noise, in this order."""
-        counts = generator.integers(0, adaptation.caps, endpoint=True)
-        deviations = self._low + self._width * generator.random(len(counts))
-        entries = generator.integers(np.repeat(self._starts, counts), np.repeat(self._stops, counts))
-        vector = self.incumbent.copy()
-        np.add.at(vector, entries, np.repeat(deviations, counts) * generator.standard_normal(len(entries)))
-        return self.clip(vector)
+        counts = rng.integers(0, caps, endpoint=True)
+        deviations = self._low + self._width * rng.random(len(counts))
+        entries = rng.integers(np.repeat(self._starts, counts), np.repeat(self._stops, counts))
+        vector = incumbent.copy()
+        np.add.at(vector, entries, np.repeat(deviations, counts) * rng.standard_normal(len(entries)))
+        return np.clip(vector, self._lower, self._upper)
 
 
-SEARCH: type[Strategy] = Published
+def search(
+    layout: ParameterLayout, defaults: Vector, rng: np.random.Generator, inert: NDArray[np.bool_]
+) -> Search:
+    """Search from the perturbed defaults (P,); inert parameters are changed like all others."""
+    changes = Changes(layout, RULES)
+    caps, failures = [rule.first or rule.least for rule in changes.rules], 0
+    incumbent = perturb(layout, defaults, rng)
+    value = (yield Batch(incumbent[None].copy(), np.array([-math.inf]))).returns[0]
+    while True:
+        candidate = changes.draw(incumbent, caps, rng)
+        found = (yield Batch(candidate[None].copy(), np.array([value]))).returns[0]
+        failures += 1
+        if found > value:
+            incumbent, value, failures = candidate, found, 0
+            caps = [max(cap - 1, rule.least) for cap, rule in zip(caps, changes.rules, strict=True)]
+        elif failures == FAILURES_TO_WIDEN:
+            failures = 0
+            caps = [min(cap + 1, rule.most) for cap, rule in zip(caps, changes.rules, strict=True)]

@@ -1,21 +1,54 @@
-"""The searches by name: a new one is a module of this folder and a line of `SearchName`."""
+"""Searches: generators that propose parameter vectors and receive how their episodes ended.
+
+    search = start_search(name, layout, defaults, rng, inert)
+    batch = next(search)
+    while True:
+        batch = search.send(evaluated(batch))
+
+The first batch is the start alone. A search knows vectors, their bounds and a random generator; neither
+circuit nor simulator nor clock. It has no end: whoever runs it stops it. A new search is a module of this
+folder and a line of `SearchName`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from enum import StrEnum
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
     from rover_ncp.circuit.policy import ParameterLayout
-    from sim.learn.search.base import Strategy, Vector
+
+    Vector: TypeAlias = NDArray[np.float64]
+
+
+class Batch(NamedTuple):
+    """Candidates that wait for their episodes."""
+
+    vectors: Vector
+    """(n, P) within bounds; the caller owns them."""
+    to_beat: Vector
+    """(n,) what a return must exceed to matter; an episode below may be truncated."""
+
+
+class Scores(NamedTuple):
+    """How the episodes of a batch ended."""
+
+    returns: Vector
+    """(n,)."""
+    residuals: Vector
+    """(n, C, 3) x, y and heading from each checkpoint, complete where an episode was not truncated."""
+
+
+Search: TypeAlias = Generator[Batch, Scores, None]
 
 
 class SearchName(StrEnum):
-    """The names that ``--search`` takes; ``some-name`` is ``SEARCH`` of the module ``some_name``.
+    """The names that ``--search`` takes; ``some-name`` is ``search`` of the module ``some_name``.
 
     That module is imported when its search begins: ``--help`` needs the names alone.
     """
@@ -26,12 +59,9 @@ class SearchName(StrEnum):
 
 
 def start_search(
-    name: str,
-    layout: ParameterLayout,
-    defaults: Vector,
-    generator: np.random.Generator,
-    inert: NDArray[np.bool_] | None = None,
-) -> Strategy:
+    name: str, layout: ParameterLayout, defaults: Vector, rng: np.random.Generator, inert: NDArray[np.bool_]
+) -> Search:
     """Begin a search at, or near, the defaults (P,); ``inert`` (P,) marks parameters without any effect."""
-    search: type[Strategy] = import_module(f"sim.learn.search.{name.replace('-', '_')}").SEARCH
-    return search.begin(layout, defaults, generator, inert)
+    module = import_module(f"sim.learn.search.{name.replace('-', '_')}")
+    search: Search = module.search(layout, defaults, rng, inert)
+    return search

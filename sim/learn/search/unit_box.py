@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout
 from rover_ncp.kernels.jit import kernel
-from sim.learn.search.base import Vector
 
 FACTORS = (ParameterKind.LEAK, ParameterKind.CAPACITANCE)
 """The kinds that go by their logarithm."""
 
+Vector = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 

@@ -14,7 +14,7 @@ from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import load_course
 from rover_ncp.neurons.trace import motor_outputs
-from sim.learn.engine.rollout import rollout
+from sim.learn.rollout import rollout
 
 SHORT = str(DATA / "short_course.yaml")
 

@@ -14,7 +14,7 @@ from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, compose, distance
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.signals import SIGNALS, signals
-from sim.learn.engine.rollout import rollout
+from sim.learn.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.randomization import nominal_trials
 

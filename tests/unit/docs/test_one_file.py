@@ -8,7 +8,7 @@ from kit.paths import ROOT
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.files import resolve
 from rover_ncp.course.course import load_course
-from sim.learn.engine.rollout import rollout
+from sim.learn.rollout import rollout
 
 EXAMPLE = run_path(str(ROOT / "docs" / "examples" / "one_file.py"))
 

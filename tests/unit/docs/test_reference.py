@@ -13,8 +13,8 @@ from paper.claims import load_claims
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.core.config import parse_yaml
 from rover_ncp.course.course import load_course
-from sim.learn.engine.rollout import rollout
-from sim.learn.record import TrainSettings, resolve_task
+from sim.learn.rollout import rollout
+from sim.learn.settings import TrainSettings, resolve_task
 
 EXAMPLES = ROOT / "docs" / "examples"
 # Examples that leave keys out: bodies of MuJoCo, what a robot is seldom measured for, a Pioneer's own.

@@ -17,8 +17,8 @@ from rover_ncp.robot.description import load_description
 from sim.explain.explain import explain
 from sim.explain.files import page
 from sim.explain.what_if import parameter_names, sensitivities, without_neuron, without_synapse
-from sim.learn.engine.evaluator import Evaluator
-from sim.learn.engine.rollout import rollout
+from sim.learn.evaluator import Evaluator
+from sim.learn.rollout import rollout
 from sim.world.described import described_rover
 
 SHORT = "tests/data/short_course.yaml"

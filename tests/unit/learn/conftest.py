@@ -5,7 +5,7 @@ import itertools
 import pytest
 
 from rover_ncp.core.files import write_atomic
-from sim.learn import run_folder
+from sim.learn import folder
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -13,7 +13,7 @@ def quick_runs():
     """Hide git, because a commit during the tests would change the records; draw no pictures of curves."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PATH", "")
-        patch.setattr("sim.learn.train.curve_png", lambda *_: b"a picture")
+        patch.setattr("sim.learn.ensemble.curve_png", lambda *_: b"a picture")
         yield
 
 
@@ -21,9 +21,8 @@ def quick_runs():
 def dies(monkeypatch):
     """Return a function that calls another one, which a write of a run folder kills, as no handler notices.
 
-    It returns whether the write of that number came. Runs write a checkpoint each round.
+    It returns whether the write of that number came.
     """
-    monkeypatch.setattr(run_folder, "_CHECKPOINT_SHARE", float("inf"))
 
     class DiedError(BaseException):
         pass
@@ -37,7 +36,7 @@ def dies(monkeypatch):
             write_atomic(path, data)
 
         with monkeypatch.context() as patch:
-            patch.setattr(run_folder, "write_atomic", dying_write)
+            patch.setattr(folder, "write_atomic", dying_write)
             try:
                 train()
             except DiedError:

@@ -9,11 +9,10 @@ from kit.paths import DATA, ROOT
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import load_course
-from sim.learn.engine.rollout import rollout
-from sim.learn.record import RobustSettings
-from sim.learn.robust import policy_box
-from sim.learn.robust_run import train_robust
-from sim.learn.train import train
+from sim.learn.ensemble import train
+from sim.learn.robust import policy_box, train_robust
+from sim.learn.rollout import rollout
+from sim.learn.settings import RobustSettings
 
 SHORT = str(DATA / "short_course.yaml")
 FORWARD = ROOT / "docs" / "examples" / "policy.yaml"

@@ -11,7 +11,7 @@ from rover_ncp.circuit.policy_file import load_circuit, load_policy
 from rover_ncp.cli import run
 from rover_ncp.course.course import ParkedRule, load_course
 from rover_ncp.course.reference import plan_reference
-from sim.learn.engine.evaluator import Evaluator, Outcomes
+from sim.learn.evaluator import Evaluator, Outcomes
 from sim.learn.robust import (
     REFINING,
     TRAINING,

@@ -7,9 +7,8 @@ from kit.paths import DATA, content
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.files import resolve
-from sim.learn.record import RobustSettings
-from sim.learn.robust_run import train_robust
-from sim.learn.workers import Inline
+from sim.learn.robust import train_robust
+from sim.learn.settings import RobustSettings
 
 SETTINGS = RobustSettings(
     course=str(DATA / "short_course.yaml"),
@@ -30,12 +29,9 @@ def reference(tmp_path_factory):
     return out
 
 
-def test_workers_change_nothing(reference, tmp_path, monkeypatch):
-    workers = Inline()
-    workers.count = 3
-    monkeypatch.setattr("sim.learn.robust_run.local_workers", lambda count: workers)
-    train_robust(SETTINGS, tmp_path / "three")
-    files = content(tmp_path / "three")
+def test_processes_change_nothing(reference, tmp_path):
+    train_robust(SETTINGS, tmp_path / "two", processes=2)
+    files = content(tmp_path / "two")
     assert sorted(files) == ["curve.csv", "policy.yaml", "search.json", "settings.yaml"]
     assert files == content(reference)
 
@@ -97,18 +93,6 @@ def test_run_whose_file_changed_is_not_resumed(tmp_path, setting):
     assert content(tmp_path / "run") == before
     path.write_text(text)
     resume()
-
-
-def test_run_of_a_version_that_recorded_no_ranges_is_resumed(tmp_path):
-    path, resume = own_run(tmp_path, "randomize")
-    record = tmp_path / "run" / "settings.yaml"
-    saved = yaml.safe_load(record.read_text())
-    assert saved.pop("randomize") == {"name": "own", "lost": 0.1}
-    record.write_text(dump_yaml(saved))
-    before = content(tmp_path / "run")
-    path.write_text(path.read_text().replace("0.1", "0.2"))
-    resume()
-    assert content(tmp_path / "run") == before
 
 
 def test_resuming_with_other_versions_is_a_warning_in_one_line(tmp_path, caplog):

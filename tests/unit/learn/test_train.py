@@ -14,12 +14,10 @@ from kit.paths import DATA, content
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import ConfigError, FileError, UsageError
 from rover_ncp.course.course import load_course
-from sim.learn.agents import AgentState
-from sim.learn.curve import curve_csv, curve_iterations, curve_png
-from sim.learn.engine.evaluator import Evaluator
-from sim.learn.record import TrainSettings, resolve_task
-from sim.learn.train import train, training_plan
-from sim.learn.workers import Inline
+from sim.learn.curve import Agent, curve_csv, curve_iterations, curve_png, note_improvement
+from sim.learn.ensemble import train, training_plan
+from sim.learn.evaluator import Evaluator
+from sim.learn.settings import TrainSettings, resolve_task
 
 COURSE = DATA / "short_course.yaml"
 SETTINGS = TrainSettings(course=str(COURSE), seed=1, agents=2, iterations=150)
@@ -67,23 +65,20 @@ def test_the_command_in_a_policy_makes_it_again(reference, tmp_path):
     assert content(tmp_path / "again") == content(reference)
 
 
-def test_run_that_ended_early_names_the_command_that_ends_there(tmp_path):
+@pytest.mark.parametrize(("processes", "block"), [(1, 1), (2, 1), (2, 2)])
+def test_processes_and_company_change_nothing(reference, tmp_path, processes, block):
+    train(SETTINGS, tmp_path / "run", processes=processes, block=block)
+    assert content(tmp_path / "run") == content(reference)
+
+
+def test_the_first_agent_that_is_accepted_ends_the_training(reference, tmp_path):
     seen = []
-
-    def enough(snapshot, best):
-        seen.append(best)
-        assert best.provenance["return"] == snapshot.best.value
-        return snapshot.iterations == 100
-
-    stopped = run(tmp_path / "stopped", stop_when=enough)
-    assert stopped.agents.iterations == 100
-    assert len(seen) == 2
-    assert "--iterations 100 " in stopped.policy.provenance["command"]
-    exact = run(tmp_path / "exact", SETTINGS.model_copy(update={"iterations": 100}))
-    stopped_files, exact_files = content(tmp_path / "stopped"), content(tmp_path / "exact")
-    assert stopped_files.pop("settings.yaml") != exact_files.pop("settings.yaml")
-    assert stopped_files == exact_files
-    assert exact.agents.returns == stopped.agents.returns
+    found = run(tmp_path / "run", accept=lambda policy: bool(seen.append(policy)) or True)
+    assert len(seen) == len(found.agents.agents) == 1
+    first = load_policy(reference / "agents" / "00.yaml")
+    assert found.policy.parameters().tolist() == first.parameters().tolist()
+    assert load_policy(tmp_path / "run" / "policy.yaml").provenance["agent"] == 0
+    assert not (tmp_path / "run" / "agents" / "01.json").exists()
 
 
 def test_resuming_a_complete_run_writes_the_same_bytes(reference):
@@ -93,24 +88,6 @@ def test_resuming_a_complete_run_writes_the_same_bytes(reference):
     assert content(reference) == before
     assert (reference / "policy.yaml").stat().st_mtime_ns > stamps["policy.yaml"]
     assert result.iterations_per_s is None
-
-
-@pytest.mark.parametrize(("resume", "speed"), [(False, 900.0), (True, 500.0)])
-def test_speed_counts_only_iterations_whose_time_was_measured(tmp_path, monkeypatch, resume, speed):
-    """A worker returns several rounds at once: after one second here, whatever it did."""
-    now, settings = 0.0, SETTINGS.model_copy(update={"iterations": 450})
-
-    class Slow(Inline):
-        def submit(self, function, /, *arguments):
-            nonlocal now
-            now += 1.0
-            return super().submit(function, *arguments)
-
-    if resume:
-        run(tmp_path / "run", settings, stop_when=lambda snapshot, best: snapshot.iterations == 100)
-    monkeypatch.setattr("sim.learn.train.local_workers", lambda count: Slow())
-    monkeypatch.setattr("sim.learn.train.time.monotonic", lambda: now)
-    assert run(tmp_path / "run", settings, resume=resume).iterations_per_s == speed
 
 
 @pytest.mark.long
@@ -123,23 +100,22 @@ def test_dying_before_any_single_write_changes_nothing(reference, tmp_path, dies
             (out / "agents" / ".00.json.abc").write_text("{")
         run(out, resume=(out / "settings.yaml").exists())
         assert content(out) == expected
-    # The record, three rounds and the end of two agents, policy and curve; two policies and the picture.
-    assert deaths == 1 + 4 * 4 + 3
+    # The record, two agents, policy and table, and both again at the end; two policies and the picture.
+    assert deaths == 1 + 2 + 2 + 2 + 3
 
 
-def test_an_interrupted_run_saves_its_last_round(reference, tmp_path, monkeypatch):
-    monkeypatch.setattr("sim.learn.run_folder._CHECKPOINT_SHARE", 1e-9)
-
-    def interrupt(snapshot):
-        if snapshot.iterations == 100:
-            raise KeyboardInterrupt
+def test_an_interrupted_run_keeps_the_blocks_that_have_ended(reference, tmp_path):
+    def interrupt(ensemble):
+        raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(tmp_path / "run", on_progress=interrupt)
-    table = (tmp_path / "run" / "curve.csv").read_text().splitlines()
-    assert table[-1].startswith("100,")
-    assert load_policy(tmp_path / "run" / "policy.yaml").provenance["settings"]["iterations"] == 100
-    run(tmp_path / "run", resume=True)
+        run(tmp_path / "run", on_progress=interrupt, block=1)
+    saved = (tmp_path / "run" / "agents" / "00.json").read_bytes()
+    assert saved == (reference / "agents" / "00.json").read_bytes()
+    assert load_policy(tmp_path / "run" / "policy.yaml").provenance["agent"] == 0
+    trained = []
+    run(tmp_path / "run", resume=True, accept=lambda policy: bool(trained.append(policy)))
+    assert len(trained) == 1
     assert content(tmp_path / "run") == content(reference)
 
 
@@ -192,7 +168,7 @@ def test_a_course_that_changed_is_refused(tmp_path):
 
 def _other_value(agents):
     data = json.loads((agents / "00.json").read_text())
-    data["state"]["search"]["value"] -= 1.0
+    data["state"]["vector"][0] += 1e-9
     (agents / "00.json").write_text(json.dumps(data))
 
 
@@ -252,8 +228,17 @@ def test_a_curve_shows_iterations_of_two_digits_and_the_last(last, shown):
     assert curve_iterations(last) == shown
 
 
+def test_curve_of_a_search_that_always_improves_stays_small():
+    improvements = []
+    for iteration in range(50_001):
+        note_improvement(improvements, iteration, float(iteration))
+    assert len(improvements) < 400
+    agent = Agent(0, (), improvements)
+    assert [agent.value_at(i) for i in (0, 7, 100, 1200, 50_000)] == [0, 7, 100, 1200, 50_000]
+
+
 def agents_with(*curves):
-    return [AgentState(n, {"value": curve[-1][1]}, tuple(curve)) for n, curve in enumerate(curves)]
+    return [Agent(number, (), curve) for number, curve in enumerate(curves)]
 
 
 def test_the_table_holds_the_best_so_far_with_all_digits():

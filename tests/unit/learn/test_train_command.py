@@ -37,7 +37,7 @@ def test_people_read_the_progress_the_return_and_where_the_policy_is(monkeypatch
     assert str(tmp_path / "run" / "policy.yaml") in printed.out
     best = load_policy(tmp_path / "run" / "policy.yaml").provenance["return"]
     assert f"best {best:.4f}" in printed.err
-    assert "20/20" in printed.err
+    assert "2/2" in printed.err
 
 
 def test_runs_without_a_folder_are_numbered(tmp_path, monkeypatch, run_json):

@@ -14,7 +14,7 @@ from rover_ncp.neurons.findings import analyse
 from rover_ncp.neurons.phases import Mean, explain, phases
 from rover_ncp.neurons.trace import Trace, motor_outputs, motor_shares
 from sim.explain.explain import traced
-from sim.learn.engine.rollout import rollout
+from sim.learn.rollout import rollout
 
 EX, IN = SynapseKind.EXCITATORY, SynapseKind.INHIBITORY
 

@@ -7,8 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.learn.search.constants import CONSTANTS
-from sim.learn.search.descent import Descent, Outcome, known_checkpoints, survival, survival_weights
+from sim.learn.search.descent import (
+    CONSTANTS,
+    Descent,
+    Outcome,
+    known_checkpoints,
+    survival,
+    survival_weights,
+)
 from sim.learn.search.least_squares import correct_slopes, damped_steps, measure_slopes
 
 
@@ -17,7 +23,7 @@ def descent_at(value, gain, steps):
     residuals = np.zeros((22, 3))
     residuals[0, 0] = math.sqrt(-value)
     at = Outcome(np.zeros(4), value, residuals)
-    return Descent(at, False, False, np.zeros((4, 66)), 0.1, [value - gain] + [value] * steps)
+    return Descent(at, False, np.zeros((4, 66)), 0.1, [value - gain] + [value] * steps)
 
 
 @pytest.mark.parametrize(("value", "share"), [(-0.5, 0.05), (-0.09, 0.01)])
@@ -43,7 +49,7 @@ def stalled():
     slopes = np.full((4, 6), 0.5)
     slopes[[1, 3]] = 0.0
     at = Outcome(np.array([0.5, 0.5, 0.5, 0.98]), -0.6, np.full((2, 3), math.sqrt(0.1)))
-    descent = Descent(at, True, False, slopes, 1e3, [])
+    descent = Descent(at, True, slopes, 1e3, [])
     descent.scores = [descent.score(at)]
     return descent
 

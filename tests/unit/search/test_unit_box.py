@@ -8,7 +8,8 @@ from kit.toy_search import DEFAULTS, INERT, LAYOUT, POLICY, WIDTH
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.course.course import load_course
-from sim.learn.engine.evaluator import Evaluator
+from sim.learn.evaluator import Evaluator
+from sim.learn.search.strategies import Batch
 from sim.learn.search.unit_box import UnitBox, reflected
 
 
@@ -37,9 +38,9 @@ def test_inert_parameters_change_no_miss_and_all_others_do():
     vectors = np.concatenate([base + np.diag(moves), base[None]])
     stream, residuals = Evaluator(POLICY, load_course("parking")).stream(1), []
     for part in np.array_split(vectors, 2):  # a stream has no room for all
-        stream.submit(0, part, np.full(len(part), -np.inf))
-        [answer] = stream.collect()
-        residuals += [*answer.residuals.copy()]
+        stream.submit(0, Batch(part, np.full(len(part), -np.inf)))
+        [(_, scores)] = stream.collect()
+        residuals += [*scores.residuals.copy()]
     same = np.array([np.array_equal(row, residuals[-1]) for row in residuals[:-1]])
     assert same.tolist() == INERT.tolist()
 

@@ -10,8 +10,8 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.files import shipped_names
 from rover_ncp.course.course import load_course
 from sim.evaluate.evaluate import drive_trials, tally, unseen_courses
-from sim.learn.engine.driver import load_driver
-from sim.learn.engine.rollout import rollout
+from sim.learn.policies import load_driver
+from sim.learn.rollout import rollout
 from sim.world.randomization import load_randomization
 
 

@@ -6,7 +6,7 @@ from kit.paths import DATA
 from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
 from rover_ncp.robot.description import load_description
-from sim.learn.engine.driver import load_driver
+from sim.learn.policies import load_driver
 from sim.stack.trials import Stack
 from sim.world.bodies import Body
 from sim.world.described import described_rover, ranges_of

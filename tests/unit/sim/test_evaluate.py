@@ -15,8 +15,8 @@ from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
 from sim.evaluate import evaluate
 from sim.evaluate.evaluate import unseen_courses
-from sim.learn.engine.driver import circuit_driver, load_driver
-from sim.learn.engine.rollout import rollout
+from sim.learn.policies import circuit_driver, load_driver
+from sim.learn.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.randomization import draw_trials, load_randomization
 

@@ -14,7 +14,7 @@ from rover_ncp.cli import run
 from rover_ncp.core.errors import ConfigError, UsageError
 from rover_ncp.course.course import load_course
 from sim.evaluate.evaluate import drive_trials, evaluate
-from sim.learn.engine.driver import function_driver, load_driver
+from sim.learn.policies import function_driver, load_driver
 from sim.stack.trials import Stack
 from sim.world.env import ENV_ID
 from sim.world.random_course import mirrored

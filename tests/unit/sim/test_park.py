@@ -1,7 +1,4 @@
-"""``park`` trains, judges and drives one course and one robot, for a number of iterations, not of seconds."""
-
-import time
-from types import SimpleNamespace
+"""``park`` trains, judges and drives one course and one robot, a number of agents, not of seconds."""
 
 import pytest
 
@@ -11,7 +8,7 @@ from rover_ncp.core.console import Output
 from rover_ncp.course.course import load_course
 from rover_ncp.course.slowdown import slowed
 from rover_ncp.robot.description import load_description
-from sim.learn.record import course_of
+from sim.learn.settings import course_of
 from sim.park import park
 from sim.world.described import default_rover, described_rover
 
@@ -27,18 +24,13 @@ class StoppedError(Exception):
     """The training was asked for and would begin."""
 
 
-def after_round(number, value):
-    """Return a snapshot whose best agent has this number and return."""
-    return SimpleNamespace(best=SimpleNamespace(number=number, value=value))
-
-
 @pytest.fixture
 def asked(monkeypatch):
-    """What ``park`` asks of the training, and the rollouts of its stop rule."""
+    """What ``park`` asks of the training, and the rollouts by which it accepts a policy."""
     found = {"rollouts": []}
 
-    def train(settings, folder, *, on_progress, stop_when):
-        found.update(settings=settings, stop_when=stop_when)
+    def train(settings, folder, *, on_progress, accept, block):
+        found.update(settings=settings, accept=accept)
         raise StoppedError
 
     def rollout(policy, course, model=None):
@@ -61,19 +53,19 @@ def run_park(tmp_path, model="p3at-sh", seed=None):
 def begin(asked, tmp_path, **options):
     with pytest.raises(StoppedError):
         run_park(tmp_path, **options)
-    return asked["settings"], asked["stop_when"]
+    return asked["settings"], asked["accept"]
 
 
 def test_a_slow_robot_is_trained_and_judged_as_it_is_driven(asked, tmp_path):
     (tmp_path / "slow.yaml").write_text(SLOW)
     model = str(tmp_path / "slow.yaml")
-    settings, stop = begin(asked, tmp_path, model=model)
+    settings, accept = begin(asked, tmp_path, model=model)
     robot = load_description(model)
     course, pace = slowed(load_course("parking"), robot)
     assert pace
     assert course_of(settings) == course
     assert settings.rover == described_rover(robot)
-    stop(after_round(0, -1.0), load_policy("parking"))
+    accept(load_policy("parking"))
     assert asked["rollouts"] == [(course, described_rover(robot))]
 
 
@@ -106,22 +98,11 @@ def test_seed_without_a_training_is_an_error(tmp_path, capsys, options, reason, 
     assert not out.exists()
 
 
-def test_the_best_agent_is_driven_only_when_it_has_changed(asked, tmp_path):
-    _, stop = begin(asked, tmp_path)
-    policy = load_policy("reverse")  # parks elsewhere
-    for best in ((0, -1.0), (0, -1.0), (1, -0.5), (1, -0.5), (1, -0.4)):
-        assert not stop(after_round(*best), policy)
-    assert len(asked["rollouts"]) == 3
-
-
-def test_a_slow_machine_trains_as_many_iterations(asked, tmp_path, monkeypatch):
-    now = time.monotonic()
-    monkeypatch.setattr(time, "monotonic", lambda: now)
-    settings, stop = begin(asked, tmp_path)
-    now += 36_000.0  # compiling and ten rounds took ten hours
-    assert not stop(after_round(0, -1.0), load_policy("reverse"))
-    assert stop(after_round(1, -0.1), load_policy("parking"))
-    assert settings.iterations == park.ITERATIONS
+def test_the_training_ends_with_an_agent_that_parks_well(asked, tmp_path):
+    settings, accept = begin(asked, tmp_path)
+    assert not accept(load_policy("reverse"))  # it parks elsewhere
+    assert accept(load_policy("parking"))
+    assert (settings.agents, settings.iterations) == (park.AGENTS, park.ITERATIONS)
 
 
 def test_the_message_names_limit_and_remedy(tmp_path, monkeypatch, capsys):
@@ -130,6 +111,5 @@ def test_the_message_names_limit_and_remedy(tmp_path, monkeypatch, capsys):
     assert run_park(tmp_path) == 1
     words = capsys.readouterr()
     said = words.out + words.err
-    assert "the limit is 20000" in said
     assert "--seed" in said
     assert "--policy course" in said

@@ -17,10 +17,9 @@ from sim.base.drive_train import DriveTrain
 from sim.base.trial import BaseTrial
 from sim.evaluate import trial_runs
 from sim.learn import progress
-from sim.learn.engine.driver import circuit_driver, load_driver
-from sim.learn.engine.rollout import rollout
+from sim.learn.policies import circuit_driver, load_driver
 from sim.learn.progress import train_progress
-from sim.learn.robust import Generation
+from sim.learn.rollout import rollout
 from sim.stack.estimates import summary
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
@@ -102,9 +101,9 @@ def test_the_stack_drives_the_trials_of_plain_simulation(parking):
 @pytest.mark.parametrize("shown", [trial_runs.progress, train_progress])
 def test_long_command_prints_its_progress_into_a_file(capsys, monkeypatch, shown):
     monkeypatch.setattr(progress, "LINE_S", 0.0)
-    with shown(2) as show:
+    with shown(2) if shown is trial_runs.progress else shown(2, "agents") as show:
         if shown is train_progress:
-            show(Generation(2, np.zeros(1), 0.1, 3.5))
+            show(2, "best -0.1")
         else:
             show()
             show()

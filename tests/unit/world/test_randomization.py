@@ -11,7 +11,7 @@ from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.core.geometry import Pose, compose, inverse
 from rover_ncp.course.course import load_course
 from rover_ncp.robot.profile import RoverProfile
-from sim.learn.engine.rollout import rollout
+from sim.learn.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.motion_errors import BaseErrors, OdometryErrors, apply_base_errors, dead_reckon, quantise
 from sim.world.pymunk_rover import Ground, PymunkRover

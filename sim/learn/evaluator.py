@@ -1,9 +1,9 @@
 """The evaluator: scores parameter vectors by episodes, on one course or several, with or without trials.
 
     stream = evaluator.stream(1)
-    stream.submit(0, search.ask(count), thresholds)
-    [(_, returns, residuals)] = stream.collect()
-    search.tell(returns, residuals)
+    stream.submit(0, batch)
+    [(_, scores)] = stream.collect()
+    batch = search.send(scores)
 
 A return only falls, because no reward is positive. An episode whose running return is below its threshold may
 therefore be truncated without any effect on a comparison with that threshold.
@@ -23,9 +23,10 @@ from rover_ncp.course.reference import Reference, plan_reference
 from rover_ncp.course.scoring import due_checkpoints
 from rover_ncp.course.signals import SIGNALS
 from rover_ncp.kernels.jit import bound
-from sim.learn.engine.episode import enqueue, episode_kernel
-from sim.learn.engine.lane_runner import circuit_lane_runner
-from sim.learn.engine.lanes import IDLE, RESULTS, FloatArray, IntArray, Lanes, Queue, Tasks, Waiting
+from sim.learn.episode import enqueue, episode_kernel
+from sim.learn.lane_runner import circuit_lane_runner
+from sim.learn.lanes import IDLE, RESULTS, FloatArray, IntArray, Lanes, Queue, Tasks, Waiting
+from sim.learn.search.strategies import Batch, Scores
 from sim.world.described import default_rover
 from sim.world.fleet import Fleet
 from sim.world.pymunk_rover import require_free_start
@@ -37,9 +38,8 @@ _MAX_LANES = 24
 
 STREAM_LANES = 8
 """One vector; with more, lanes idle while agents wait for their last episode."""
-_IN_FLIGHT = 24
-"""Queued episodes, so that no lane idles: an agent of a small batch waits for the last of its candidates."""
-_MIN_ROOM, _ROOM = 8, 64
+_MIN_ROOM = 100
+"""Candidates that a search may submit at once, or as many as it has parameters."""
 
 
 class Outcomes(NamedTuple):
@@ -222,17 +222,6 @@ class Evaluator:
         )
 
 
-class Answer(NamedTuple):
-    """Results of the n candidates that an agent submitted; the arrays may change when it submits again."""
-
-    agent: int
-    returns: FloatArray
-    """(n,)."""
-    residuals: FloatArray
-    """(n, 1, C, 3) x, y and heading from each checkpoint when it was judged, complete for episodes that were
-    not truncated: a return is minus the sum of their squares."""
-
-
 class Stream:
     """Episodes of many agents that share the lanes of one kernel without a pause.
 
@@ -244,11 +233,8 @@ class Stream:
     def __init__(
         self, agents: int, size: int, checkpoints: int, bind: Callable[[Queue], Callable[[], None]]
     ) -> None:
-        self.room = max(_MIN_ROOM, -(-_ROOM // agents))
-        """The most candidates that an agent may submit at once."""
-        self.enough = -(-_IN_FLIGHT // agents)
-        """The number of candidates of each agent that keeps all lanes busy."""
-        episodes = agents * self.room
+        self._room = max(_MIN_ROOM, size)
+        episodes = agents * self._room
         zeros = np.zeros(episodes, np.int64)
         self._queue = Queue(
             vectors=np.zeros((episodes, size)),
@@ -264,25 +250,28 @@ class Stream:
         self._run_queue = bind(self._queue)
         self._submitted = [0] * agents
 
-    def submit(self, agent: int, vectors: FloatArray, thresholds: FloatArray) -> None:
-        """Let the episodes of candidates (n, P), n <= room, wait for lanes; the agent has none that do."""
-        count, queue = len(vectors), self._queue
-        if self._submitted[agent] or not 0 < count <= self.room or len(thresholds) != count:
+    def submit(self, agent: int, batch: Batch) -> None:
+        """Let the episodes of a batch wait for lanes; the agent has none that do."""
+        count, queue = len(batch.vectors), self._queue
+        if self._submitted[agent] or not 0 < count <= self._room or len(batch.to_beat) != count:
             raise ValueError(f"agent {agent} cannot submit {count} candidates now")
-        enqueue(queue.vectors, queue.stop_below, queue.residuals, *queue.waiting, agent, vectors, thresholds)
+        enqueue(queue.vectors, queue.stop_below, queue.residuals, *queue.waiting, agent, *batch)
         self._submitted[agent] = count
 
-    def collect(self) -> list[Answer]:
-        """Return the answers to one agent or more; none if no candidates wait."""
+    def collect(self) -> list[tuple[int, Scores]]:
+        """Return each agent whose batch has ended, and its scores; none if no candidates wait.
+
+        The arrays of the scores may change when the agent submits again.
+        """
         self._run_queue()
         answers = []
         for agent, left in enumerate(self._queue.waiting.left.tolist()):
             count = self._submitted[agent]
             if left or not count:
                 continue
-            own = slice(agent * self.room, agent * self.room + count)
+            own = slice(agent * self._room, agent * self._room + count)
             self._submitted[agent] = 0
-            answers.append(Answer(agent, self._queue.results[own, 0], self._queue.residuals[own, None]))
+            answers.append((agent, Scores(self._queue.results[own, 0], self._queue.residuals[own])))
         return answers
 
 

@@ -147,7 +147,7 @@ class Record(StrictModel, Generic[SettingsT]):
     course: dict[str, Any]
     circuit: dict[str, Any]
     model: dict[str, Any] | None = Field(default=None, exclude_if=lambda model: model is None)
-    """The robot's description, if the settings name one; older records have none, nor what follows."""
+    """The robot's description, if the settings name one."""
     randomize: dict[str, Any] | None = Field(default=None, exclude_if=lambda ranges: ranges is None)
     """The ranges of a training on random trials, without the profile."""
     profile: dict[str, Any] | None = Field(default=None, exclude_if=lambda profile: profile is None)
@@ -179,15 +179,10 @@ class Record(StrictModel, Generic[SettingsT]):
         problems += [
             f"the {words} {asked[name]} has changed since this run began"
             for name, words in _FILES.items()
-            if name in saved and saved[name] == asked.get(name) and self._content_differs(other, name)
+            if saved.get(name) == asked.get(name) and getattr(self, name) != getattr(other, name)
         ]
         if problems:
             raise ConfigError(source, problems)
-
-    def _content_differs(self, other: "Record[SettingsT]", name: str) -> bool:
-        """Whether the content of a file differs; False where an older record lacks it."""
-        ours, others = getattr(self, name), getattr(other, name)
-        return None not in (ours, others) and ours != others
 
     def other_versions(self, other: "Record[SettingsT]") -> str:
         """Return the versions here that differ from those of ``other``, in words; "" if none does."""

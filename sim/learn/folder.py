@@ -3,10 +3,10 @@
 settings.yaml   the record, written first
 policy.yaml     the best policy
 curve.csv       the learning curve
-agents/NN.json  an agent between two iterations: all that resuming needs (``train.py``)
-agents/NN.yaml  its policy, at the end
+agents/NN.json  an agent that has ended: its parameters and its curve
+agents/NN.yaml  its policy, at the end of the run
 curve.png       the curve as a picture, at the end
-search.json     a search by generations: all that resuming needs (``robust_run.py``)
+search.json     a search by generations, between two of them
 """
 
 import fcntl
@@ -15,28 +15,25 @@ import json
 import logging
 import os
 import re
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Generic
 
+import numpy as np
 from pydantic import BaseModel
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_to_yaml
 from rover_ncp.core.config import dump_yaml, load_yaml
 from rover_ncp.core.console import printable
-from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
+from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.core.files import read_text, write_atomic
-from sim.learn.record import Record, RobustSettings, Settings, SettingsT, TrainSettings
-from sim.learn.search.base import SearchState, dump_state
+from sim.learn.settings import Record, RobustSettings, Settings, SettingsT, TrainSettings
 
 _LOGGER = logging.getLogger(__name__)
 _RUNS = Path("runs")
 _RECORD = "settings.yaml"
-_CHECKPOINT_SHARE = 0.02
-"""Checkpoints take at most this share of the time: a short run saves often, and a slow disk seldom."""
 _LEFTOVER = re.compile(r"\.(settings|policy|curve|search|\d+)\.(yaml|csv|png|json)\.\w+")
 """Temporary files that ``write_atomic`` leaves when a run is killed while it writes."""
 
@@ -79,8 +76,7 @@ class RunFolder(Generic[SettingsT]):
     def __init__(self, path: Path, record: Record[SettingsT]) -> None:
         self.path = path
         self.record: Record[SettingsT] = record
-        # A run that ends early has the files of one that was to end there.
-        self._settings = dump_yaml(record.settings.model_dump(exclude={"iterations"}))
+        self._settings = dump_yaml(record.settings.model_dump())
         self.policy_path = path / "policy.yaml"
 
     def write(self, name: str, content: str | bytes | Policy) -> None:
@@ -91,7 +87,7 @@ class RunFolder(Generic[SettingsT]):
         text = policy_to_yaml(content) if isinstance(content, Policy) else content
         write_atomic(self.path / name, text)
 
-    def write_state(self, name: str, state: SearchState) -> None:
+    def write_state(self, name: str, state: Mapping[str, Any]) -> None:
         """Write what resuming needs, with a digest of it and of the run's settings."""
         self.write(name, dump_checked(state, f"{self._settings}{name}"))
 
@@ -101,9 +97,9 @@ class RunFolder(Generic[SettingsT]):
         return load_checked(path, f"{self._settings}{name}") if path.is_file() else None
 
 
-def dump_checked(state: SearchState, owner: str) -> str:
+def dump_checked(state: Mapping[str, Any], owner: str) -> str:
     """Return a state as a line of JSON, with a digest of it and of ``owner``, a text that names its run."""
-    text = dump_state(state)
+    text = _text(state)
     return f'{{"sha256": "{_digest(owner, text)}", "state": {text}}}\n'
 
 
@@ -112,11 +108,16 @@ def load_checked(path: Path, owner: str) -> dict[str, Any]:
     try:
         data = json.loads(read_text(path))
         state: dict[str, Any] = data["state"]
-        if data["sha256"] == _digest(owner, dump_state(state)):
+        if data["sha256"] == _digest(owner, _text(state)):
             return state
     except (ValueError, KeyError, TypeError, RecursionError):
         pass
     raise FileError(f"{path}: damaged, or not of this run; delete it to begin it again")
+
+
+def _text(state: Mapping[str, Any]) -> str:
+    """Return a state as JSON, arrays as nested lists; it keeps every bit."""
+    return json.dumps(state, allow_nan=False, default=np.ndarray.tolist)
 
 
 def _digest(owner: str, text: str) -> str:
@@ -165,26 +166,6 @@ def open_run(path: Path, record: Record[SettingsT], resume: bool) -> Iterator[Ru
         yield RunFolder(path, record)
     finally:
         os.close(handle)
-
-
-@contextmanager
-def checkpoints(save: Callable[[], None]) -> Iterator[Callable[[], None]]:
-    """Give a function to call after each step, which saves now and then. Save if the block is interrupted."""
-    saved_s = cost_s = 0.0
-
-    def checkpoint() -> None:
-        nonlocal saved_s, cost_s
-        now = time.monotonic()
-        if now - saved_s > cost_s / _CHECKPOINT_SHARE:
-            save()
-            saved_s = time.monotonic()
-            cost_s = saved_s - now
-
-    try:
-        yield checkpoint
-    except (KeyboardInterrupt, RoverNcpError):
-        save()
-        raise
 
 
 def _nothing_to_resume(path: Path) -> UsageError:

@@ -16,7 +16,7 @@ from rover_ncp.course.hold import HOLD, holds
 from rover_ncp.course.signals import signals
 from rover_ncp.kernels.jit import inlined_kernel, kernel, without_refcounts
 from rover_ncp.robot.dead_zone import STEP, Pulse, clear_of, pulsed
-from sim.learn.engine.lanes import IDLE, WARMING_UP, FloatArray, IntArray, Lanes, Queue, Tasks
+from sim.learn.lanes import IDLE, WARMING_UP, FloatArray, IntArray, Lanes, Queue, Tasks
 from sim.world.fleet import (
     FleetArrays,
     advance,

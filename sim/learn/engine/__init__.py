@@ -1,1 +1,0 @@
-"""The engine of a training: a policy, a network or a law drives rovers or environments."""

@@ -23,9 +23,10 @@ import numpy as np
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import load_course
 from sim.base.trial import Drawn
-from sim.evaluate.trial_runs import evaluate_stack, result_words
+from sim.evaluate.evaluate import tally
 from sim.learn.policies import load_driver
-from sim.stack.trials import Stack
+from sim.stack.estimates import summary, words
+from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
 from sim.world.mujoco_rover import CONTROL_S, Motor, MujocoRover
 from sim.world.randomization import load_randomization
@@ -147,7 +148,9 @@ def main() -> None:
     ranges = load_randomization("slope" if given.kind == "heavy" else "varied", Body.MUJOCO)
     courses = (load_course("parking"),)
     stack = OddStack(load_driver("course"), courses, ranges, given.seed, gyro=True, kind=given.kind)
-    print("\n".join(result_words(*evaluate_stack(stack, given.trials, None))))
+    driven = drive_all(stack, given.trials, None)
+    print(tally(driven).model_dump_json(indent=2))
+    print("\n".join(words(summary([trial.belief for trial in driven], [trial.parked for trial in driven]))))
 
 
 if __name__ == "__main__":

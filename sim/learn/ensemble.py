@@ -240,15 +240,18 @@ class _Run:
 
     def take(self, agents: Sequence[Agent], accept: Callable[[Policy], bool]) -> None:
         """Save the agents of a block, up to the first one that is accepted."""
-        for agent in agents:
-            self._agents[agent.number] = agent
-            self.trained += 1
-            state = {"vector": agent.vector, "improvements": agent.improvements}
-            self._folder.write_state(_file_of(agent.number), state)
-            if accept(self.policy(agent)):
-                self._accepted = True
-                break
-        self._write_best()
+        try:
+            for agent in agents:
+                state = {"vector": agent.vector, "improvements": agent.improvements}
+                self._folder.write_state(_file_of(agent.number), state)
+                self._agents[agent.number] = agent
+                self.trained += 1
+                if accept(self.policy(agent)):
+                    self._accepted = True
+                    break
+        finally:  # also when a Ctrl-C comes in between
+            if self._agents:
+                self._write_best()
 
     def _write_best(self) -> None:
         """Write the best policy and the table of the curves."""

@@ -35,14 +35,14 @@ def children(pid):
     ("command", "moment"),
     [
         pytest.param(TRAIN, "settings.yaml", marks=pytest.mark.long),
-        ([*TRAIN, "--agents", "300"], "agents/01.json"),
+        ([*TRAIN, "--agents", "300"], "policy.yaml"),
         pytest.param(ROBUST, "search.json", marks=pytest.mark.long),
     ],
 )
 def test_ctrl_c_ends_cleanly_with_130_and_a_state_to_resume(tmp_path, command, moment):
     """Ctrl-C reaches the whole process group, as from a terminal: while the workers start, and at work."""
     out = tmp_path / "run"
-    iterations = "1000000" if moment != "agents/01.json" else "300"
+    iterations = "1000000" if moment != "policy.yaml" else "300"
     options = ["--iterations", iterations, "--out", str(out), "--processes", "2", "--json"]
     process = start_rover_ncp(*command, *options, output=subprocess.PIPE)
     try:

@@ -49,6 +49,11 @@ def gate_words(statuses):
     if ended := next((status.ended for status in driven if status.ended), ""):
         return f"ends {ended}"
     held = [status.held for status in driven if status.held and status.sequence >= 5]
+    # Between the hold and the driver's own stop there may be no status.
+    before = next((status.stops for status in driven if status.sequence >= 5), {})
+    held += (
+        [name for name, count in driven[-1].stops.items() if count > before.get(name, 0)] if driven else []
+    )
     return f"holds {held[0]}" if held else "drives"
 
 

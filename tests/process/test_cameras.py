@@ -257,7 +257,6 @@ def test_server_that_does_not_speak_http_or_does_not_answer_ends_the_command():
 @pytest.mark.parametrize(
     ("answer", "words"),
     [
-        (stream_of(part(50)), "sends no more pictures"),
         (stream_of(part(50), *[DAMAGED, 0.4] * 10), "a picture is damaged"),
         (stream_of(part(50), 3.5), "no picture for 3 s|no answer for 3 s"),
         (

@@ -17,7 +17,6 @@ INDICES = (*range(20), 2**32 - 1, 2**32, 2**33 + 5, 2**40)
 OWN_GENERATORS = {
     "rover_ncp/core/streams.py",
     "rover_ncp/course/scoring.py",  # one fixed sample of a distribution, not an experiment
-    "sim/learn/search/base.py",  # draws the seeds of paper
 }
 
 

@@ -69,7 +69,7 @@ def test_every_command_of_a_tutorial_runs(page, tmp_path, background):
             )  # fmt: skip
             assert done.returncode == 0, (line, done.stdout[-1500:], done.stderr[-1500:])
             ran += 1
-    assert ran >= 3
+    assert ran  # a page may have one command, but none means that its blocks were not found
 
 
 def test_the_tutorials_leave_no_command_out():

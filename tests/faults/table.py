@@ -27,7 +27,6 @@ LONG_LEASE_S = 30.0
 """With a lease that long, Zenoh itself does not detect a link that is held."""
 LATE_S = 5.0
 FLOOD_S, FLOOD_PER_S = 1.5, 10_000
-NAN_S, NAN_PERIOD_S = 1.0, 0.01
 
 
 # Injections of faults, and their removal.
@@ -59,15 +58,6 @@ def _payload(data: bytes) -> Act:
 
 def _clock_back(scene: Scene) -> None:
     scene.scripted.age_s = 3600.0
-
-
-def _nan_odometry(scene: Scene) -> None:
-    """Publish odometry that is not a number, ten times as often as the base publishes its own."""
-    end = time.monotonic() + NAN_S
-    while time.monotonic() < end:
-        nowhere = odometry(Pose(math.nan, math.nan, math.nan), Velocity(math.nan, 0.0), time.time_ns())
-        scene.rig.watcher.session.put("odom", nowhere)
-        time.sleep(NAN_PERIOD_S)
 
 
 def _resume_bridge(scene: Scene) -> None:
@@ -187,7 +177,7 @@ _NAN = twist_stamped(Velocity(math.nan, 0.0), 0)
 _INFINITE = twist_stamped(Velocity(0.1, -math.inf), 0)
 _ODOMETRY = odometry(Pose(0.2, 0.2, 0.2), Velocity(0.2, 0.2), 0)
 _LAPSED, _NO_BASE = "lease-lapsed", "no-base"
-_HUNG, _NAN_WORDS = "hung, the interpreter's lock held", "odometry not a number, between the base's own"
+_HUNG = "hung, the interpreter's lock held"
 _PULLED = "to the base pulled: nothing comes, nothing goes"
 
 
@@ -220,7 +210,6 @@ _STOP_BUTTON = _base("stop-button", "stop button", "stop-button@0-1.5", "stop-bu
 _ROWS = (
     _base("odometry-frozen", "odometry frozen, SIPs go on", "freeze-odometry@0-3", "odometry-frozen"),
     _base("odometry-jumps", "odometry jumps by 0.5 m", "jump-odometry@0-3", only=CIRCUIT),
-    Row("odometry-nan", "base", _NAN_WORDS, _nan_odometry, only=CIRCUIT),
     _base("mute", "mute (no SIPs)", "mute@0-2", _NO_BASE),
     *(_BUMPER, _STALL, _STOP_BUTTON),
     _base(

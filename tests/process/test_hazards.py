@@ -180,6 +180,8 @@ def longest_gap_s(path):
     return max(np.diff(ns).max(initial=0) for ns in times) * 1e-9
 
 
+# Beside other tests on two cores, a drive can wait longer for odometry than a cell allows, so they run alone.
+@pytest.mark.long
 @pytest.mark.parametrize("cell", CELLS.values())
 def test_gate_driver_and_page_do_as_the_table_says(robot, cell, tmp_path, capsys, monkeypatch):
     course, path = tmp_path / "wide.yaml", tmp_path / "run.mcap"

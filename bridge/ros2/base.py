@@ -140,9 +140,10 @@ class Ros2Base:
         self._alone_since_s: float | None = None
         self._battery = RosBattery()
         self._hazards = Hazards(self._topics)
+        self._hazard_types = {found.topic: kind for found, kind in hazard_topics(self._topics)}
         self._unused = UnusedMessages(line.topic)
         topics = self._topics
-        known = [*sensor_topics(topics), *((found.topic, kind) for found, kind in hazard_topics(topics))]
+        known = [*sensor_topics(topics), *self._hazard_types.items()]
         # Odometry has words of its own, and a dock may report seldom.
         self._unheard = {name: kind for name, kind in known if name not in {topics.odom, topics.docked}}
         """Topics on which no message came, and their types."""
@@ -161,9 +162,9 @@ class Ros2Base:
                     changes += map(Notice, self._odometer.notices)
             case TokenSeen(token, there):
                 self._announced.update(token, there)
-                for found, kind in hazard_topics(self._topics):
-                    if not there and token.ros_type == kind and self._announced.publishes(token, found.topic):
-                        self._hazards.lose_publisher(found.topic, token.source)
+                for topic, kind in self._hazard_types.items():
+                    if not there and token.ros_type == kind and self._announced.publishes(token, topic):
+                        self._hazards.lose_publisher(topic, token.source)
             case LoopSeen(there):
                 self._loop = there
         changes += self._watch(now)
@@ -272,9 +273,8 @@ class Ros2Base:
         x, y, theta = moved.pose
         ahead, behind = self._room.clear(now) if self._room is not None else (math.nan, math.nan)
         stop_pressed, hazards = self._hazards.since_last()
-        kinds = {found.topic: kind for found, kind in hazard_topics(self._topics)}
         unknown = self._hazards.unknown(
-            now, self._line.topic, lambda topic: self._announced.publishers(topic, kinds[topic])
+            now, self._line.topic, lambda topic: self._announced.publishers(topic, self._hazard_types[topic])
         )
         battery, age_s = self._battery.state(now)
         report = BaseReport(

@@ -106,7 +106,7 @@ def run_page(
     tables: Sequence[Table] = (),
     outline: FloatArray = OUTLINE,
 ) -> str:
-    """Return a page on a run without a recording, of a drive or of a task that has no course.
+    """Return a page on a run without a recording.
 
     ``headline`` is the badge, its kind (good, bad or empty) and words.
     """

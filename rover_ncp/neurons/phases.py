@@ -4,8 +4,7 @@ Ticks are grouped by the signs of their commands; below a tenth of the circuit's
 Phases shorter than half a second are merged with their longer neighbour. A phase is named for its net motion,
 less of which counts if its commands ask for it. A phase is explained backwards from its output: the
 motor neuron with the largest share in it, the neuron whose synapse pulls most on that motor neuron, and the
-synapses that pull most on that neuron. Pulls are means over the phase in mV (`rover_ncp.neurons.trace`). In a
-task that is no drive, the commands are the policy's outputs.
+synapses that pull most on that neuron. Pulls are means over the phase in mV (`rover_ncp.neurons.trace`).
 """
 
 from collections.abc import Sequence
@@ -110,8 +109,7 @@ def phases(trace: Trace) -> tuple[Phase, ...]:
         longer = max((i for i in (short - 1, short + 1) if 0 <= i < len(runs)), key=lambda i: runs[i].ticks)
         runs[short] = _Run(runs[longer].signs, runs[short].ticks)
         runs = _joined(runs)
-    if trace.outputs == Velocity._fields:
-        runs = _joined([_named(trace, *each) for each in _placed(runs)])
+    runs = _joined([_named(trace, *each) for each in _placed(runs)])
     return tuple(_phase(trace, run, first, last) for run, first, last in _placed(runs))
 
 
@@ -126,7 +124,7 @@ class _Run(NamedTuple):
     signs: tuple[int, ...]
     ticks: int
     moves: tuple[int, ...] = ()
-    """Signs of the motion in the rover's frame; empty for a task that is no drive."""
+    """Signs of the motion in the rover's frame; empty before it is known."""
 
 
 def _placed(runs: Sequence[_Run]) -> list[tuple[_Run, int, int]]:
@@ -171,13 +169,6 @@ def _joined(runs: Sequence[_Run]) -> list[_Run]:
     return [_Run(signs, sum(run.ticks for run in group), moves) for (signs, moves), group in groups]
 
 
-def _label(outputs: Sequence[str], run: _Run) -> str:
-    if run.moves:
-        return LABELS[run.moves]
-    words = {0: "about 0", 1: "positive", -1: "negative"}
-    return ", ".join(f"{name} {words[sign]}" for name, sign in zip(outputs, run.signs, strict=True))
-
-
 def _phase(trace: Trace, run: _Run, first: int, last: int) -> Phase:
     way = trace.poses[first : last + 1]
     driven_m = float(np.hypot(*np.diff(way[:, :2], axis=0).T).sum())
@@ -185,7 +176,7 @@ def _phase(trace: Trace, run: _Run, first: int, last: int) -> Phase:
     still = run.moves == (0, 0) and driven_m < STILL[0] and abs(turned_rad) < STILL[1]
     end_s = trace.times[last] if last < len(trace.times) else trace.times[-1] + trace.policy.tick_s
     return Phase(
-        label="standing still" if still else _label(trace.outputs, run),
+        label="standing still" if still else LABELS[run.moves],
         signs=run.signs,
         first=first,
         last=last,

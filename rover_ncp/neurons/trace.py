@@ -28,10 +28,9 @@ class Trace:
     times: FloatArray
     """(T,) s since the first tick, at each tick's start."""
     poses: FloatArray
-    """(T + 1, 3) x, y in m and theta in rad in the course frame: at each tick's start, and at the end. All 0
-    for a task that is no drive."""
+    """(T + 1, 3) x, y in m and theta in rad in the course frame: at each tick's start, and at the end."""
     commands: FloatArray
-    """(T, 2) v and omega; (T, outputs) for a task that is no drive."""
+    """(T, 2) v and omega."""
     potentials: FloatArray
     """(T, n) mV, at each tick's end."""
 

@@ -40,7 +40,7 @@ TRACKING_POLICY = "course"
 """The policy for robots that training does not simulate: it was trained on random robots and courses."""
 _MARGIN = 0.5
 _BLOCK = 2
-"""Agents that a process trains side by side: the first ones usually park, and nobody waits for more."""
+"""Agents that a process trains side by side: one of the first usually parks, which ends the training."""
 _DEPLOY_EXTRA_S = 300.0
 """For the start of the driver on a slow and busy machine."""
 

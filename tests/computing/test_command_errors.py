@@ -39,8 +39,6 @@ LINES = {
     "identify recording": "identify {}",
     "mock --camera": f"mock {{}} --tags {TAGS}",
     "mock --tags": f"mock --camera {CAMERA} {{}}",
-    "paper run": "paper run --task parking --agent circuit --seed 0 --again --budget quick {}",
-    "paper report --curves": "paper report {}",
     "park --out": "park --policy parking {}",
     "place": f"place set new {ROBOT} {{}}",
     "recover --out": "recover drive.mcap {}",

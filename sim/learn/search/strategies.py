@@ -6,7 +6,7 @@
         batch = search.send(evaluated(batch))
 
 The first batch is the start alone. A search knows vectors, their bounds and a random generator; neither
-circuit nor simulator nor clock. It has no end: whoever runs it stops it. A new search is a module of this
+circuit nor simulator nor clock. It has no end: its caller stops it. A new search is a module of this
 folder and a line of `SearchName`.
 """
 

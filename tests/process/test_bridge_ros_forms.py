@@ -174,7 +174,9 @@ def test_ros_nodes_drive_through_teleop_one_after_the_other(domain_5, tmp_path):
                 assert watching.out.v == 0.1
             wait_for(lambda: watching.gate.lease == 0)
             assert watching.gate.ended == ""  # teleop released it
-        assert watching.motors().granted
+        # A stall of this computer makes odometry late: then the next request counts.
+        reply = wait_for(lambda: (found := watching.motors()).reason != "odometry" and found)
+        assert reply.granted
         teleop.send_signal(signal.SIGTERM)
         assert teleop.wait(10.0).code == 130
         rig.bridge.send_signal(signal.SIGHUP)

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from kit.arcos_captures import CAPTURES, Capture
 from kit.pioneer_bench import Pioneer
 
-from bridge.pioneer.framing import Command, Decoder, Packet, encode_command, encode_frame
+from bridge.pioneer.framing import Command, Packet, encode_frame
 from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.packets import decode_names
-from sim.base.client_commands import MockCommand, decode_argument
+from sim.base.client_commands import MockCommand
 
 SYNC = [Command.PULSE, Command.OPEN, Command.CLOSE]
 
@@ -83,48 +83,3 @@ def test_firmware_survives_any_bytes(pieces: list[bytes]) -> None:
     pioneer.tell(Command.CLOSE)
     pioneer.tell(Command.CLOSE)
     assert [len(pioneer.tell(sync)) for sync in SYNC] == [1, 1, 1]
-
-
-def test_unknown_commands_are_counted_and_feed_the_watchdog() -> None:
-    pioneer = Pioneer().open()
-    pioneer.tell(Command.VEL, 100)
-    for _ in range(6):
-        pioneer.now += 1.0
-        pioneer.say(encode_frame(199, b"\x3b\x01\x00"))
-    assert pioneer.speed == pytest.approx(0.1)
-    assert pioneer.firmware.unknown == {199: 6}
-
-
-# What clients said, by hand from the recordings' descriptions: sign and magnitude, pairs, poses, strings.
-ARGUMENTS = [
-    (Command.VEL, "1bc800", -200),
-    (Command.RVEL, "1b1e00", -30),
-    (Command.SETA, "1b2c01", -300),
-    (Command.SETV, "3bb80b", 3000),
-    (MockCommand.VEL2, "3b0a05", 0x050A),
-    (MockCommand.VEL2, "1bfb04", -1275),
-    (MockCommand.SIM_SET_POSE, "0018fcffffc40900005a000000", (-1000, 2500, 90)),
-    (MockCommand.POLLING, "2b010203040506070800", bytes(range(1, 9))),  # Soar: no length, a NUL
-    (MockCommand.POLLING, "2b03010203", bytes([1, 2, 3])),
-    (MockCommand.POLLING, "2b00", b""),
-    (Command.SETO, "3b", 0),  # Player
-    (Command.OPEN, "3b0100", 0),  # ARIA
-    (Command.VEL, "", None),
-    (Command.VEL, "3b05", None),
-    (Command.VEL, "2b0500", None),
-    (Command.VEL, "3b0500ff", 5),
-    (MockCommand.SIM_SET_POSE, "0018fcffff", None),
-    (MockCommand.DIGOUT, "1b1909", 0x0919),  # the manual: unsigned with any type byte
-]
-
-
-@pytest.mark.parametrize(("command", "payload", "argument"), ARGUMENTS)
-def test_arguments_mean_what_clients_meant(command: int, payload: str, argument: object) -> None:
-    assert decode_argument(command, bytes.fromhex(payload)) == argument
-
-
-@given(st.sampled_from([Command.VEL, Command.SETRA, MockCommand.HEAD]), st.integers(-32767, 32767))
-def test_integers_survive_the_wire(command: int, value: int) -> None:
-    (packet,) = Decoder().feed(encode_command(command, value))
-    assert packet.kind == command
-    assert decode_argument(packet.kind, packet.payload) == value

@@ -6,12 +6,12 @@ import struct
 import pytest
 from kit.pioneer_bench import Pioneer
 
-from bridge.pioneer.framing import Command, encode_command, encode_frame
+from bridge.pioneer.framing import Command, encode_frame
 from bridge.pioneer.odometry import ROBOTS, Odometer
-from bridge.pioneer.packets import ConfigPac, Flag, decode_names
+from bridge.pioneer.packets import Flag
 from sim.base.client_commands import MockCommand
 from sim.base.firmware import ClientState
-from sim.base.report import ENCODER, IO, SIMSTAT
+from sim.base.report import ENCODER, SIMSTAT
 
 SYNC = [Command.PULSE, Command.OPEN, Command.CLOSE]
 
@@ -20,36 +20,6 @@ SYNC = [Command.PULSE, Command.OPEN, Command.CLOSE]
 def pioneer() -> Pioneer:
     """A base with an open session, its motors on."""
     return Pioneer().open()
-
-
-def test_a_command_behind_a_false_header_is_obeyed_when_silence_follows(pioneer: Pioneer) -> None:
-    pioneer.say(b"\xfa\xfb" + encode_command(Command.VEL, 200))
-    pioneer.run(0.5, fed=False)
-    assert pioneer.speed > 0.05
-
-
-@pytest.mark.parametrize("model", list(ROBOTS))
-def test_each_model_reports_its_own_name(model: str) -> None:
-    pioneer = Pioneer(model)
-    answers = [pioneer.tell(sync) for sync in SYNC]
-    assert decode_names(answers[2][0].payload)[2] == model
-    (packet,) = pioneer.tell(Command.CONFIG)
-    config = ConfigPac.decode(packet.payload)
-    assert (config.subtype, config.watchdog, config.sip_cycle) == (model, 2000, 100)
-    assert len(packet.payload) + 3 >= 128
-
-
-def test_noise_before_the_handshake_does_not_matter() -> None:
-    pioneer = Pioneer()
-    assert pioneer.say(b"WMS2\r" + encode_command(Command.CLOSE)) == []
-    assert pioneer.tell(Command.VEL, 100) == []
-    assert [len(pioneer.tell(sync)) for sync in SYNC] == [1, 1, 1]
-
-
-def test_out_of_order_starts_over_and_a_repeated_sync_is_echoed_again() -> None:
-    pioneer = Pioneer()
-    for number, echoed in [(1, []), (0, [0]), (2, []), (1, []), (0, [0]), (0, [0]), (1, [1]), (1, [1])]:
-        assert [packet.kind for packet in pioneer.tell(SYNC[number])] == echoed
 
 
 def test_walking_the_syncs_over_an_open_session_closes_it(pioneer: Pioneer) -> None:
@@ -66,23 +36,6 @@ def test_sips_come_each_tenth_of_a_second_from_open_to_close_only() -> None:
     for command, sent in ((Command.PULSE, 0), (Command.OPEN, 20), (Command.CLOSE, 20)):
         pioneer.obey(2.0, command)
         assert len(pioneer.sips()) == sent
-
-
-def test_a_sip_has_every_field(pioneer: Pioneer) -> None:
-    pioneer.tell(Command.VEL, 200)
-    pioneer.obey(2.0, Command.RVEL, -20)
-    sip = pioneer.sip()
-    half_track_mm = 1 / 0.0034
-    assert (sip.left + sip.right) / 2 == pytest.approx(200, abs=1)
-    assert (sip.right - sip.left) / 2 == pytest.approx(math.radians(-20) * half_track_mm, abs=1)
-    assert sip.x > 200
-    assert sip.theta < 0
-    assert (sip.moving, sip.rotvel, sip.control) == (True, -200, sip.theta)
-    assert sip.flags == Flag.MOTORS | Flag.SONAR_1 | Flag.SONAR_2
-    assert (sip.battery_dv, sip.battery_x10, sip.charge_state, sip.faults) == (128, 128, 0, 0)
-    assert (sip.latvel, sip.temperature, sip.state_of_charge) == (0, -128, 0)
-    assert 4 <= len(sip.sonar) <= 6
-    assert {range_mm for _, range_mm in sip.sonar} == {5000}
 
 
 def test_speeds_rise_within_the_acceleration_limits_after_the_delays(pioneer: Pioneer) -> None:
@@ -102,18 +55,6 @@ def test_speeds_rise_within_the_acceleration_limits_after_the_delays(pioneer: Pi
     assert pioneer.speed == pytest.approx(0.1, rel=1e-2)
 
 
-@pytest.mark.parametrize(("set_limit", "speed"), [(150, 0.150), (5000, 0.5)])
-def test_setpoints_are_limited_by_setv_until_close(pioneer: Pioneer, set_limit: int, speed: float) -> None:
-    pioneer.tell(Command.SETV, set_limit)
-    pioneer.drive(500, 4.0)
-    assert pioneer.speed == pytest.approx(speed, rel=1e-3)
-    pioneer.tell(Command.SETA, 99)
-    pioneer.tell(Command.CLOSE)
-    (packet,) = pioneer.open().tell(Command.CONFIG)
-    flash = ConfigPac.decode(packet.payload)
-    assert (flash.trans_vel_max, flash.trans_acc) == (700, 310)
-
-
 def test_watchdog_halts_and_any_packet_resumes_the_setpoints(pioneer: Pioneer) -> None:
     pioneer.drive(200, 1.9, fed=False)
     assert pioneer.speed == pytest.approx(0.2)
@@ -127,27 +68,6 @@ def test_watchdog_halts_and_any_packet_resumes_the_setpoints(pioneer: Pioneer) -
     assert pioneer.speed == pytest.approx(0.2)
 
 
-def test_watchdog_halts_two_seconds_after_the_last_packet_at_any_step(pioneer: Pioneer) -> None:
-    steps_to_braking = set()
-    for _ in range(12):
-        pioneer.drive(200, 1.01)
-        assert pioneer.speed == pytest.approx(0.2)
-        last = pioneer.now
-        while pioneer.speed > 0.199:
-            pioneer.run(0.01, fed=False)
-        steps_to_braking.add(round((pioneer.now - last) / 0.01))
-    # 2 s to the halt, 0.15 s of the base's delay, and the first step of braking.
-    assert steps_to_braking == {200 + 15 + 1}
-
-
-def test_a_broken_packet_does_not_feed_the_watchdog(pioneer: Pioneer) -> None:
-    pioneer.tell(Command.VEL, 200)
-    for _ in range(40):
-        pioneer.now += 0.1
-        pioneer.say(b"\xfa\xfb\x03\x00\x00\x01")
-    assert pioneer.speed == 0.0
-
-
 def test_motors_that_are_off_accept_and_keep_no_setpoints() -> None:
     pioneer = Pioneer().open(motors=False)
     pioneer.drive(200, 1.0)
@@ -155,25 +75,6 @@ def test_motors_that_are_off_accept_and_keep_no_setpoints() -> None:
         pioneer.obey(seconds, Command.ENABLE, enable)
         assert pioneer.speed == 0.0
         pioneer.drive(200, 2.0)
-
-
-@pytest.mark.parametrize(("argument", "left", "right"), [(0x050A, 0.1, 0.2), (-1275, -0.1, 0.1)])
-def test_vel2_drives_the_wheels_in_both_encodings(argument: int, left: float, right: float) -> None:
-    # Player always sends the two bytes as they are.
-    players = encode_frame(32, bytes([0x3B, argument & 0xFF, argument >> 8 & 0xFF]))
-    for frame in (encode_command(MockCommand.VEL2, argument), players):
-        pioneer = Pioneer().open()
-        pioneer.say(frame)
-        pioneer.run(3.0)
-        assert pioneer.firmware.drive.wheel_speeds == pytest.approx((left, right), abs=1e-3)
-
-
-@pytest.mark.parametrize("way", [500, -300, 30])
-def test_move_drives_so_far_and_stops(pioneer: Pioneer, way: int) -> None:
-    pioneer.tell(Command.SETV, 300)
-    pioneer.obey(8.0, MockCommand.MOVE, way)
-    assert pioneer.rover.pose.x * 1000 == pytest.approx(way, abs=5)
-    assert abs(pioneer.speed) < 0.002
 
 
 def test_headings_are_absolute_relative_and_relative_to_the_setpoint(pioneer: Pioneer) -> None:
@@ -216,16 +117,6 @@ def test_position_counters_wrap_at_15_bits_and_the_driver_follows(model: str) ->
     odometer = Odometer(ROBOTS[model])
     *_, last = (odometer.update(sip, 0.0) for sip in pioneer.sips())
     assert 35 < last.x == pytest.approx(pioneer.rover.pose.x, abs=0.002)
-
-
-@pytest.mark.parametrize("frame", [encode_command(Command.SETO), bytes.fromhex("fafb04073b073b")])
-def test_seto_zeroes_odometry_also_when_cut_short_as_players(pioneer: Pioneer, frame: bytes) -> None:
-    pioneer.obey(6.0, MockCommand.MOVE, 300)
-    x = pioneer.rover.pose.x
-    pioneer.say(frame)
-    sip = pioneer.sip()
-    assert (sip.x, sip.y, sip.theta) == (0, 0, 0)
-    assert pioneer.rover.pose.x == x
 
 
 def test_a_wall_stalls_the_wheels_and_odometry_does_not_run_on() -> None:
@@ -271,21 +162,6 @@ def test_encoders_count_the_wheels_way_once_or_in_a_stream(pioneer: Pioneer) -> 
     assert pioneer.of_kind(ENCODER) == []
 
 
-def test_ports_battery_and_outputs() -> None:
-    pioneer = Pioneer("p3at-sh", "bumper").open()
-    pioneer.tell(MockCommand.DIGOUT, 0x0F05)
-    pioneer.tell(MockCommand.DIGOUT, 0x0100)
-    pioneer.tell(MockCommand.IOREQUEST, 1)
-    pioneer.tell(MockCommand.BATTEST, 118)
-    sip = pioneer.sip()
-    assert (sip.digout, sip.battery_dv, sip.battery_x10) == (0x04, 118, 118)
-    (packet,) = pioneer.of_kind(IO)
-    assert list(packet.payload[:8]) == [4, 0xFF, 0xFF & ~0b100, 0xFF, 0xFF, 1, 0x04, 9]
-    assert struct.unpack("<9H", packet.payload[8:]) == (*[0] * 8, round(118 / 255 * 1023))
-    pioneer.tell(MockCommand.BATTEST, 0)
-    assert pioneer.sip().battery_dv == 128
-
-
 def true_pose(pioneer: Pioneer) -> tuple[int, int, int]:
     """Return x and y in mm and the heading in deg of the newest SIMSTAT, at AMRISim's places."""
     payload = pioneer.of_kind(SIMSTAT)[-1].payload
@@ -304,20 +180,6 @@ def test_a_simulators_commands_move_the_truth_and_not_odometry(pioneer: Pioneer)
     pioneer.drive(100, 1.0)
     pioneer.tell(MockCommand.SIM_RESET)
     assert pioneer.rover.pose == pytest.approx((0, 0, 0), abs=1e-9)
-
-
-def test_largest_coordinates_can_be_reported(pioneer: Pioneer) -> None:
-    pioneer.tell(MockCommand.SIM_SET_POSE, (2**31 - 1, -(2**31), -90))
-    pioneer.tell(Command.VEL, 700)
-    pioneer.obey(4.0, MockCommand.SIM_STAT, 2)
-    assert true_pose(pioneer)[1] > 0
-
-
-def test_hostbaud_has_no_effect_on_tcp(pioneer: Pioneer) -> None:
-    for code in (2, 99):
-        pioneer.tell(Command.HOSTBAUD, code)
-        assert pioneer.sip()
-    assert pioneer.firmware.client is ClientState.OPEN
 
 
 def test_a_client_that_comes_after_one_that_vanished_finds_the_session_open(pioneer: Pioneer) -> None:

@@ -57,15 +57,3 @@ def test_half_a_fault_line_blocks_nothing_and_counts_once_it_is_whole(loop):
     assert serve(b"te\nstall\nde") == ["mute", "stall"]
     end(b"af")
     assert serve(b"") == ["deaf"]
-
-
-def test_step_is_shown_with_its_own_moment_when_the_loop_is_late():
-    late_s, shown = 2.0, []
-    rover = PymunkRover(default_rover(), Ground())
-    firmware = Firmware(load_description("p3at-sh"), rover, Faults(), time.monotonic() - late_s)
-    loop = Loop(firmware)
-    loop.show = lambda pose, wall_ns: shown.append(wall_ns)
-    firmware.advance(time.monotonic())
-    loop.close()
-    assert shown[-1] - shown[0] == pytest.approx(late_s * 1e9, rel=0.1)
-    assert shown[0] < time.time_ns() - 0.9 * late_s * 1e9

@@ -141,14 +141,6 @@ BRAKING_S = 0.15 + 0.2 / 0.31
 """The base's delay, and braking from 0.2 m/s at 0.31 m/s²."""
 
 
-def test_silent_base_is_stopped(driving: Pair) -> None:
-    driving.cut_up = True
-    cut = driving.now
-    driving.run(5.0, until=lambda: driving.pioneer.rover.velocity.v == 0.0)
-    assert driving.now - cut < 0.5 + BRAKING_S + 0.1
-    assert [type(e) for e in driving.events if not isinstance(e, BaseReport)][-1] is Lost
-
-
 def test_a_cut_line_leaves_the_rover_to_the_bases_watchdog_and_it_stays_put_afterwards(driving: Pair) -> None:
     driving.cut_up = driving.cut_down = True
     cut = driving.now
@@ -187,25 +179,10 @@ def test_serial_line_runs_at_the_fast_rate_until_it_is_closed_also_after_a_kille
     assert pioneer.firmware.baudrate == flash
 
 
-def test_a_silent_serial_line_is_opened_again_and_the_base_found_at_its_rate() -> None:
-    pair = Pair(rate=9600).driving(0.2, 0.0)
-    pair.run(1.0)
-    pair.cut_up = pair.cut_down = True
-    pair.run(5.0)
-    pair.cut_up = pair.cut_down = False
-    pair.events.clear()
-    pair.run(10.0, until=lambda: bool(pair.of(Ready)))
-    assert pair.session.state is SessionState.READY
-    assert pair.rate == pair.pioneer.firmware.baudrate == FAST_RATE
-
-
-@pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize(
-    "faults", [("corrupt=0.15",), ("drop=0.15",), ("corrupt=0.08", "drop=0.08", "noise=0.2")]
-)
-def test_a_bad_line_is_survived_both_ways(faults: tuple[str, ...], seed: int) -> None:
+@pytest.mark.parametrize("fault", ["corrupt=0.15", "drop=0.15", "noise=0.2"])
+def test_a_bad_line_is_survived_both_ways(fault: str) -> None:
     """Invariant: the pose stays the base's, speeds stay as commanded, and the end is a standstill."""
-    pair = Pair(Pioneer("p3at-sh", *faults, seed=seed)).driving(0.15, 0.1)
+    pair = Pair(Pioneer("p3at-sh", fault, seed=1)).driving(0.15, 0.1)
     pair.run(5.0, until=lambda: bool(pair.of(BaseReport)))
     for _ in range(100):
         pair.run(0.1)

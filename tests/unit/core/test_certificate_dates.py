@@ -45,15 +45,6 @@ def test_certificate_in_a_file_is_read_too(files, tmp_path):
         require_valid(config, "listen", None, NOW + timedelta(days=3000))
 
 
-def test_no_certificate_and_one_that_cannot_be_read_are_left_to_zenoh(tmp_path):
-    config = zenoh.Config()
-    require_valid(config, "listen", None, NOW)
-    config.insert_json5("transport/link/tls/listen_certificate", json.dumps(str(tmp_path / "none")))
-    require_valid(config, "listen", None, NOW)
-    (tmp_path / "none").write_bytes(b"-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n")
-    require_valid(config, "listen", None, NOW)
-
-
 def test_without_the_library_tls_alone_judges_an_expired_certificate(files, monkeypatch):
     monkeypatch.setitem(sys.modules, "cryptography", None)
     config = zenoh.Config.from_json5(re.sub(r"^//.*\n", "", files["bridge.json5"]))

@@ -35,20 +35,19 @@ def test_after_a_fast_sample_every_moment_is_exact(delays):
         assert clock.measured_ns(taken, arrival) == taken + 1 * MS
 
 
-@pytest.mark.parametrize("step_s", [-3600.0, -1.5, -1.0, -0.6, -0.3, -0.2, 0.2, 0.6, 5.0, 3600.0])
-@pytest.mark.parametrize("period", [PERIOD // 2, PERIOD, 2 * PERIOD])
-def test_a_clock_that_is_set_costs_one_sample(step_s, period):
+@pytest.mark.parametrize("step_s", [-3600.0, -1.0, -0.3, -0.2, 0.2, 5.0])
+def test_a_clock_that_is_set_costs_one_sample(step_s):
     clock, shown = StampClock(), []
     for number in range(10):
-        stamp = number * period + (round(step_s * NS_PER_S) if number >= 5 else 0)
-        measured = clock.measured_ns(NS_PER_S + stamp, number * period + MS)
-        assert measured == (None if number == 5 else number * period + MS)
+        stamp = number * PERIOD + (round(step_s * NS_PER_S) if number >= 5 else 0)
+        measured = clock.measured_ns(NS_PER_S + stamp, number * PERIOD + MS)
+        assert measured == (None if number == 5 else number * PERIOD + MS)
         shown.append(clock.set_back_s)
     assert shown[6] == pytest.approx(max(-step_s, 0.0))
     assert not any(shown[:6] + shown[7:])
 
 
-@pytest.mark.parametrize("error_s", [-1e9, -3600.0, -5.0, -0.3, 0.3, 5.0, 1e9])
+@pytest.mark.parametrize("error_s", [-3600.0, -0.3, 0.3, 1e9])
 @pytest.mark.parametrize("bad", [0, 5])
 def test_a_bad_stamp_costs_one_sample(error_s, bad):
     clock = StampClock()
@@ -67,15 +66,6 @@ def test_a_link_that_became_slow_stays_late():
         measured = clock.measured_ns(stamp, number * PERIOD + MS + late)
         assert measured == (None if number % 50 == 0 else number * PERIOD + MS)
         assert clock.set_back_s == 0.0
-
-
-def test_a_message_out_of_order_is_old_and_not_of_another_clock():
-    clock = StampClock(in_order=False)
-    clock.measured_ns(0, MS)
-    assert clock.measured_ns(10 * PERIOD, 10 * PERIOD + MS) == 10 * PERIOD + MS
-    assert clock.measured_ns(3 * PERIOD, 10 * PERIOD + 2 * MS) is None
-    assert clock.measured_ns(11 * PERIOD, 11 * PERIOD + MS) == 11 * PERIOD + MS
-    assert clock.late_ns == 3 * PERIOD + MS
 
 
 def test_a_drifting_clock_is_followed_over_hours():

@@ -7,7 +7,7 @@ from kit.described import described
 
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.dead_zone import PULSE_TICKS, DeadZone, Pulse, pulsed
-from rover_ncp.robot.description import DeadBand, load_description
+from rover_ncp.robot.description import DeadBand
 from rover_ncp.robot.profile import RoverProfile
 
 BAND = RoverProfile(name="band", dead_band_v=0.05, dead_band_omega=0.1)
@@ -24,23 +24,6 @@ def test_pulses_are_right_on_average_and_as_long_as_the_base_needs(wanted):
     assert sum(sent) == pytest.approx(1000 * wanted, abs=0.05 * PULSE_TICKS)
     lengths = [len(run) for run in "".join("x" if each else " " for each in sent).split()]
     assert min(lengths[:-1]) >= PULSE_TICKS
-
-
-def test_speed_that_the_base_follows_and_zero_owe_nothing():
-    owing = pulsed(0.01, 0.05, Pulse())
-    assert owing.owed
-    assert pulsed(0.05, 0.05, owing) == Pulse(0.05)
-    assert pulsed(-0.2, 0.05, owing) == Pulse(-0.2)
-    assert pulsed(0.0, 0.05, owing) == Pulse()
-
-
-@pytest.mark.parametrize(
-    "zone", [DeadZone(), DeadZone(RoverProfile(name="x"), load_description("turtlebot3-burger"))]
-)
-def test_commands_pass_unchanged_without_a_band(zone):
-    commands = [Velocity(random.gauss(0, 0.1), random.gauss(0, 0.1)) for _ in range(100)]
-    assert [zone.pass_on(command) for command in commands] == commands
-    assert zone.band == zone.least == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(

@@ -22,14 +22,6 @@ def test_wrapped_angle_points_the_same_way_and_lies_in_the_half_open_interval(an
     assert math.sin(wrapped) == pytest.approx(math.sin(angle), abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("angle", "expected"),
-    [(math.pi, math.pi), (-math.pi, math.pi), (3.5 * math.pi, -0.5 * math.pi), (0.0, 0.0), (-0.1, -0.1)],
-)
-def test_wrap_angle_at_the_seam(angle, expected):
-    assert wrap_angle(angle) == pytest.approx(expected, abs=1e-12)
-
-
 @given(poses, poses, poses)
 def test_composition_is_associative_inverse_undoes_and_relative_is_what_it_adds(a, b, c):
     assert close(compose(compose(a, b), c), compose(a, compose(b, c)))

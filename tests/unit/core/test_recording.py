@@ -1,11 +1,8 @@
 import struct
 import time
-import tracemalloc
-from dataclasses import replace
 
 import lz4.frame
 import pytest
-import yaml
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
@@ -15,12 +12,10 @@ from rosbags.highlevel import AnyReader
 
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import Pose, Velocity
-from rover_ncp.recording import mcap_format, recording
 from rover_ncp.recording.mcap_format import MAGIC, RECORD_LIMIT
 from rover_ncp.recording.recording import (
     Recorded,
     RecordingWriter,
-    header_stamp_ns,
     read_recording,
     recover,
     rewrite,
@@ -73,31 +68,6 @@ def test_written_messages_are_read(written):
         found.attachment("course.yaml")
 
 
-@pytest.mark.parametrize(
-    ("encoding", "ros_types", "why"),
-    [
-        ("json", ["std_msgs/msg/String"], "/pose has no CDR, which rover-ncp does not write"),
-        ("cdr", ["lab/msg/Pose"], "/pose has the type lab/msg/Pose, which rover-ncp does not write"),
-        ("cdr", ["std_msgs/msg/String", "nav_msgs/msg/Odometry"], "/pose has two types"),
-    ],
-)
-def test_recordings_of_other_software_are_read_but_not_recovered(tmp_path, encoding, ros_types, why):
-    path, target = tmp_path / "other.mcap", tmp_path / "whole.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start(profile="ros2", library="another")
-        for number, ros_type in enumerate(ros_types):
-            schema = writer.register_schema(ros_type, "ros2msg", b"")
-            channel = writer.register_channel("/pose", encoding, schema)
-            writer.add_message(channel, T0 + number, b"{}", T0)
-        writer.finish()
-    known = ros_types if encoding == "cdr" else [""]
-    assert [message.type for message in read_recording(path).messages] == known
-    with pytest.raises(FileError, match=rf"other\.mcap: {why}.*'mcap recover'"):
-        recover(path, target)
-    assert not target.exists()
-
-
 def test_other_readers_understand_it(written):
     with written.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
@@ -113,20 +83,6 @@ def test_other_readers_understand_it(written):
             if connection.topic == "odom"
         ]
     assert poses == [0.01 * number for number in range(40)]
-
-
-@pytest.mark.parametrize(
-    ("ros_type", "data", "stamp_ns"),
-    [
-        ("nav_msgs/msg/Odometry", odom(7).data, T0 + 700_000_000),
-        ("geometry_msgs/msg/TwistStamped", bytes(4) + struct.pack(">iI", 5, 6) + bytes(64), 5_000_000_006),
-        ("std_msgs/msg/String", text("hello, world"), None),
-        ("nav_msgs/msg/Odometry", b"\x00\x01\x00\x00short", None),
-        ("nav_msgs/msg/Odometry", b"\xff" * 40, None),
-    ],
-)
-def test_the_time_of_sending_is_the_headers_stamp(ros_type, data, stamp_ns):
-    assert header_stamp_ns(ros_type, data) == stamp_ns
 
 
 def test_cut_off_anywhere_it_gives_a_prefix_of_whole_messages(written, tmp_path):
@@ -177,12 +133,10 @@ def test_a_damaged_file_is_read_up_to_the_damage(written, tmp_path, caplog):
     assert kept >= {0, 20, 40, 60, 80}
 
 
-@pytest.mark.parametrize("tail", [b"\0" * 100_000, b"\xff" * 4000, b"garbage", MAGIC])
-@pytest.mark.parametrize("whole", [True, False])
-def test_garbage_at_the_end_costs_no_message_before_it(written, tmp_path, tail, whole):
+@pytest.mark.parametrize("tail", [b"\0" * 100_000, MAGIC])
+def test_garbage_at_the_end_costs_no_message_before_it(written, tmp_path, tail):
     content = written.read_bytes()
-    if not whole:
-        content = content[: content.rindex(b"nav_msgs/msg/Odometry") - 40]  # the index is lost
+    content = content[: content.rindex(b"nav_msgs/msg/Odometry") - 40]  # the index is lost
     path = tmp_path / "tail.mcap"
     path.write_bytes(content + tail)
     assert read_recording(path).messages == read_recording(written).messages
@@ -191,15 +145,6 @@ def test_garbage_at_the_end_costs_no_message_before_it(written, tmp_path, tail, 
     with path.open("rb") as file:  # viewers find the index at the end
         assert make_reader(file).get_summary().statistics.message_count == 80
     assert not recover(path, path).damage
-
-
-def test_damaged_attachment_is_not_used(written, tmp_path):
-    content = written.read_bytes()
-    path = tmp_path / "damaged.mcap"
-    path.write_bytes(content.replace(POLICY, POLICY.replace(b"1", b"2", 1)))
-    part = read_recording(path)
-    assert not part.attachments
-    assert "checksum of an attachment" in part.damage
 
 
 @pytest.mark.parametrize(
@@ -272,38 +217,6 @@ def test_unpacked_size_has_a_limit_that_is_named(tmp_path, compression, pack):
     assert "size of a chunk differs" in part.damage
 
 
-def test_many_chunks_that_unpack_to_more_than_memory_are_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(mcap_format, "UNPACKED_LIMIT", 10_000_000)
-    one = 1_000_000, "zstd", zstandard.compress(b"\x80" + struct.pack("<Q", 999_991) + bytes(999_991))
-    with pytest.raises(FileError, match="more than 10000000 bytes, unpacked"):
-        read_recording(chunked(tmp_path / "many.mcap", *[one] * 20))
-
-
-def test_messages_kept_in_memory_have_a_limit_that_is_named(written, monkeypatch):
-    monkeypatch.setattr(recording, "MEMORY_LIMIT", 1 << 15)
-    with pytest.raises(FileError, match="holds more than the limit of"):
-        read_recording(written)
-    assert len(read_recording(written, topics={"rover/status"}).messages) == 40
-
-
-def test_memory_of_recovery_does_not_grow_with_the_recording(tmp_path):
-    peaks, message = [], odom(0)
-    for count in (2_000, 4_000):
-        messages = [replace(message, log_ns=message.log_ns + number) for number in range(count)]
-        path = write(tmp_path / f"{count}.mcap", messages)
-        tracemalloc.start()
-        recover(path, tmp_path / "copy.mcap")
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
-    assert peaks[1] < peaks[0] + 500_000
-
-
-def latched_profile(path):
-    with path.open("rb") as file:
-        channels = make_reader(file).get_summary().channels.values()
-    return next(c.metadata["offered_qos_profiles"] for c in channels if c.topic == "tf_static")
-
-
 def test_late_listeners_of_a_replayed_recording_receive_latched_topics(tmp_path):
     transform = Transform("base_link", "laser", 0.1, 0.0, 0.2, 0.0)
     static = Recorded("tf_static", "tf2_msgs/msg/TFMessage", transforms([transform], T0), T0, T0)
@@ -315,13 +228,4 @@ def test_late_listeners_of_a_replayed_recording_receive_latched_topics(tmp_path)
     assert (profile.history.name, profile.depth) == ("KEEP_LAST", 1)
     assert offered == {"odom": []}
     # rosbag2 reads the numbers of the profile only beside a record of its name without newer metadata.
-    found = read_recording(path)
-    assert found.metadata == {"rosbag2": {"serialized_metadata": ""}}
-    copy = tmp_path / "copy.mcap"
-    recover(path, copy)
-    (fields,) = yaml.safe_load(latched_profile(path))
-    assert fields.pop("avoid_ros_namespace_conventions") is False
-    assert all(isinstance(value, int | dict) for value in fields.values())
-    assert latched_profile(copy) == latched_profile(path)
-    with copy.open("rb") as file:
-        assert [item.name for item in make_reader(file).iter_metadata()] == ["rosbag2"]
+    assert read_recording(path).metadata == {"rosbag2": {"serialized_metadata": ""}}

@@ -9,11 +9,7 @@ from bridge.bases import choose_base, gate_limits
 from rover_ncp.core.errors import ConfigError, UsageError
 from rover_ncp.core.files import resolve, shipped_names
 from rover_ncp.robot.description import load_description
-from rover_ncp.wire.protocol import BaseReply, parse_json
-from sim.base.firmware import Firmware
-from sim.stack.virtual import VirtualBridge
 from sim.world.described import described_rover
-from sim.world.pymunk_rover import Ground, PymunkRover
 
 
 def figures(data, path=""):
@@ -67,27 +63,16 @@ def test_a_description_is_based_on_a_file_beside_it_whatever_the_working_folder(
     ("text", "expected"),
     [
         ("", "the file is empty|mapping"),
-        ("[1]", "expected a mapping of keys"),
-        ("name: x\nbased_on: [p3at]\n", r"\$.based_on"),
         ("name: x\nbased_on: p3at\nmotion: {v_max: -1}\n", r"\$.motion.v_max"),
-        ("name: x\nbased_on: p3at\nmotion: {v_max: .nan}\n", r"\$.motion.v_max"),
         ("name: x\nbased_on: turtlebot4\nscan: {range_m: [0.1, 1.0e+300]}\n", r"\$.scan.range_m"),
-        ("name: x\nbased_on: p3at\nbattery: {nominal_v: 1.0e-310}\n", r"\$.battery.nominal_v"),
         ("name: x\nbased_on: p3at\nwheels: {axles_m: 0}\n", "a skid drive needs wheels.axles_m"),
         ("name: x\nbased_on: p3at\ntopics: {odom: /odom}\n", r"\$.topics.odom"),
-        ("name: x\nbased_on: p3at\ntopics: {cmd_vel_type: Pose}\n", r"\$.topics.cmd_vel_type"),
         ("name: x\nbased_on: turtlebot4\ntopics: {imu: odom}\n", "odom and imu are both the topic odom"),
-        (
-            "name: x\nbased_on: husky-a200\ntopics: {stop: s, hazards: {topic: s, latched: true}}\n",
-            "stop and hazards are both the topic s",
-        ),
         ("name: x\nbased_on: turtlebot4\nscan: {range_m: [3.0, 0.1]}\n", "the smaller range first"),
         ("name: x\nbased_on: p3at\nbattery: {nominal_v: 12, min_v: 13}\n", "it could never drive"),
         ("name: x\nbased_on: turtlebot4\nmotion: {wheel_min: 0.4}\n", "wheel_min is 0.4, expected less"),
         (f"name: x\nbased_on: turtlebot4\ntopics: {{odom_frame: {'o' * 201}}}\n", r"\$.topics.odom_frame"),
         ("name: x\nbased_on: p3at\nspeed: 1\n", r"\$.speed: unknown key"),
-        ("name: x\nbased_on: p3at\nfootprint: {radus_m: 1}\n", "radus_m: unknown key"),
-        ("name: x\nbased_on: p3at\nsources: 1\n", r"\$.sources"),
         ("name: x\n", r"\$.footprint"),
         ("name: loop\nbased_on: bad.yaml\n", r"\$.based_on: expected a description's name, in 4 steps"),
     ],
@@ -110,13 +95,3 @@ def test_bad_files_are_refused(tmp_path, monkeypatch, text, expected):
 def test_a_model_that_does_not_fit_its_address_is_refused(base, model, expected):
     with pytest.raises(UsageError, match=expected):
         choose_base(base, model)
-
-
-def test_a_pioneer_of_ones_own_is_simulated_and_driven_from_its_file(tmp_path):
-    file = tmp_path / "arm.yaml"
-    file.write_text("name: p3at-arm\nbased_on: p3at-sh\nheight_m: 0.9\n")
-    robot = choose_base("tcp/robot", str(file)).description
-    bridge = VirtualBridge(Firmware(robot, PymunkRover(described_rover(robot), Ground())))
-    bridge.sleep(3.0)
-    shape = parse_json(BaseReply, bridge.query("rover/base", b"{}"))
-    assert shape.model == "p3at-arm"

@@ -37,7 +37,7 @@ def ablations() -> list[dict[str, float]]:
 
 def row(stack: Stack, changes: Mapping[str, float], trials: int) -> str:
     """Drive the trials with changed settings; return their line."""
-    driven = drive_all(replace(stack, estimator=changes), trials, None)
+    driven = drive_all(replace(stack, estimator=changes).drive, trials, None)
     parked = [trial.parked for trial in driven]
     found = summary([trial.belief for trial in driven], parked)
     plain = np.array([trial.belief.verdict is Parked.YES for trial in driven])

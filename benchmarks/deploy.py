@@ -1,6 +1,6 @@
 """How long the driver takes from an odometry sample to the command computed from it, and its CPU time.
 
-    python -m benchmarks.deploy --seconds 32
+    PYTHONPATH=tests python -m benchmarks.deploy --seconds 32
 
 The driver is the real process, which records as in a drive. A peer in place of the bridge sends odometry 10,
 50 and 100 times a second, grants the lease and executes commands exactly, so that no safety rule applies.
@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import psutil
 import zenoh
+from kit.peer import Peer
 
 from bridge.zenoh.config import configured
 from deploy.app import run
@@ -46,9 +47,8 @@ from rover_ncp.wire.protocol import (
     dump_json,
     parse_json,
 )
-from sim.live.peers import Peer
-from sim.live.processes import Process, ProcessError, TimedOut, wait_for
 from sim.mock.ros2_server import free_port
+from sim.park.live import Process, ProcessError, TimedOut, wait_for
 
 RATES_HZ = (10.0, 50.0, 100.0)
 CIRCUIT_TICKS, CIRCUIT_REPEATS = 500, 20

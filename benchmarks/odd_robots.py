@@ -148,7 +148,7 @@ def main() -> None:
     ranges = load_randomization("slope" if given.kind == "heavy" else "varied", Body.MUJOCO)
     courses = (load_course("parking"),)
     stack = OddStack(load_driver("course"), courses, ranges, given.seed, gyro=True, kind=given.kind)
-    driven = drive_all(stack, given.trials, None)
+    driven = drive_all(stack.drive, given.trials, None)
     print(tally(driven).model_dump_json(indent=2))
     print("\n".join(words(summary([trial.belief for trial in driven], [trial.parked for trial in driven]))))
 

@@ -118,7 +118,7 @@ def evaluate(
     ranges = ranges_for(randomize, None)
     if stack:
         # A function may be unknown to other processes.
-        return tally(drive_all(Stack(driver, tuple(courses), ranges, seed), trials, 1))
+        return tally(drive_all(Stack(driver, tuple(courses), ranges, seed).drive, trials, 1))
     return tally(drive_trials(driver, courses, ranges, trials=trials, seed=seed))
 
 

@@ -50,7 +50,7 @@ def drive_stack(
     count = trial_count(options.trials, len(courses), ranges, stack.varies)
     began = time.monotonic()
     with progress(count) as done:
-        driven = drive_all(stack, count, options.processes, done)
+        driven = drive_all(stack.drive, count, options.processes, done)
     return driven, sum(stack.course(number).horizon_s for number in range(count)), time.monotonic() - began
 
 
@@ -75,7 +75,7 @@ def drive_dockings(
     )
     count = options.trials or 1
     with progress(count) as done:
-        return place.name, drive_all(trials, count, options.processes, done)
+        return place.name, drive_all(trials.drive, count, options.processes, done)
 
 
 @contextmanager

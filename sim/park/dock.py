@@ -11,15 +11,11 @@ from pydantic import BaseModel, Field
 
 from deploy.place.outcome import PoseErrors
 from deploy.place.place import load_place
-from deploy.view.page import drive_page
-from deploy.view.recorded_drive import read_drive
 from rover_ncp.core.console import Output
-from rover_ncp.core.files import read_bytes, require_writable, resolve, write_atomic
+from rover_ncp.core.files import read_bytes, require_writable, resolve
 from rover_ncp.core.geometry import Pose
-from rover_ncp.recording.recording import read_recording, rewrite
-from sim.live.live_run import LiveRun
-from sim.live.processes import Process, ProcessError, wait_for
-from sim.live.truth import TRUTH, recorded_truth
+from sim.park.live import LiveRun, Process, wait_for
+from sim.park.truth import TRUTH, add_truth
 
 APPROACH_S, DOCK_S = 120.0, 300.0
 """Longest times until the first approach, and until the end."""
@@ -73,15 +69,10 @@ def run_dock(output: Output, out: Path, *, overwrite: bool) -> int:
         if driver.running:
             output.say("the first approach is blocked on purpose")
             run.mock.tell(BLOCKED)
-        done = driver.wait(DOCK_S)
-        if done.code not in {0, 1} or not done.result:
-            raise ProcessError("deploy", done.code, done.last_line)
+        done = run.finish(driver, DOCK_S)
         found = tags.stop()
-        run.bridge.stop()
-        run.mock.stop()
     truth = run.truth.read()
-    rewrite(read_recording(recording), recording, recorded_truth(truth))
-    write_atomic(report, drive_page(read_drive(recording)))
+    add_truth(recording, truth, report)
     within = place.holds(truth[-1].pose)
     dock = done.result["dock"]
     result = DockedResult(

@@ -7,13 +7,10 @@ deploy run as three processes over TCP and Zenoh, and the true pose is judged, w
 """
 
 import shutil
-import signal
 from pathlib import Path
 
 from pydantic import BaseModel, Field
 
-from deploy.view.page import drive_page
-from deploy.view.recorded_drive import read_drive
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.rover_interface import RoverInterface
@@ -24,15 +21,13 @@ from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.pictures import drive_picture, render
 from rover_ncp.course.shapes import outline_of
 from rover_ncp.course.slowdown import slowed
-from rover_ncp.recording.recording import read_recording, rewrite
 from rover_ncp.robot.description import load_description
 from sim.learn.ensemble import train
 from sim.learn.progress import train_progress
 from sim.learn.rollout import rollout
 from sim.learn.settings import TrainSettings, course_of
-from sim.live.live_run import PIONEER, ROS2DDS, LiveRun
-from sim.live.processes import Finished, ProcessError
-from sim.live.truth import TRUTH, judge_truth, recorded_truth
+from sim.park.live import PIONEER, ROS2DDS, LiveRun
+from sim.park.truth import TRUTH, add_truth, judge_truth
 from sim.world.rover import RoverModel
 
 ITERATIONS, AGENTS = 20_000, 12
@@ -138,19 +133,14 @@ def run_park(
         )
         recording.unlink(missing_ok=True)
         described = ["--model", model] if model != DEFAULT_ROBOT else []
-        done = _drive(
-            run,
-            ["--policy", policy, "--course", course, "--record", str(recording), *described],
-            slow_course.horizon_s,
-        )
+        driver = run.deploy("--policy", policy, "--course", course, "--record", str(recording), *described)
+        done = run.finish(driver, slow_course.horizon_s + _DEPLOY_EXTRA_S)
     truth = run.truth.read()
-    rewrite(read_recording(recording), recording, recorded_truth(truth))
-    drive = read_drive(recording)
+    drive = add_truth(recording, truth, report)
     began_ns = drive.timeline.ticks[0].wall_ns
     true_path = [state.pose for state in truth if state.wall_ns >= began_ns]
     estimates = [tick.estimate.pose for tick in drive.timeline.ticks]
     write_atomic(picture, render(drive_picture(slow_course, true_path, estimates, outline_of(robot)), "png"))
-    write_atomic(report, drive_page(drive))
     verdict = judge_truth(slow_course, truth, began_ns).with_contact(done.result["contact"] or "")
     result = ParkResult(
         parked=verdict.parked,
@@ -224,19 +214,3 @@ def _clear(folder: Path, *, overwrite: bool) -> None:
     if not (folder / "settings.yaml").is_file() and any(folder.iterdir()):
         raise FileError(f"{folder}: is not empty and holds no training of an earlier park")
     shutil.rmtree(folder)
-
-
-def _drive(run: LiveRun, arguments: list[str], horizon_s: float) -> Finished:
-    """Drive a course; return how the driver ended. Raises ProcessError."""
-    driver = run.deploy(*arguments)
-    try:
-        done = driver.wait(horizon_s + _DEPLOY_EXTRA_S)
-    except KeyboardInterrupt:
-        driver.send_signal(signal.SIGINT)
-        driver.wait(_DEPLOY_EXTRA_S)
-        raise
-    run.bridge.stop()
-    run.mock.stop()
-    if done.code not in {0, 1} or not done.result:
-        raise ProcessError("deploy", done.code, done.last_line)
-    return done

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from deploy.drive.config import DriveConfig, place_config
-from deploy.drive.control_loop import Drive
 from deploy.place.docking import Docking
 from deploy.place.outcome import DockError, DockResult, PoseErrors
 from deploy.place.place import Place
@@ -29,8 +28,8 @@ from rover_ncp.robot.profile import RoverProfile
 from sim.base.trial import BaseTrial, draw_rover
 from sim.stack.lines import simulated_base
 from sim.stack.tag_camera import TagLocaliser, camera_direction
-from sim.stack.trials import drive_whole
-from sim.stack.virtual import TicklessPublisher, VirtualBridge, VirtualLink
+from sim.stack.trials import drive_whole, new_drive
+from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.randomization import Randomization
 
 DISTANCES_M = 0.5, 2.5
@@ -139,9 +138,8 @@ class DockTrials:
         link = VirtualLink(bridge, None)
         stream = random_stream(self.seed, Domain.CAMERA, number)
         base.observe = self.localiser(rover, self.place, stream, link.localise).observe
-        publisher = TicklessPublisher(link, lambda message: None, self.dock.circuit.neurons, bridge)
         docking = copy.deepcopy(self._docking)
-        drive = Drive(link, docking, publisher, self._config, lambda: False, clock=bridge)
+        drive = new_drive(link, docking, self.dock.circuit.neurons, self._config)
         try:
             drive_whole(drive)
             stop, reason = "" if drive.stop is None else drive.stop.rule, drive.reason

@@ -8,17 +8,17 @@ and the profile of its robot, and a profile that names the noise of its odometry
 import copy
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, TypeVar
 
 from deploy.drive.config import DriveConfig, config_for
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller
 from deploy.drive.measurements import Measurements
-from deploy.drive.mission import CourseMission
+from deploy.drive.mission import CourseMission, Mission
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.identify.excitation import FENCE_M, excite
 from deploy.identify.fit import identify
@@ -43,7 +43,6 @@ from sim.world.randomization import Randomization
 from sim.world.rover import Rover, RoverModel
 
 FoundT = TypeVar("FoundT")
-FoundT_co = TypeVar("FoundT_co", covariant=True)
 ANYWHERE_M = 1000.0
 _WORTH_A_PROCESS = 6
 """Fewer trials take no longer than a process takes to start."""
@@ -169,9 +168,8 @@ class Stack:
         )
         changed = config.estimator.model_copy(update=dict(self.estimator))
         config = config.model_copy(update={"estimator": changed})
-        publisher = TicklessPublisher(link, lambda message: None, self.driver.neurons, bridge)
         mission = CourseMission(self._controller(number, config), config)
-        drive = Drive(link, mission, publisher, config, lambda: False, clock=bridge)
+        drive = new_drive(link, mission, self.driver.neurons, config)
         drive_whole(drive)
         report = drive.keeper.report()
         verdict = truth.judge(course, link.first_command_ns)
@@ -225,6 +223,13 @@ class _Truth:
         return judge(course, times, self._poses[first:last], self._touched)
 
 
+def new_drive(link: VirtualLink, mission: Mission, neurons: Sequence[str], config: DriveConfig) -> Drive:
+    """Return a drive on the virtual clock, without subscribers and without a recording."""
+    bridge = link.bridge
+    publisher = TicklessPublisher(link, lambda message: None, neurons, bridge)
+    return Drive(link, mission, publisher, config, lambda: False, clock=bridge)
+
+
 def drive_whole(drive: Drive) -> None:
     """Drive until the end. Raises NoPose, and KeyboardInterrupt, which a driver takes for its own end."""
     drive.wait()
@@ -233,17 +238,13 @@ def drive_whole(drive: Drive) -> None:
         raise KeyboardInterrupt
 
 
-class Drives(Protocol[FoundT_co]):
-    """Trials by their numbers."""
-
-    def drive(self, number: int) -> FoundT_co:
-        """Drive a trial."""
-
-
 def drive_all(
-    stack: Drives[FoundT], count: int, processes: int | None, on_done: Callable[[], None] = lambda: None
+    drive: Callable[[int], FoundT],
+    count: int,
+    processes: int | None,
+    on_done: Callable[[], None] = lambda: None,
 ) -> list[FoundT]:
-    """Drive trials 0 to ``count`` − 1 of a stack; ``on_done`` is called after each. Raises WorkerDied.
+    """Drive trials 0 to ``count`` − 1 by their numbers; ``on_done`` is called after each. Raises WorkerDied.
 
     ``processes`` is by default as many as there are cores and work for.
     """
@@ -251,17 +252,18 @@ def drive_all(
     found: dict[int, FoundT] = {}
     if workers == 1:
         for number in range(count):
-            found[number] = stack.drive(number)
+            found[number] = drive(number)
             on_done()
         return list(found.values())
-    drive = made_in_each_process(partial(_driver, stack))
+    made = made_in_each_process(partial(_same, drive))
     with ProcessPool(workers) as pool:
-        waiting = {pool.submit(drive, number): number for number in range(count)}
+        waiting = {pool.submit(made, number): number for number in range(count)}
         for done in as_completed(waiting):
             found[waiting[done]] = done.result()
             on_done()
     return [found[number] for number in range(count)]
 
 
-def _driver(stack: Drives[FoundT]) -> Callable[[int], FoundT]:
-    return stack.drive
+def _same(drive: Callable[[int], FoundT]) -> Callable[[int], FoundT]:
+    """Return the function: each process unpickles its trials once, with what they keep."""
+    return drive

@@ -175,7 +175,7 @@ class VirtualLink(Link):
         record: Callable[[Recorded], None] = lambda message: None,
     ) -> None:
         super().__init__()
-        self._bridge, self._start, self._record = bridge, start, record
+        self.bridge, self._start, self._record = bridge, start, record
         self.odometry = _OdometryInbox(bridge)
         self.first_command_ns: int | None = None
         """When the first command was sent."""
@@ -204,7 +204,7 @@ class VirtualLink(Link):
 
     def command(self, velocity: Velocity) -> int:
         """Send a command and return its sequence number."""
-        bridge = self._bridge
+        bridge = self.bridge
         if self.first_command_ns is None:
             self.first_command_ns = bridge.now_ns
         data = twist_stamped(velocity, bridge.time_ns())
@@ -216,18 +216,18 @@ class VirtualLink(Link):
         """Discard a message: the simulation has no subscriber to the driver's own topics."""
 
     def _motors(self, request: MotorsRequest) -> MotorsReply:
-        payload = dump_json(request.model_copy(update={"sent_ns": self._bridge.now_ns}))
+        payload = dump_json(request.model_copy(update={"sent_ns": self.bridge.now_ns}))
         tag = None
         if self.lease.number:
-            tag = self.lease.sign(Signed.MOTORS, "rover/motors", payload, self._bridge.now_ns).pack()
-        return parse_json(MotorsReply, self._bridge.query("rover/motors", payload, tag))
+            tag = self.lease.sign(Signed.MOTORS, "rover/motors", payload, self.bridge.now_ns).pack()
+        return parse_json(MotorsReply, self.bridge.query("rover/motors", payload, tag))
 
     def _receive(self, name: str, data: bytes) -> None:
-        wall_ns = self._bridge.time_ns()
+        wall_ns = self.bridge.time_ns()
         self._record(Recorded(name, spec(name).type, data, wall_ns, wall_ns))
-        self.receive(name, Arrival(data, self._bridge.now_ns))
+        self.receive(name, Arrival(data, self.bridge.now_ns))
         if name == "odom" and self._start is not None and not self._requested:
-            self.poses.put(Arrival(start_pose(self._start, wall_ns), self._bridge.now_ns))
+            self.poses.put(Arrival(start_pose(self._start, wall_ns), self.bridge.now_ns))
 
     def localise(self, data: bytes, arrival_ns: int) -> None:
         """Deliver an external pose that arrived at ``arrival_ns``, shortly before the bridge's time."""

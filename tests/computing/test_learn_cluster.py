@@ -7,7 +7,7 @@ from kit.paths import DATA, content
 from kit.training_processes import Cluster, start_rover_ncp
 
 from rover_ncp.cli import run
-from sim.live.processes import wait_for
+from sim.park.live import wait_for
 
 pytestmark = pytest.mark.usefixtures("no_git")
 

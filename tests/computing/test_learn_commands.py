@@ -15,7 +15,7 @@ from kit.training_processes import is_running, start_rover_ncp
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
-from sim.live.processes import wait_for
+from sim.park.live import wait_for
 
 pytestmark = pytest.mark.usefixtures("no_git")
 

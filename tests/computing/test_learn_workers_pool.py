@@ -12,7 +12,7 @@ from kit.training_processes import is_running
 
 from rover_ncp.core.errors import ConfigError, UsageError
 from sim.learn.workers import ProcessPool, WorkerDied
-from sim.live.processes import wait_for
+from sim.park.live import wait_for
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,12 @@ from collections.abc import Callable
 from signal import SIGKILL, SIGTERM
 from typing import Any
 
+from kit.true_motion import speed
+
 from faults.hang import CLOCK_STEPS_S, SILENT_CLOSE
 from faults.rig import CREEP_M_S, Scene, Unsafe
 from faults.row import CIRCUIT, SCRIPTED, Act, Row
-from sim.live.processes import Process
+from sim.park.live import Process
 
 GOES_ON_S = 1.0
 BEHIND_S = 3
@@ -31,7 +33,7 @@ def _goes_on(fault: Callable[[Scene], object], end: Callable[[Scene], object]) -
     def act(scene: Scene) -> int:
         fault(scene)
         time.sleep(GOES_ON_S)
-        if abs(scene.rig.truth.speed()) < CREEP_M_S:
+        if abs(speed(scene.rig.truth)) < CREEP_M_S:
             raise Unsafe("the rover stands after a fault that must not end its drive")
         ended_ns = time.monotonic_ns()
         end(scene)

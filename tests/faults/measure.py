@@ -23,12 +23,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from kit.true_motion import SAMPLE_S, speed, states_since
 
 from faults.rig import CREEP_M_S, Rig, Scene, Unsafe
 from faults.row import CIRCUIT, Row, braking_s
 from faults.scripted_driver import ScriptedDriver
-from sim.live.processes import TimedOut, wait_for
-from sim.live.truth import SAMPLE_S
+from sim.park.live import TimedOut, wait_for
 
 ROWS_FILE = os.environ.get("ROVER_NCP_SAFETY_ROWS")
 """Set by tests/tools/safety_table.py, which writes all rows into the page."""
@@ -79,7 +79,7 @@ def time_stop(rig: Rig, row: Row, act: Callable[[], int | None]) -> Measured:
     late_s = rig.late_s()
     if row.silences:
         late_s = max(late_s, rig.heard_after_s(began_ns))
-    states, bound_s = rig.truth.since(began_ns), row.bound_s(rig.description)
+    states, bound_s = states_since(rig.truth, began_ns), row.bound_s(rig.description)
     velocities = [s.velocity for s in states if s.clock_ns <= began_ns + bound_s * 1e9]
     v, omega = np.abs(velocities).max(axis=0).tolist()
     return Measured(row, states[0].wall_ns, seconds, bound_s, braking_s(rig.description, v, omega), late_s)
@@ -132,7 +132,7 @@ def _measure(scene: Scene, row: Row, driver: str, moments: np.random.Generator |
         rig.under_way(scene.scripted)
     if moments is not None and not row.from_rest:
         time.sleep(moments.uniform(0.0, CIRCUIT_WAIT_S if driver == CIRCUIT else SCRIPTED_WAIT_S))
-        wait_for(lambda: abs(rig.truth.speed()) > CREEP_M_S, what="the rover to move")
+        wait_for(lambda: abs(speed(rig.truth)) > CREEP_M_S, what="the rover to move")
     if driver != CIRCUIT:
         scene.scripted.requests_lease = row.requests_lease
     measured = time_stop(rig, row, lambda: act(scene))

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from sim.live.processes import Finished, Process
+from sim.park.live import Finished, Process
 
 TERMINAL, PIPE, GONE = ("terminal", "pipe", "gone")
 

@@ -22,8 +22,8 @@ from functools import cached_property
 from pathlib import Path
 
 from bridge.pioneer.transport import ABORT
-from sim.live.processes import Applied, Process
 from sim.mock.real_time import Lateness
+from sim.park.live import Applied, Process
 
 CHUNK_BYTES = 1 << 16
 TURN_S = 0.005

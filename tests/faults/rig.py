@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from kit.true_motion import speed, stood_after
+
 from faults import hang
 from faults.outlet import OutletProcess
 from faults.proxy import Proxy
@@ -15,8 +17,7 @@ from faults.scripted_driver import ScriptedDriver
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.robot.description import load_description
-from sim.live.live_run import PIONEER, RMW_ZENOH, LiveRun
-from sim.live.processes import READY_TIMEOUT_S, Process, wait_for
+from sim.park.live import PIONEER, READY_TIMEOUT_S, RMW_ZENOH, LiveRun, Process, wait_for
 
 SPEED_M_S = 0.12
 """Speed of a scripted driver."""
@@ -95,13 +96,13 @@ class Rig(LiveRun):
     def under_way(self, driver: ScriptedDriver, v: float = SPEED_M_S) -> ScriptedDriver:
         """Let a scripted driver drive, and wait until the rover does. Raises TimedOut."""
         driver.velocity = driver.velocity._replace(v=v)
-        wait_for(lambda: abs(self.truth.speed() - v) < 0.01, what="the rover under a scripted driver")
+        wait_for(lambda: abs(speed(self.truth) - v) < 0.01, what="the rover under a scripted driver")
         return driver
 
     def driven(self, deploy: Process) -> None:
         """Wait until a circuit moves the rover. Raises TimedOut or ProcessError."""
         wait_for(
-            lambda: not deploy.running or abs(self.truth.speed()) > CREEP_M_S,
+            lambda: not deploy.running or abs(speed(self.truth)) > CREEP_M_S,
             READY_TIMEOUT_S,
             "the circuit to drive",
         )
@@ -113,7 +114,7 @@ class Rig(LiveRun):
 
         Raises TimedOut.
         """
-        return self.truth.stood_after(since_ns, STAND_TIMEOUT_S)
+        return stood_after(self.truth, since_ns, STAND_TIMEOUT_S)
 
     def late_s(self) -> float:
         """Return the greatest delay of line and mock, in s, since each last received a line."""
@@ -126,7 +127,7 @@ class Rig(LiveRun):
     def end(self, driver: ScriptedDriver | Process) -> None:
         """End a driver."""
         if isinstance(driver, Process):
-            self.end_process(driver)
+            driver.stop()
         else:
             self._scripted.remove(driver)
             driver.close()

@@ -26,6 +26,7 @@ import numpy as np
 import psutil
 import zenoh
 from kit.paths import DATA
+from kit.true_motion import moving, states_since
 
 from faults.going_on import SILENT_CLOSE_ROW
 from faults.measure import Measured, measure
@@ -34,7 +35,7 @@ from faults.row import CIRCUIT, Row
 from faults.table import MATRIX
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.streams import Domain, random_stream
-from sim.live.processes import compile_driver, wait_for
+from sim.park.live import compile_driver, wait_for
 
 OUT = Path("runs/soak")
 """Logs; those of an earlier soak are deleted."""
@@ -130,7 +131,7 @@ def soak(
         rig.stood(time.monotonic_ns())
         stands_ns = time.monotonic_ns()
         time.sleep(STILL_S)
-        if any(state.moving for state in rig.truth.since(stands_ns)):
+        if any(moving(state) for state in states_since(rig.truth, stands_ns)):
             failed.append("the rover does not stand in the end")
     for name, samples in used.items():
         if samples:

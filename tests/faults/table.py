@@ -13,6 +13,8 @@ from collections.abc import Callable
 from signal import SIGCONT, SIGKILL, SIGSTOP, SIGUSR1
 from typing import Any
 
+from kit.true_motion import states_since
+
 from faults.going_on import CLOCK_ROWS, OWN_ROWS, ROS2_ROWS, SILENT_CLOSE_ROW, silence, start_bridge
 from faults.hang import CLOCK_STEPS_S, HANG_S
 from faults.outlet import GONE, PIPE, TERMINAL, OutletProcess
@@ -21,7 +23,7 @@ from faults.row import CIRCUIT, SCRIPTED, Act, Row
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.wire.messages import odometry, text, twist_stamped
 from rover_ncp.wire.protocol import CONTACTS
-from sim.live.processes import Process, wait_for
+from sim.park.live import Process, wait_for
 
 LONG_LEASE_S = 30.0
 """With a lease that long, Zenoh itself does not detect a link that is held."""
@@ -106,7 +108,7 @@ def _hold_first_commands(scene: Scene) -> int:
     silence(scene)
     _release(scene)
     wait_for(lambda: scene.dropped() - dropped > 8, what="the old commands to be dropped")
-    if any(abs(state.velocity.v) >= SPEED_M_S for state in scene.rig.truth.since(held_ns)):
+    if any(abs(state.velocity.v) >= SPEED_M_S for state in states_since(scene.rig.truth, held_ns)):
         raise Unsafe("old commands drove the rover")
     # Commands of the last 0.2 s are fresh; each of them is valid for 0.3 s.
     return driver.last_sent_ns
@@ -126,7 +128,7 @@ def _foreign_publisher(scene: Scene) -> int:
     stranger.requests_lease, stranger.velocity = False, Velocity(-0.3, 0.6)
     began_ns = time.monotonic_ns()
     time.sleep(0.5)
-    velocities = [state.velocity for state in rig.truth.since(began_ns)]
+    velocities = [state.velocity for state in states_since(rig.truth, began_ns)]
     if any(omega != 0.0 or abs(v - SPEED_M_S) > 0.02 for v, omega in velocities):
         raise Unsafe("a foreign publisher moved the rover")
     silent_ns = time.monotonic_ns()

@@ -8,7 +8,7 @@ from kit.driver_client import PERIOD_S, DriverClient  # noqa: F401  # the period
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.zenoh import client_config
-from sim.live.processes import wait_for
+from sim.park.live import wait_for
 
 STOP_S = 0.5
 """Requirement 1: the rover stands so long after the last command, plus braking."""

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from sim.live.processes import wait_for
+from sim.park.live import wait_for
 
 # Without git on the path no record names a commit. A commit could be made while the tests run.
 ENVIRONMENT = {**os.environ, "PATH": ""}

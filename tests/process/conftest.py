@@ -4,7 +4,7 @@ import pytest
 from kit.deploy_bench import Bridge, driver
 
 from rover_ncp import cli
-from sim.live.live_run import LiveRun
+from sim.park.live import LiveRun
 
 
 @pytest.fixture(scope="module")

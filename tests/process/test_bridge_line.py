@@ -13,7 +13,7 @@ from bridge.pioneer import transport
 from bridge.pioneer.base_connection import BaseConnection, Broken, Opened, Received, first_connection
 from bridge.pioneer.transport import TcpTransport
 from rover_ncp.core.errors import NoRobot
-from sim.live.processes import wait_for
+from sim.park.live import wait_for
 
 
 @pytest.fixture

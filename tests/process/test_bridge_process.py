@@ -10,6 +10,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 from kit.bridge_bench import MACHINE_S, STOP_S, Driver, braking_s, wait_for
+from kit.true_motion import stood_after
 
 from bridge.pioneer import base_connection
 from bridge.pioneer.transport import open_transport
@@ -18,7 +19,7 @@ from rover_ncp.core.errors import NoRobot
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import decode
-from sim.live.live_run import LiveRun
+from sim.park.live import LiveRun
 
 NO_ROBOT = "tcp/127.0.0.1:1"
 FORGED = "ready zenoh=tcp/192.0.2.1:7447 base=tcp/192.0.2.1:8101"
@@ -62,7 +63,7 @@ def test_rover_drives_stops_in_time_and_stops_again_at_ctrl_c(tmp_path):
         assert abs(driver.odom.stamp_ns - time.time_ns()) < 1e9
         tokens = list(driver.session.liveliness().get("rover/alive/*", timeout=2.0))
         assert [str(reply.ok.key_expr) for reply in tokens] == ["rover/alive/bridge"]
-        assert rig.truth.stood_after(sent_ns) < STOP_S + braking_s(0.1) + MACHINE_S
+        assert stood_after(rig.truth, sent_ns) < STOP_S + braking_s(0.1) + MACHINE_S
 
         # A lease that lapses while the next one begins cuts that one's first command off.
         wait_for(lambda: motors(driver) == "off")
@@ -76,7 +77,7 @@ def test_rover_drives_stops_in_time_and_stops_again_at_ctrl_c(tmp_path):
         interrupted_ns = time.monotonic_ns()
         rig.bridge.send_signal(signal.SIGINT)
         done = rig.bridge.wait(5.0)
-        assert rig.truth.stood_after(interrupted_ns) < braking_s(0.15) + STOP_S
+        assert stood_after(rig.truth, interrupted_ns) < braking_s(0.15) + STOP_S
         assert done.code == 130
         mock = rig.mock.stop().result
     result = json.loads((tmp_path / "bridge.json").read_text())

@@ -31,9 +31,8 @@ from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.cdr import decode, encode
 from rover_ncp.wire.messages import BOOL, TWIST_STAMPED, pose_with_covariance, read_twist
 from rover_ncp.wire.zenoh import CLIENT
-from sim.live.live_run import RMW_ZENOH, ROS2DDS, LiveRun
-from sim.live.processes import Process
 from sim.mock.ros2_server import free_port
+from sim.park.live import RMW_ZENOH, ROS2DDS, LiveRun, Process
 
 # Published in each message package of ROS 2 Jazzy (REP-2011).
 ODOMETRY_HASH = "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"
@@ -257,7 +256,7 @@ def test_nobody_drives_a_robot_until_its_description_has_the_measured_timeout(tm
             reply = driver.motors()
             assert (reply.granted, reply.reason) == (False, "unchecked")
             assert "--measure-timeout" in reply.detail
-        rig.end_process(rig.bridge)
+        rig.bridge.stop()
         arguments = ["--base", ROS2DDS.format(rig.base), *bridge, "--measure-timeout"]
         with Process("bridge", arguments, tmp_path) as measuring:
             done = measuring.wait(60.0)
@@ -279,7 +278,7 @@ def test_a_robot_and_its_router_that_restart_are_used_again(form, tmp_path):
     with robot(tmp_path / "run", form) as rig, Driver(rig.robot) as driver:
         driver.start(v=0.1)
         driver.drive(0.5, v=0.1)
-        rig.end_process(rig.mock)
+        rig.mock.stop()
         wait_for(lambda: driver.gate.ended == "no-base")
         rig.bridge.wait_for_line("the base is lost: no odometry on odom for 0.5 s")
         with Process("mock", [*mock_of(form), "--listen", rig.base], tmp_path):

@@ -17,8 +17,7 @@ from bridge.zenoh.link import ZenohLink
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.key_table import KEYS, Kind, Role
 from rover_ncp.wire.messages import Transform, transforms
-from sim.live.live_run import LiveRun
-from sim.live.processes import Process
+from sim.park.live import LiveRun, Process
 
 # Type hashes as ROS 2 Jazzy's own packages carry them.
 TWIST = "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"

@@ -12,7 +12,7 @@ from kit.paths import ROOT
 from kit.serial_base import SerialBase
 
 from sim.base.firmware import ClientState
-from sim.live.processes import Process
+from sim.park.live import Process
 
 
 @pytest.mark.long

@@ -4,12 +4,12 @@ import time
 
 import numpy as np
 import pytest
+from kit.peer import Peer
 
 from rover_ncp import cli
 from rover_ncp.core.geometry import Pose, compose
 from rover_ncp.wire.messages import pose_with_covariance, read_odometry
 from rover_ncp.wire.zenoh import client_config
-from sim.live.peers import Peer
 
 MAP = Pose(1.0, 2.0, 2.0)
 

@@ -5,7 +5,7 @@ from kit.identified import errors, robot, truth
 
 from deploy.identify.excitation import steps
 from rover_ncp.robot.profile import load_profile
-from sim.live.live_run import LiveRun
+from sim.park.live import LiveRun
 from sim.world.randomization import load_randomization
 
 

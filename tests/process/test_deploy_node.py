@@ -16,7 +16,7 @@ from rover_ncp.core.errors import NoBridge, SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Pose, distance
 from rover_ncp.recording.recording import read_recording
 from rover_ncp.wire.messages import read_pose
-from sim.live.processes import wait_for
+from sim.park.live import wait_for
 
 
 def test_a_drive_from_start_to_end(bridge, drive, tmp_path):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import zenoh
 from kit.bridge_bench import client, wait_for
+from kit.peer import Peer
 
 from deploy.drive.config import DriveConfig
 from deploy.drive.measurements import Measurements
@@ -22,7 +23,6 @@ from rover_ncp.robot.description import load_description
 from rover_ncp.wire.messages import battery_state, bumpers, imu, odometry, pose_with_covariance, text
 from rover_ncp.wire.protocol import BaseReply, GateStatus, MotorsReply, StopReply, TimeoutState, dump_json
 from rover_ncp.wire.zenoh import client_config
-from sim.live.peers import Peer
 
 STANDS = Pose(0.0, 0.0, 0.0)
 MESSAGES = {

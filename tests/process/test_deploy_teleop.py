@@ -12,6 +12,7 @@ import time
 
 import pytest
 from kit.bridge_bench import MACHINE_S, braking_s, wait_for
+from kit.true_motion import speed, stood_after
 
 from deploy.keyboard import V_M_S
 from rover_ncp.recording.recording import read_recording
@@ -92,12 +93,12 @@ def sit_down(rig, tmp_path):
 
 def test_ctrl_c_stops_the_rover_and_the_terminal_is_as_before(rig, sit_down, tmp_path):
     person = sit_down("--record", str(tmp_path / "run.mcap"))
-    wait_for(lambda: person.type("i") and rig.truth.speed() > 0.05, 15.0)
+    wait_for(lambda: person.type("i") and speed(rig.truth) > 0.05, 15.0)
     left_ns = person.type("\x03")
     code, result = person.end()
     assert (code, result["stopped_by"]) == (130, None)
     assert person.settings == person.before
-    assert rig.truth.stood_after(left_ns) < 0.2 + braking_s(V_M_S) + MACHINE_S
+    assert stood_after(rig.truth, left_ns) < 0.2 + braking_s(V_M_S) + MACHINE_S
     assert result["seconds"] > 0.0
     recording = read_recording(tmp_path / "run.mcap")
     assert recording.complete
@@ -106,9 +107,9 @@ def test_ctrl_c_stops_the_rover_and_the_terminal_is_as_before(rig, sit_down, tmp
 
 def test_screen_that_takes_no_output_delays_neither_key_nor_end(rig, sit_down):
     person = sit_down(screen_full=True)
-    wait_for(lambda: person.type("i") and rig.truth.speed() > 0.05, 15.0)
+    wait_for(lambda: person.type("i") and speed(rig.truth) > 0.05, 15.0)
     left_ns = time.monotonic_ns()
     person.process.send_signal(signal.SIGTERM)
-    assert rig.truth.stood_after(left_ns) < 0.2 + braking_s(V_M_S) + MACHINE_S
+    assert stood_after(rig.truth, left_ns) < 0.2 + braking_s(V_M_S) + MACHINE_S
     assert person.process.wait(2.0) == 130
     assert person.settings == person.before

@@ -16,7 +16,7 @@ from websockets.sync.client import connect
 from deploy.view import server
 from rover_ncp.wire.messages import text
 from rover_ncp.wire.protocol import DriverStatus, StopReply, dump_json
-from sim.live.processes import Process
+from sim.park.live import Process
 
 
 class Page:

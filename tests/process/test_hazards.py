@@ -13,6 +13,7 @@ import pytest
 from kit.bridge_bench import PERIOD_S, Driver, wait_for
 from kit.deploy_bench import driver
 from kit.hazard_table import COURSE, cells_with_processes, gate_words, page_words
+from kit.peer import Peer
 
 from bridge.ros2.discovery import Convention
 from bridge.ros2.ros_node import RosNode
@@ -23,9 +24,7 @@ from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import BOOL, LASER_SCAN, laser_scan, odometry, text, twist_stamped
 from rover_ncp.wire.protocol import CommandTag, GateStatus, dump_json
 from rover_ncp.wire.zenoh import client_config
-from sim.live.live_run import ROS2DDS, LiveRun
-from sim.live.peers import Peer
-from sim.live.processes import compile_driver
+from sim.park.live import ROS2DDS, LiveRun, compile_driver
 
 MOCK = "name: mine\nbased_on: turtlebot4\ntopics: {scan: null}\n"
 ROBOT = "name: mine\nbased_on: turtlebot4\ntopics: {stop: {topic: stop, latched: true}}\n"

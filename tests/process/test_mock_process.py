@@ -11,18 +11,19 @@ from pathlib import Path
 import pytest
 from kit.paths import ROOT
 from kit.pioneer_bench import Pioneer
+from kit.true_motion import moving
 
 from bridge.pioneer.framing import Command, Decoder, encode_command, encode_frame
 from bridge.pioneer.packets import Kind, decode_names
 from bridge.pioneer.transport import open_transport
 from rover_ncp.cli import run
 from rover_ncp.core.errors import UsageError
-from sim.live.processes import Process, wait_for
-from sim.live.truth import TruthReader
 from sim.mock.options import MockOptions
 from sim.mock.ros2_server import free_port
 from sim.mock.run import run_mock
 from sim.mock.server import Server
+from sim.park.live import Process, wait_for
+from sim.park.truth import TruthReader
 
 CAMERA, TAGS = (ROOT / "docs" / "examples" / name for name in ("camera.yaml", "tags.yaml"))
 
@@ -80,7 +81,7 @@ def test_a_client_that_vanishes_can_come_back_to_the_chosen_base_and_a_kill_leav
     process.send_signal(signal.SIGKILL)
     process.wait(5.0)
     assert truth.read_bytes().endswith(b"\n")
-    assert not TruthReader(truth).read()[-1].moving
+    assert not moving(TruthReader(truth).read()[-1])
 
 
 def test_client_that_comes_before_the_end_of_the_last_one_is_reported_is_served():

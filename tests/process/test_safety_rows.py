@@ -6,7 +6,7 @@ from faults.rig import Rig
 from faults.table import ROWS
 from kit.paths import DATA
 
-from sim.live.live_run import ROS2DDS
+from sim.park.live import ROS2DDS
 
 HUSKY = {"base_form": ROS2DDS, "model": "husky-a200", "bridge": ["--no-base-watchdog"]}
 

@@ -13,8 +13,7 @@ from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.geometry import Pose
 from rover_ncp.wire.key_table import TAG_VIEW
-from sim.live.live_run import LiveRun
-from sim.live.processes import Process, wait_for
+from sim.park.live import LiveRun, Process, wait_for
 
 CAMERA = CameraFile(
     intrinsics=Intrinsics(width=640, height=480, fx=400.0, fy=400.0, cx=319.5, cy=239.5),

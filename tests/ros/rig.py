@@ -11,9 +11,8 @@ from pathlib import Path
 from kit.zenoh_session import open_router
 
 from rover_ncp.core.process import ClosedAtExit
-from sim.live.live_run import RMW_ZENOH, ROS2DDS, LiveRun
-from sim.live.processes import GrowingFile, ProcessError, wait_for
 from sim.mock.ros2_server import free_port
+from sim.park.live import RMW_ZENOH, ROS2DDS, GrowingFile, LiveRun, ProcessError, wait_for
 
 FOLDER = Path(__file__).parent
 VENV = FOLDER.parents[1] / "build" / "venv-ros"

@@ -10,7 +10,7 @@ from ros.rig import RunWithRos, free_address
 from deploy.place.place import load_place
 from rover_ncp import cli
 from rover_ncp.wire.messages import POSE_STAMPED, POSE_WITH_COVARIANCE, TWIST, TWIST_STAMPED
-from sim.live.processes import Process
+from sim.park.live import Process
 
 # teleop_twist_keyboard's first message of its key i: speed 0.5, turn 1.0, and no frame.
 LINEAR = {"x": 0.5, "y": 0.0, "z": 0.0}
@@ -38,7 +38,7 @@ class Pioneer(RunWithRos):
             node.wait_for_line("{")
             yield node
         finally:
-            self.end_process(node)
+            node.stop()
 
 
 @pytest.fixture(scope="module")

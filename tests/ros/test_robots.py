@@ -7,7 +7,7 @@ from kit.bridge_bench import Driver, wait_for
 from kit.paths import DATA
 from ros.rig import MODEL, RosRun
 
-from sim.live.processes import Process
+from sim.park.live import Process
 
 BRIEF = str(DATA / "brief_course.yaml")
 HUSKY = ["--odom", "platform/odom", "--imu", "sensors/imu_0/data", "--stop", "platform/emergency_stop"]
@@ -105,7 +105,7 @@ def test_a_second_publisher_of_commands_stops_the_drive_and_the_driver_says_so(t
         assert (done.code, done.result["stopped_by"]) == (4, "no-base")
         assert "publishes cmd_vel too" in done.result["reason"]
         assert "publishes cmd_vel too" in done.last_line
-        run.end_process(joystick)
+        joystick.stop()
         with Driver(run.robot) as driver:
             wait_for(lambda: driver.motors().granted, 20.0)
             driver.motors(enable=False)

@@ -5,12 +5,12 @@ import time
 import pytest
 from kit.browser import Watched, chromium
 from kit.recorded_drives import BEGAN_NS, TICK_NS, state, write_drive
+from kit.true_motion import speed, stood_after
 
 from deploy.view.page import drive_page
 from deploy.view.recorded_drive import read_drive
 from rover_ncp.wire.protocol import DriverStatus
-from sim.live.live_run import LiveRun
-from sim.live.processes import Process
+from sim.park.live import LiveRun, Process
 
 pytestmark = pytest.mark.browser
 
@@ -64,13 +64,13 @@ def test_a_running_rover_is_seen_and_stopped(browser, tmp_path):
         # The plots follow, too.
         seen.until("Math.max(...document.getElementById('commands').data.flatMap(trace => trace.x)) > 4.5")
         seen.photograph("watch_1280")
-        assert running.truth.speed() > 0.03
+        assert speed(running.truth) > 0.03
 
         clicked_s = seen.click("#stop")
         pressed_ns = time.monotonic_ns() - round((time.time() - clicked_s) * 1e9)
         seen.until("document.getElementById('stopnote').textContent.startsWith('Stopped until released')")
         seen.until("document.getElementById('badge').textContent === 'fault'")
-        assert running.truth.stood_after(pressed_ns) < 0.5
+        assert stood_after(running.truth, pressed_ns) < 0.5
         # The drive is over: it can be looked at.
         seen.to(4.0)
         seen.until("document.getElementById('phases').textContent.includes('turn')")

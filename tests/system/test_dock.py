@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim.live.processes import Process
+from sim.park.live import Process
 
 pytestmark = pytest.mark.long
 

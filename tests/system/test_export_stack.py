@@ -30,13 +30,13 @@ def drive_in_c(monkeypatch, tmp_path):
         files = c_files(load_policy("course"), "course", load_course("parking"))
         library = compile_c(files, tmp_path / real.__name__, "p.so", "-shared", "-fPIC", *options)
         monkeypatch.setattr(controller, "Runner", lambda p: CPolicy(p, library, "course", real))
-        return drive_all(stack(), count, 1)
+        return drive_all(stack().drive, count, 1)
 
     return drive
 
 
 def test_exported_c_drives_as_the_original(drive_in_c):
-    original = drive_all(stack(), TRIALS, 1)
+    original = drive_all(stack().drive, TRIALS, 1)
     assert all(trial.parked for trial in original)
     assert drive_in_c(TRIALS, ctypes.c_double) == original
     for trial, other in zip(drive_in_c(TRIALS, ctypes.c_float, "-DROVER_NCP_FLOAT"), original, strict=True):

@@ -4,6 +4,7 @@ import time
 
 import pytest
 from kit.paths import DATA
+from kit.peer import Peer
 
 from deploy.replay import replay
 from deploy.view.recorded_drive import read_drive
@@ -16,9 +17,8 @@ from rover_ncp.wire.key_table import key
 from rover_ncp.wire.messages import read_text
 from rover_ncp.wire.protocol import GateStatus, parse_json
 from sim.learn.policies import load_driver
-from sim.live.live_run import LiveRun
-from sim.live.peers import Peer
-from sim.live.truth import during, recorded_truth
+from sim.park.live import LiveRun
+from sim.park.truth import during, recorded_truth
 from sim.stack.camera import start_pose
 from sim.stack.trials import Stack
 from sim.world.randomization import load_randomization

@@ -21,13 +21,14 @@ from faults.rig import CREEP_M_S, SPEED_M_S, Rig
 from faults.row import SCRIPTED
 from faults.table import MATRIX, ROWS
 from kit.paths import DATA
+from kit.peer import Peer
+from kit.true_motion import speed
 
 from rover_ncp.core.geometry import relative, wrap_angle
 from rover_ncp.wire.key_table import key
 from rover_ncp.wire.messages import COURSE_FRAME, pose_with_covariance, read_pose
 from rover_ncp.wire.zenoh import client_config
-from sim.live.peers import Peer
-from sim.live.processes import READY_TIMEOUT_S, wait_for
+from sim.park.live import READY_TIMEOUT_S, wait_for
 
 pytestmark = [pytest.mark.timed, pytest.mark.xdist_group("matrix")]
 
@@ -220,7 +221,7 @@ def test_a_clock_of_a_localiser_that_steps_back_costs_no_drive_and_few_poses(rig
         rig.driven(deploy)
         localiser.behind_s = step_s
         time.sleep(2.0 * GOES_ON_S)
-        assert abs(rig.truth.speed()) > CREEP_M_S
+        assert abs(speed(rig.truth)) > CREEP_M_S
         result = ended(rig, f"localiser-clock-{step_s:g}", deploy)
     assert result["stopped_by"] is None
     poses = result["pose"]

@@ -10,7 +10,7 @@ from faults.rig import Rig
 from faults.table import ROS2_KEYS, ROWS
 from kit.paths import DATA
 
-from sim.live.live_run import RMW_ZENOH, ROS2DDS
+from sim.park.live import RMW_ZENOH, ROS2DDS
 
 pytestmark = pytest.mark.timed
 

@@ -19,7 +19,7 @@ from rover_ncp.core.geometry import ORIGIN
 from rover_ncp.recording.recording import Recorded, RecordingWriter, read_recording
 from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import pose_with_covariance, read_text, text
-from sim.live.processes import wait_for
+from sim.park.live import wait_for
 
 
 def note(words, now_ns=None):

@@ -78,7 +78,7 @@ def test_a_trial_whose_robot_never_sees_the_tags_is_counted():
         farthest_m = 0.1
 
     drawn = dataclasses.replace(trials(), localiser=Blind)
-    driven = drive_all(drawn, 2, 1)
+    driven = drive_all(drawn.drive, 2, 1)
     assert docking_result("dock", driven).said_docked == 0
     assert tally(driven).failures == {"stopped by no-pose": 2}
 
@@ -112,7 +112,7 @@ def test_docked_counts_by_the_true_pose(moved_m, reasons):
             return pose_with_covariance(there, seen.covariance, wall_ns, seen.frame)
 
     drawn = dataclasses.replace(trials(retries=0), localiser=Moved)
-    driven = drive_all(drawn, 1, 1)
+    driven = drive_all(drawn.drive, 1, 1)
     found, docking = tally(driven), docking_result("dock", driven)
     assert (docking.said_docked, docking.falsely_docked, found.failures) == (1, len(reasons), reasons)
     assert found.success_rate == (not reasons)

@@ -51,7 +51,7 @@ def apart(one, other):
 def parking():
     """Two trials of randomised robots, which are recorded once for all tests."""
     driven = stack("full", seed=3, course=ARC)
-    return driven, drive_all(driven, 2, 1)
+    return driven, drive_all(driven.drive, 2, 1)
 
 
 def test_trials_park(parking):
@@ -112,7 +112,7 @@ def test_long_command_prints_its_progress_into_a_file(capsys, monkeypatch, shown
 
 def test_json_has_each_drive_with_the_drivers_verdict(run_json):
     code, fields = run_json(f"eval course --stack --course {ARC} --randomize full --seed 3 --trials 2")
-    driven = drive_all(stack("full", seed=3, course=ARC), 2, 1)
+    driven = drive_all(stack("full", seed=3, course=ARC).drive, 2, 1)
     assert code == 0
     for number, (drive, trial) in enumerate(zip(fields["drives"], driven, strict=True)):
         assert (drive["trial"], drive["parked"], drive["error_m"]) == (number, trial.parked, trial.error_m)
@@ -124,8 +124,8 @@ def test_json_has_each_drive_with_the_drivers_verdict(run_json):
 
 @pytest.mark.long
 def test_a_trial_is_the_same_whatever_the_number_of_processes():
-    alone = drive_all(stack("harsh"), 4, 1)
-    assert drive_all(stack("harsh"), 4, 2) == alone
+    alone = drive_all(stack("harsh").drive, 4, 1)
+    assert drive_all(stack("harsh").drive, 4, 2) == alone
     assert stack("harsh").drive(3) == alone[3]
     assert len({trial.pose for trial in alone}) == 4
 
@@ -322,7 +322,7 @@ VARYING = [
 @pytest.mark.parametrize(("options", "varies"), VARYING)
 def test_nominal_robots_differ_by_the_noise_of_their_sensors_alone(options, varies):
     driven = stack(course=BRIEF, **options)
-    first, second = drive_all(driven, 2, 1)
+    first, second = drive_all(driven.drive, 2, 1)
     assert (driven.varies, first.pose != second.pose) == (varies, varies)
 
 

@@ -4,11 +4,12 @@ import pytest
 from faults.measure import Measured
 from faults.row import braking_s
 from faults.table import ROWS
+from kit.true_motion import SAMPLE_S, stood_after
 
 from rover_ncp.robot.description import load_description
-from sim.live.processes import TimedOut
-from sim.live.truth import SAMPLE_S, TruthReader
 from sim.mock.real_time import TRUTH_COLUMNS
+from sim.park.live import TimedOut
+from sim.park.truth import TruthReader
 
 STEP_NS = 10_000_000
 EPOCH_NS = 1_700_000_000 * 10**9
@@ -29,15 +30,15 @@ def truth(path, speeds, set_at=None):
 @pytest.mark.parametrize("set_at", [None, 10, 30])
 def test_setting_the_wall_clock_does_not_change_the_time(tmp_path, set_at):
     reader = truth(tmp_path / "truth.csv", [0.1] * 25 + [0.0] * 50, set_at)
-    assert reader.stood_after(5 * STEP_NS, 0.5) == pytest.approx(0.20)  # to the first sample that stands
+    assert stood_after(reader, 5 * STEP_NS, 0.5) == pytest.approx(0.20)  # to the first sample that stands
 
 
 def test_standing_rover_takes_no_time_and_moving_rover_times_out(tmp_path):
     reader = truth(tmp_path / "truth.csv", [0.1] * 5 + [0.0] * 50 + [0.1] * 20)
     with pytest.raises(TimedOut):
-        reader.stood_after(0, 0.1)
+        stood_after(reader, 0, 0.1)
     reader = truth(tmp_path / "truth.csv", [0.1] * 5 + [0.0] * 50)
-    assert reader.stood_after(5 * STEP_NS, 0.5) == 0.0
+    assert stood_after(reader, 5 * STEP_NS, 0.5) == 0.0
 
 
 PIONEER, HUSKY = load_description("p3at-sh"), load_description("husky-a200")

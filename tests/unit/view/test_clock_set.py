@@ -19,7 +19,7 @@ from rover_ncp.recording import recording
 from rover_ncp.recording.arrays import read_arrays
 from rover_ncp.recording.recording import Recorded, RecordingWriter, read_recording, rewrite
 from rover_ncp.wire import messages
-from sim.live.truth import TrueState, judge_truth, recorded_truth
+from sim.park.truth import TrueState, judge_truth, recorded_truth
 
 POLICY, COURSE = load_policy("parking"), load_course("tests/data/short_course.yaml")
 HOUR_NS = 3600 * 10**9

@@ -1,4 +1,7 @@
-"""``rover-ncp`` commands as child processes: start, wait, signal, stop, and read their output."""
+"""A run of real processes on this machine: mock, bridge and driver, over loopback TCP and Zenoh.
+
+Each process is the command that a user would type. Leaving the ``with`` block of a run ends all of them.
+"""
 
 import functools
 import json
@@ -9,12 +12,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.process import ClosedAtExit, Interrupts
+from sim.park.growing_file import GrowingFile
+from sim.park.truth import TRUTH, TruthReader
 
 READY_TIMEOUT_S = 120.0
 STOP_TIMEOUT_S = 20.0
@@ -76,22 +81,6 @@ def uninterrupted() -> Iterator[None]:
     finally:
         for number in interrupts.received:
             signal.raise_signal(number)
-
-
-class GrowingFile:
-    """A text file that another process appends to; only whole lines are read."""
-
-    def __init__(self, path: Path) -> None:
-        self._path, self._offset = path, 0
-
-    def new_lines(self) -> list[str]:
-        """Return the lines that were appended since the last call."""
-        with self._path.open("rb") as file:
-            file.seek(self._offset)
-            data = file.read()
-        whole = data.rfind(b"\n") + 1
-        self._offset += whole
-        return data[:whole].decode(errors="replace").splitlines()
 
 
 class Finished(NamedTuple):
@@ -240,3 +229,101 @@ class Process(ClosedAtExit):
     def _lines_that_begin(self, start: str) -> list[str]:
         self._lines += self._log.new_lines()
         return [line for line in self._lines if line.startswith(start)]
+
+
+PIONEER, ROS2DDS, RMW_ZENOH = "tcp/{}", "ros2/tcp/{}", "ros2/tcp/{}#rmw=zenoh"
+"""Forms of ``--base``, of HOST:PORT."""
+
+Started = TypeVar("Started", bound=Process)
+
+
+class LiveRun(ClosedAtExit):
+    """Mock and bridge, ready one after the other, and drivers; logs and the mock's truth go to ``folder``.
+
+    ``mock`` and ``bridge`` are more arguments for these commands. ``base_form`` makes the bridge's ``--base``
+    of the mock's HOST:PORT. ``robot`` is the bridge's Zenoh address.
+    """
+
+    module = "rover_ncp"
+    """Module that Python runs for bridge and drivers."""
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        mock: Sequence[str] = (),
+        bridge: Sequence[str] = (),
+        base_form: str = PIONEER,
+    ) -> None:
+        self.folder, self.robot = folder, ""
+        self.processes: list[Process] = []
+        self._deploys = 0
+        self._mock_arguments, self._bridge_arguments = mock, bridge
+        self._base_form = base_form
+
+    def __enter__(self) -> Self:
+        try:
+            self.start()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def start(self) -> None:
+        """Start the mock and the bridge. Raises ProcessError or TimedOut."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.base = self.start_mock()
+        self.start_bridge()
+
+    def start_mock(self) -> str:
+        """Start the mock; return the address HOST:PORT of the base."""
+        truth = self.folder / TRUTH
+        arguments = ["--listen", "127.0.0.1:0", "--truth", str(truth), "--fault", "-", *self._mock_arguments]
+        self.mock = self.start_process(lambda: Process("mock", arguments, self.folder, reads_lines=True))
+        address = self.mock.wait_for_line("listening on ")
+        self.truth = TruthReader(truth)
+        return address
+
+    def start_bridge(self) -> None:
+        """Start the bridge; the next one listens on the same address again."""
+        listen = self.robot or "tcp/127.0.0.1:0"
+        arguments = ["--base", self._base_form.format(self.base), "--listen", listen, *self._bridge_arguments]
+        self.bridge = self.start_process(lambda: self.bridge_process(arguments))
+        ready = dict(part.split("=", 1) for part in self.bridge.wait_for_line("ready ").split())
+        self.robot = ready["zenoh"]
+
+    def bridge_process(self, arguments: Sequence[str]) -> Process:
+        """Return the bridge's process."""
+        return Process("bridge", arguments, self.folder, self.module)
+
+    def deploy(self, *arguments: str, robot: str = "") -> Process:
+        """Start a driver; ``robot`` replaces the bridge's address."""
+        compile_driver()
+        self._deploys += 1
+        # Several drivers may run at once, and each has its log.
+        folder = self.folder / f"deploy-{self._deploys}" if self._deploys > 1 else self.folder
+        folder.mkdir(exist_ok=True)
+        arguments = ("--robot", robot or self.robot, *arguments)
+        return self.start_process(lambda: Process("deploy", arguments, folder, self.module))
+
+    def finish(self, driver: Process, timeout_s: float) -> Finished:
+        """Wait for a driver's end, then end bridge and mock. Raises ProcessError if it did not drive."""
+        done = driver.wait(timeout_s)
+        self.bridge.stop()
+        self.mock.stop()
+        if done.code not in {0, 1} or not done.result:
+            raise ProcessError(driver.command, done.code, done.last_line)
+        return done
+
+    def start_process(self, start: Callable[[], Started]) -> Started:
+        """Start a process that ends with the run."""
+        with uninterrupted():
+            process = start()
+            self.processes.append(process)
+        return process
+
+    def close(self) -> None:
+        """End all processes, the last started first: a driver releases its lease while the bridge runs."""
+        with uninterrupted(), ExitStack() as ending:
+            for process in self.processes:
+                ending.callback(process.stop)

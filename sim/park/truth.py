@@ -1,26 +1,25 @@
 """The true motion of a simulated rover: read from the mock's file, judged, recorded. No driver knows it."""
 
-import time
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from deploy.view.page import drive_page
+from deploy.view.recorded_drive import Drive, read_drive
 from deploy.view.timeline import TRUTH_TOPIC
 from rover_ncp.core.errors import FileError
+from rover_ncp.core.files import write_atomic
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.scoring import Verdict, judge
-from rover_ncp.recording.recording import Recorded
+from rover_ncp.recording.recording import Recorded, read_recording, rewrite
 from rover_ncp.wire.messages import pose_stamped
-from sim.live.processes import GrowingFile, TimedOut
-from sim.world.rover import STILL_M_S, STILL_RAD_S
+from sim.park.growing_file import GrowingFile
 
 TRUTH = "truth.csv"
 """Name of the mock's file in the folder of a run."""
 TRUTH_FRAME = "course"
-SAMPLE_S = 0.01
-"""Time between two lines of the mock's file; also the mock's step."""
 
 
 class TrueState(NamedTuple):
@@ -33,11 +32,6 @@ class TrueState(NamedTuple):
     pose: Pose
     velocity: Velocity
     contact: bool
-
-    @property
-    def moving(self) -> bool:
-        """Whether the rover moves."""
-        return abs(self.velocity.v) > STILL_M_S or abs(self.velocity.omega) > STILL_RAD_S
 
 
 class TruthReader:
@@ -57,32 +51,6 @@ class TruthReader:
             else:
                 self._columns = values
         return self._states
-
-    def since(self, clock_ns: int) -> list[TrueState]:
-        """Return the states from a moment of the simulation clock on."""
-        states = self.read()
-        return states[bisect_left(states, clock_ns, key=lambda state: state.clock_ns) :]
-
-    def speed(self) -> float:
-        """Return the newest v in m/s, 0 before the first state."""
-        states = self.read()
-        return states[-1].velocity.v if states else 0.0
-
-    def stood_after(self, since_ns: int, timeout_s: float = 6.0, still_s: float = 0.3) -> float:
-        """Wait until the rover has stood for ``still_s``; return the time in s from ``since_ns`` to its stop.
-
-        ``since_ns`` is of the simulation clock. The rover stands from the first state on in which it does not
-        move: at most `SAMPLE_S` too late. Returns 0 if it never moved. Raises TimedOut.
-        """
-        deadline = time.monotonic() + timeout_s
-        while True:
-            states = self.since(since_ns)
-            last_ns = next((state.clock_ns for state in reversed(states) if state.moving), None)
-            if states and states[-1].clock_ns - (last_ns or since_ns) > still_s * 1e9:
-                return 0.0 if last_ns is None else (last_ns - since_ns) * 1e-9 + SAMPLE_S
-            if time.monotonic() > deadline:
-                raise TimedOut(f"the rover still moves {timeout_s:g} s after it should have stopped")
-            time.sleep(0.02)
 
 
 def _state(row: dict[str, str]) -> TrueState:
@@ -127,3 +95,11 @@ def recorded_truth(states: Sequence[TrueState]) -> Iterator[Recorded]:
         data = pose_stamped(state.pose, state.wall_ns, TRUTH_FRAME)
         log_ns = states[0].wall_ns + state.clock_ns - states[0].clock_ns
         yield Recorded(TRUTH_TOPIC, "geometry_msgs/msg/PoseStamped", data, log_ns, state.wall_ns, number)
+
+
+def add_truth(recording: Path, states: Sequence[TrueState], page: Path) -> Drive:
+    """Merge the truth into a recording, write its page, and return its drive."""
+    rewrite(read_recording(recording), recording, recorded_truth(states))
+    drive = read_drive(recording)
+    write_atomic(page, drive_page(drive))
+    return drive

@@ -1,1 +1,0 @@
-"""Mock, bridge and driver as real processes on this machine."""

@@ -24,8 +24,9 @@ from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
 from bridge.ros2.address import RosAddress, parse_ros_address
-from bridge.ros2.base import LoopSeen, Ros2Base
+from bridge.ros2.base import Ros2Base
 from bridge.ros2.connection import LOOP_KEY, RosConnection
+from bridge.ros2.discovery import LoopSeen
 from bridge.zenoh.link import ZenohLink
 from rover_ncp.core.config import load_yaml, validated
 from rover_ncp.core.errors import NoRobot, RoverNcpError, UsageError

@@ -154,7 +154,7 @@ def bridge(
                 output.say(note)
             output.announce(f"ready zenoh={link.locator} base={base}")
 
-        node = Node(driven, link, inbox, limits=allowed, ready=ready)
+        node = Node(driven, inbox.take, key=link.key, publish=link.publish, limits=allowed, ready=ready)
         node.run(lambda: interrupts.raised)
     status = gate_status(node.gate)
     result = BridgeResult(

@@ -33,17 +33,6 @@ class TimeoutResult(BaseModel):
     line: str = Field(description="for the robot's description; empty if the robot must not be driven by it")
 
 
-class Unserved:
-    """Stands for the Zenoh session of drivers: there are none, and nothing is published."""
-
-    def key(self, name: str) -> str:
-        """Return the key expression of a row of the key table."""
-        return name
-
-    def publish(self, name: str, data: bytes) -> None:
-        """Drop a message."""
-
-
 def measure(
     base: Ros2Base,
     inbox: Inbox,
@@ -62,8 +51,9 @@ def measure(
     """
     node = Node(
         base,
-        Unserved(),
-        inbox,
+        inbox.take,
+        key=str,
+        publish=lambda name, data: None,  # there are no drivers
         limits=limits,
         ready=lambda: None,
         clock=clock,

@@ -13,7 +13,6 @@ import logging
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Protocol
 
 from pydantic import BaseModel, Field
 
@@ -80,38 +79,26 @@ class BridgeResult(BaseModel):
     flooded: int = Field(description="messages dropped because too many of their key or topic waited")
 
 
-class Arrivals(Protocol):
-    """A queue of arrivals, as `bridge.inbox.Inbox`."""
-
-    def take(self, timeout_s: float) -> list[tuple[float, object]]:
-        """Return all arrivals with their times; wait at most ``timeout_s`` for the first."""
-
-
-class Publisher(Protocol):
-    """A Zenoh session, as `bridge.zenoh.link.ZenohLink`."""
-
-    def key(self, name: str) -> str:
-        """Return the key expression of a row of the key table."""
-
-    def publish(self, name: str, data: bytes) -> None:
-        """Send a message without waiting."""
-
-
 class Node:
-    """The loop and its state; ``ready`` is called once."""
+    """The loop and its state; ``ready`` is called once.
+
+    ``take`` is that of an `Inbox`; ``key`` and ``publish`` are those of the drivers' `ZenohLink`.
+    """
 
     def __init__(
         self,
         base: Base,
-        link: Publisher,
-        inbox: Arrivals,
+        take: Callable[[float], list[tuple[float, object]]],
         *,
+        key: Callable[[str], str],
+        publish: Callable[[str, bytes], None],
         limits: Limits,
         ready: Callable[[], None],
         clock: Clock = time,
         suspended_s: Callable[[], float] = suspended_s,
     ) -> None:
-        self._base, self._link, self._inbox, self._clock = GuardedBase(base), link, inbox, clock
+        self._base, self._arrivals, self._clock = GuardedBase(base), take, clock
+        self._key, self._publish = key, publish
         self._total_suspended_s, self._suspended_s = suspended_s, suspended_s()
         self._limits, self._ready = limits, ready
         self._log: list[str] = []
@@ -119,7 +106,7 @@ class Node:
         self._requests = 0
         """Lines of requests since `_publish_slowly`."""
         self._answers = Answers(
-            *(limits, link.key, self.judge, self._base), wall_ns=self._wall_ns, log=self._log_request
+            *(limits, key, self.judge, self._base), wall_ns=self._wall_ns, log=self._log_request
         )
         self.gate = GateState()
         self.reconnects = -1
@@ -164,7 +151,7 @@ class Node:
     def run_once(self) -> None:
         """Turn the loop once: take what arrived, at most one tick's wait for it, and act on it."""
         wait_s = max(self.due_s - self._clock.monotonic(), 0.0)
-        for arrived_s, arrival in self._inbox.take(wait_s):
+        for arrived_s, arrival in self._arrivals(wait_s):
             self._take(arrival, arrived_s)
             # The base gets its setpoint in time, even when many messages have arrived.
             if (now := self._clock.monotonic()) - self._acted_s >= 2 * TICK_S:
@@ -176,7 +163,7 @@ class Node:
         self._flush_log()
         if now >= self._status_due_s:
             self._status_due_s = now + STATUS_S
-            self._link.publish("rover/gate", text(dump_json(ros.gate_status(self.gate)).decode()))
+            self._publish("rover/gate", text(dump_json(ros.gate_status(self.gate)).decode()))
         if now >= self._slow_due_s:
             self._publish_slowly(now)
 
@@ -199,7 +186,7 @@ class Node:
         Only the tag of a command without a valid signature is parsed.
         """
         tag, lease = read_tag(message.attachment), self.gate.lease
-        key = self._link.key("cmd_vel")
+        key = self._key("cmd_vel")
         if lease is None or not lease.signed(tag, Signed.COMMAND, key, message.payload):
             return VelocityCommand(None, tag)
         try:
@@ -215,9 +202,9 @@ class Node:
                     self._take_report(event, arrived_s)
                 case TurnRate(rate, age_s) if self._robot is not None:
                     stamp_ns = self._wall_ns(arrived_s - age_s)
-                    self._link.publish("imu", ros.turn_rate(rate, self._robot, stamp_ns))
+                    self._publish("imu", ros.turn_rate(rate, self._robot, stamp_ns))
                 case PassedOn(key, data):
-                    self._link.publish(key, data)
+                    self._publish(key, data)
                 case Ready(hardware, robot):
                     self._hardware, self._robot, self._variances = hardware, robot, odometry_variances(robot)
                     self._limits = self._answers.limits = self._limits.within(robot)
@@ -280,7 +267,7 @@ class Node:
         setpoint = Setpoint(verdict.velocity, verdict.motors, verdict.emergency, lease)
         self._handle(self._base.drive(setpoint, now), now)
         if verdict.velocity != last.velocity:
-            self._link.publish("rover/cmd_out", twist_stamped(verdict.velocity, self._wall_ns(now)))
+            self._publish("rover/cmd_out", twist_stamped(verdict.velocity, self._wall_ns(now)))
 
     def _end_lease_after_suspend(self, now: float) -> None:
         """End the lease after a suspend: the monotonic clock stood still, so old commands look fresh."""
@@ -302,8 +289,8 @@ class Node:
         self.judge(report, arrived_s)
         stamp_ns = self._wall_ns(arrived_s - report.age_s)
         for name, data in ros.each_report(report, self._robot, stamp_ns, self._variances).items():
-            self._link.publish(name, data)
-        self._link.publish("rover/cmd_out", twist_stamped(self._sent.velocity, self._wall_ns(arrived_s)))
+            self._publish(name, data)
+        self._publish("rover/cmd_out", twist_stamped(self._sent.velocity, self._wall_ns(arrived_s)))
 
     def _publish_slowly(self, now: float) -> None:
         self._slow_due_s = now + SLOW_S
@@ -320,10 +307,10 @@ class Node:
             hardware=self._hardware,
             stamp_ns=stamp_ns,
         )
-        self._link.publish("diagnostics", health)
+        self._publish("diagnostics", health)
         if self._report is not None and self._robot is not None:
             for name, data in ros.each_second(self._report, self._robot, stamp_ns).items():
-                self._link.publish(name, data)
+                self._publish(name, data)
 
     def _wall_ns(self, monotonic_s: float) -> int:
         """Return the time of a moment on the monotonic clock, in ns since the epoch."""

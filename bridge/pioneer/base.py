@@ -2,10 +2,9 @@
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
 
 from bridge.base import BaseEvent, BaseTimeout, Failed, LinkHealth, Lost, Notice, Ready, Setpoint
-from bridge.pioneer.base_connection import Broken, Opened, Received
+from bridge.pioneer.base_connection import BaseConnection, Broken, Opened, Received
 from bridge.pioneer.session import BaudChanged, Session, SessionEvent
 from rover_ncp.core.geometry import STANDSTILL
 from rover_ncp.wire.protocol import TimeoutState
@@ -20,23 +19,10 @@ DAMAGED_S = 10.0
 """How long the line counts as damaged after a bad checksum."""
 
 
-class Connection(Protocol):
-    """A line to the base; `bridge.pioneer.base_connection.BaseConnection` documents the methods."""
-
-    endpoint: str
-
-    def use(self) -> None: ...
-    def drop(self) -> None: ...
-    def reopen(self, reason: str) -> None: ...
-    def write(self, data: bytes) -> None: ...
-    def set_baudrate(self, baudrate: int) -> None: ...
-    def close(self) -> None: ...
-
-
 class ArcosBase:
     """One Pioneer."""
 
-    def __init__(self, connection: Connection, session: Session) -> None:
+    def __init__(self, connection: BaseConnection, session: Session) -> None:
         self._connection, self._session = connection, session
         self._last = Setpoint(STANDSTILL, motors=False, emergency=False)
         self._was_ready = self._reopening = False

@@ -12,38 +12,20 @@ Rules of this file:
 Sources: AROS manual p. 43 (motors, watchdog); ``states.py`` for the handshake.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 from bridge.base import BaseEvent, BaseReport, Failed, Lost, Notice, Ready, Recovered, TurnRate
+from bridge.pioneer import states
 from bridge.pioneer.framing import HOSTBAUD_RATES, Command, Decoder, Packet, encode_command
 from bridge.pioneer.odometry import ROBOTS, Odometer
 from bridge.pioneer.packets import SIP_KINDS, ConfigPac, GyroPac, Kind, Sip, decode_names
 from bridge.pioneer.setpoints import MotionLimits, Setpoints
-from bridge.pioneer.states import LOSS_S, PATIENCE_S, TABLE, Input, SessionState
+from bridge.pioneer.states import Input, SessionState
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import RobotDescription
-
-CONFIG_S, OPEN_S = 1.0, 2.0
-"""Time to wait for a CONFIGpac, which a ready base is asked for again as often, and for the first SIP."""
-POLITE_TRIES, SILENT_TRIES = 1, 6
-"""Silent handshakes before CLOSE goes first; before giving up."""
-TRIES_AGAIN = 3
-"""Silent handshakes before giving up a line to a base that was ready before."""
-CONNECT_S = 15.0
-"""A base that answers but is not ready after this time is given up: the search of both rates takes 8 s."""
-FAST_RATE = 38400
-"""Rate to ask for on a slower line, as ARIA does: at 9600 a SIP with 16 sonars fills 93 of its 100 ms.
-
-A client that vanished leaves the base at this rate. CLOSE restores the rate in FLASH.
-"""
-CAN_SWITCH = 2
-"""AUTOBAUD of a base that takes another rate in a session (ARIA switches only then)."""
-NO_CONFIG = (
-    "the base has not sent its configuration (CONFIGpac): its bumpers do not stop the rover before that; "
-    "the bridge asks for it once a second"
-)
 
 _PACKET_INPUTS: dict[int, Input] = {
     Kind.SYNC0: Input.ECHO0,
@@ -89,7 +71,7 @@ class Session:
         self._now = self._deadline = self._opened_s = self._asked_s = 0.0
         self._began_s = 0.0
         self._tries = self._silent_tries = 0
-        self._silent_limit = SILENT_TRIES
+        self._silent_limit = states.SILENT_TRIES
         self._bytes_in = self._packets_before = 0
         self._rate: int | None = None
         """Rate of the serial line; None on a line without one."""
@@ -126,13 +108,13 @@ class Session:
         """Let time pass: clocks, setpoints, keep-alives. Call it from the gate's loop, 20 times a second."""
         self._now = now
         self._decode(b"")
-        if now - self._began_s >= CONNECT_S:
+        if now - self._began_s >= states.CONNECT_S:
             self._dispatch(Input.GAVE_UP)
         if now >= self._deadline:
             self._dispatch(Input.EXPIRED)
         if self.state is SessionState.READY:
             self._setpoints.tick(self._report, self._odometer.reset_pending, now)
-            if self._odometer.config is None and now - self._asked_s >= CONFIG_S:
+            if self._odometer.config is None and now - self._asked_s >= states.CONFIG_S:
                 self._ask_for_config()
         return self._drain()
 
@@ -178,17 +160,17 @@ class Session:
                 self._dispatch(what)
 
     def _dispatch(self, what: Input) -> None:
-        entry = TABLE[self.state].get(what)
+        entry = states.TABLE[self.state].get(what)
         if entry is None:
             return
         state, action = entry
         if state is not None:
             self.state = state
-            self._deadline = self._now + PATIENCE_S[state]
+            self._deadline = self._now + states.PATIENCE_S[state]
         if isinstance(action, Command):
             self._send(action)
         elif action is not None:
-            getattr(self, "_do_" + action)()
+            self.ACTIONS[action](self)
 
     def _drain(self) -> list[SessionEvent]:
         events, self._events = self._events, []
@@ -224,13 +206,11 @@ class Session:
         A user's own description may be of a base with any name.
         """
         reported, chosen = self._names[2].lower(), self._chosen
-        if chosen is None or chosen.name == reported:
-            return False
-        return chosen.name in ROBOTS and reported in ROBOTS
+        return chosen is not None and chosen.name != reported and {chosen.name, reported} <= set(ROBOTS)
 
     # Actions.
 
-    def _do_listen(self) -> None:
+    def _listen(self) -> None:
         self._setpoints.clear()
         self._out.clear()
         self.decoder.drop()
@@ -238,23 +218,23 @@ class Session:
         self._tries = self._silent_tries = 0
         self._bytes_in, self._packets_before = 0, self.decoder.packets
 
-    def _do_sync0(self) -> None:
+    def _sync0(self) -> None:
         self._tries += 1
         self._send(Command.PULSE)
 
-    def _do_try_again(self) -> None:
+    def _try_again(self) -> None:
         self._silent_tries += 1
         opened = self._opened_rate
-        rates = () if opened is None else tuple(dict.fromkeys((opened, FAST_RATE)))
+        rates = () if opened is None else tuple(dict.fromkeys((opened, states.FAST_RATE)))
         if self._silent_tries >= self._silent_limit + len(rates):
             self._dispatch(Input.GAVE_UP)
-        elif self._silent_tries > POLITE_TRIES:
+        elif self._silent_tries > states.POLITE_TRIES:
             if rates:
-                self._change_baud(rates[(self._silent_tries - POLITE_TRIES - 1) % len(rates)])
+                self._change_baud(rates[(self._silent_tries - states.POLITE_TRIES - 1) % len(rates)])
             # The answer to SYNC2 may have been lost: then a session waits for OPEN and echoes nothing.
             self._send(Command.CLOSE)
 
-    def _do_give_up(self) -> None:
+    def _give_up(self) -> None:
         valid = self.decoder.packets - self._packets_before
         if valid:
             reason = (
@@ -269,11 +249,11 @@ class Session:
             reason = f"no answer to {self._tries} handshakes"
         self._events.append(Failed(reason))
 
-    def _do_hang_up(self) -> None:
+    def _hang_up(self) -> None:
         self._send_zeros()
         self._send(Command.CLOSE)
 
-    def _do_open(self) -> None:
+    def _open(self) -> None:
         robot = self._robot()
         assert robot is not None  # or this was a STRANGER
         self._odometer = Odometer(robot)
@@ -282,19 +262,19 @@ class Session:
         self._send(Command.OPEN)
         self._ask_for_config()
 
-    def _do_refuse(self) -> None:
+    def _refuse(self) -> None:
         self._send(Command.CLOSE)
         remedy = f"give its model with --model: one of {', '.join(ROBOTS)}"
         if self._chosen is not None:
             remedy = f"leave out --model {self._chosen.name}, or describe the robot in a file"
         self._events.append(Failed(f"the base calls itself {self._names[2]!r}; {remedy}"))
 
-    def _do_first_sip(self) -> None:
+    def _first_sip(self) -> None:
         self._report = self._odometer.update(self._sip, self._now)
         if self._config is not None:
             self._settle()
 
-    def _do_configure(self) -> None:
+    def _configure(self) -> None:
         first, self._odometer.config = self._odometer.config is None, self._config
         if self.state is SessionState.READY:
             if first:
@@ -302,14 +282,14 @@ class Session:
         elif self._report is not None:
             self._settle()
 
-    def _do_ask_again(self) -> None:
+    def _ask_again(self) -> None:
         waited = self._now - self._opened_s
         if self._report is None:
-            if waited > OPEN_S:
+            if waited > states.OPEN_S:
                 self._dispatch(Input.GAVE_UP)
                 return
             self._send(Command.OPEN)
-        elif waited > CONFIG_S:
+        elif waited > states.CONFIG_S:
             self._dispatch(Input.SETTLED)
             return
         if self._config is None:
@@ -324,65 +304,65 @@ class Session:
             self._send(Command.GYRO, 1)
 
     def _settle(self) -> None:
-        switches = self._config is not None and self._config.autobaud == CAN_SWITCH
-        slow = self._rate is not None and self._rate < FAST_RATE
+        switches = self._config is not None and self._config.autobaud == states.CAN_SWITCH
+        slow = self._rate is not None and self._rate < states.FAST_RATE
         self._dispatch(Input.SLOW if switches and slow else Input.SETTLED)
 
-    def _do_ask_faster(self) -> None:
-        self._send(Command.HOSTBAUD, HOSTBAUD_RATES.index(FAST_RATE))
+    def _ask_faster(self) -> None:
+        self._send(Command.HOSTBAUD, HOSTBAUD_RATES.index(states.FAST_RATE))
 
-    def _do_switch(self) -> None:
-        self._change_baud(FAST_RATE)
+    def _switch(self) -> None:
+        self._change_baud(states.FAST_RATE)
         # The change cut all buffered bytes, and the base needs a packet at the new rate.
         self.decoder.drop()
         self._send(Command.PULSE)
 
-    def _do_switch_back(self) -> None:
+    def _switch_back(self) -> None:
         assert self._opened_rate is not None  # it was below the fast rate
         self._change_baud(self._opened_rate)
         self.decoder.drop()
-        self._do_be_ready()
+        self._be_ready()
 
     def _change_baud(self, baudrate: int) -> None:
         if baudrate != self._rate:
             self._rate = baudrate
             self._events.append(BaudChanged(baudrate))
 
-    def _do_be_ready(self) -> None:
-        self._silent_limit = TRIES_AGAIN
+    def _be_ready(self) -> None:
+        self._silent_limit = states.TRIES_AGAIN
         name, robot_class, subtype = self._names
         self._events.append(Ready(f"{robot_class} {subtype} {name}", self._odometer.robot))
         if self._odometer.config is None:
-            self._events.append(Notice(NO_CONFIG))
+            self._events.append(Notice(states.NO_CONFIG))
         self._setpoints.take(self._now)
         self._ask_for_gyro()
 
-    def _do_publish(self) -> None:
+    def _publish(self) -> None:
         self._report = self._odometer.update(self._sip, self._now)
         self._events.append(self._report)
 
-    def _do_lose(self) -> None:
+    def _lose(self) -> None:
         self._setpoints.clear()
         self._send_zeros()
-        self._events.append(Lost(f"no odometry from the base for {LOSS_S} s"))
+        self._events.append(Lost(f"no odometry from the base for {states.LOSS_S} s"))
 
-    def _do_replace_line(self) -> None:
+    def _replace_line(self) -> None:
         self._events.append(Failed("no packet from the base since it was lost"))
 
-    def _do_recover(self) -> None:
+    def _recover(self) -> None:
         self._events.append(Recovered())
         self._setpoints.take(self._now)
-        self._do_publish()
+        self._publish()
 
-    def _do_lose_to_reset(self) -> None:
-        self._do_listen()
+    def _lose_to_reset(self) -> None:
+        self._listen()
         self._events.append(Lost("the base was reset"))
 
-    def _do_lose_line(self) -> None:
+    def _lose_line(self) -> None:
         self._setpoints.clear()
         self._events.append(Lost(self._reason))
 
-    def _do_leave(self) -> None:
+    def _leave(self) -> None:
         self._setpoints.clear()
         self._send_zeros()
         self._send(Command.ENABLE, 0)
@@ -392,3 +372,28 @@ class Session:
         self._send(Command.VEL, 0)
         self._send(Command.RVEL, 0)
         self._send(Command.STOP)
+
+    ACTIONS: ClassVar[dict[str, Callable[["Session"], None]]] = {
+        "listen": _listen,
+        "sync0": _sync0,
+        "try_again": _try_again,
+        "give_up": _give_up,
+        "hang_up": _hang_up,
+        "open": _open,
+        "refuse": _refuse,
+        "first_sip": _first_sip,
+        "configure": _configure,
+        "ask_again": _ask_again,
+        "ask_faster": _ask_faster,
+        "switch": _switch,
+        "switch_back": _switch_back,
+        "be_ready": _be_ready,
+        "publish": _publish,
+        "lose": _lose,
+        "replace_line": _replace_line,
+        "recover": _recover,
+        "lose_to_reset": _lose_to_reset,
+        "lose_line": _lose_line,
+        "leave": _leave,
+    }
+    """Functions of the actions in ``states.TABLE``."""

@@ -67,6 +67,25 @@ PATIENCE_S = {
     SessionState.FASTER: 0.9,  # as long as ARIA waits for a packet
 }
 """How long a state lasts by itself, in seconds."""
+CONFIG_S, OPEN_S = 1.0, 2.0
+"""Time to wait for a CONFIGpac, which a ready base is asked for again as often, and for the first SIP."""
+POLITE_TRIES, SILENT_TRIES = 1, 6
+"""Silent handshakes before CLOSE goes first; before giving up."""
+TRIES_AGAIN = 3
+"""Silent handshakes before giving up a line to a base that was ready before."""
+CONNECT_S = 15.0
+"""A base that answers but is not ready after this time is given up: the search of both rates takes 8 s."""
+FAST_RATE = 38400
+"""Rate to ask for on a slower line, as ARIA does: at 9600 a SIP with 16 sonars fills 93 of its 100 ms.
+
+A client that vanished leaves the base at this rate. CLOSE restores the rate in FLASH.
+"""
+CAN_SWITCH = 2
+"""AUTOBAUD of a base that takes another rate in a session (ARIA switches only then)."""
+NO_CONFIG = (
+    "the base has not sent its configuration (CONFIGpac): its bumpers do not stop the rover before that; "
+    "the bridge asks for it once a second"
+)
 Entry: TypeAlias = tuple[SessionState | None, Command | str | None]
 
 _ENDING: dict[Input, Entry] = {
@@ -161,4 +180,4 @@ TABLE: dict[SessionState, dict[Input, Entry]] = {
         Input.ECHO0: (SessionState.LISTENING, "listen"),
     },
 }
-"""state: {input: (next state or None, action)}; the action is a command, or the session's ``_do_ACTION``."""
+"""state: {input: (next state or None, action)}; an action is a command, or one of ``Session.ACTIONS``."""

@@ -12,8 +12,6 @@ Rules of this file:
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol
 
 from bridge.base import (
     BaseEvent,
@@ -31,7 +29,8 @@ from bridge.inbox import RobotMessage
 from bridge.ros2.address import hazard_topics, sensor_topics
 from bridge.ros2.announced import AnnouncedTopics
 from bridge.ros2.base_timeout import TimeoutRecord
-from bridge.ros2.discovery import Announced
+from bridge.ros2.connection import RosConnection
+from bridge.ros2.discovery import LoopSeen, TokenSeen
 from bridge.ros2.gyro import GyroTurns
 from bridge.ros2.hazards import Hazards
 from bridge.ros2.inputs import RosBattery, docked_passed_on, pose_passed_on
@@ -76,35 +75,6 @@ _LOOP = (
 _DRIVEN = "the robot drives although the bridge sends zeros: another node or a person drives it"
 
 
-@dataclass(frozen=True)
-class TokenSeen:
-    """A topic was announced, or is announced no more."""
-
-    token: Announced
-    there: bool
-
-
-@dataclass(frozen=True)
-class LoopSeen:
-    """Whether the robot's side can be seen from the drivers' side."""
-
-    there: bool
-
-
-class Connection(Protocol):
-    """The session with the robot; `bridge.ros2.connection.RosConnection` documents the methods."""
-
-    endpoint: str
-    zid: str
-    source: bytes | None
-    """Our own source in messages, where the form has one."""
-
-    def topic(self, name: str) -> str: ...
-    def publish(self, payload: bytes) -> None: ...
-    def wait(self, seconds: float) -> None: ...
-    def close(self) -> None: ...
-
-
 def command(topics: Topics, velocity: Velocity, stamp_ns: int) -> bytes:
     """Return a command in the type that the robot takes; ``stamp_ns`` is of the robot's clock.
 
@@ -122,7 +92,7 @@ class Ros2Base:
     ``unsafe`` is whether every driver may drive although the robot is not known to halt without commands.
     """
 
-    def __init__(self, line: Connection, description: RobotDescription, unsafe: bool) -> None:
+    def __init__(self, line: RosConnection, description: RobotDescription, unsafe: bool) -> None:
         assert description.topics is not None
         self._line, self._description, self._topics = line, description, description.topics
         self._odometer = RosOdometer(self._topics, description.motion, line.topic(self._topics.odom))

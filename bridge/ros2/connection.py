@@ -14,8 +14,7 @@ import zenoh
 
 from bridge.inbox import Inbox, RobotMessage
 from bridge.ros2.address import RosAddress, command_type, hazard_topics, sensor_topics
-from bridge.ros2.base import TokenSeen
-from bridge.ros2.discovery import Announced, Convention, read_topic_token
+from bridge.ros2.discovery import Announced, Convention, TokenSeen, read_topic_token
 from bridge.ros2.rmw import Attachment, read_token
 from bridge.ros2.ros_node import RosNode
 from rover_ncp.core.errors import FormatError, NoRobot

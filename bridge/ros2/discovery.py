@@ -6,6 +6,7 @@ zenoh-plugin-ros2dds (liveliness_mgt.rs; facts only): ``@/ZID/@ros2_lv`` for a b
 blocks these tokens: then ``ros2 topic list`` shows a topic only once it is subscribed.
 """
 
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -60,3 +61,18 @@ def read_topic_token(token: str) -> Announced | None:
             names = topic.replace("§", "/"), ros_type.replace("§", "/")
             return Announced(zid, kind == "MP", *names, f"zenoh-bridge-ros2dds {zid[:8]}")
     return None
+
+
+@dataclass(frozen=True)
+class TokenSeen:
+    """A topic was announced, or is announced no more."""
+
+    token: Announced
+    there: bool
+
+
+@dataclass(frozen=True)
+class LoopSeen:
+    """Whether the robot's side can be seen from the drivers' side."""
+
+    there: bool

@@ -11,10 +11,11 @@ from bridge.bases import gate_limits
 from bridge.gate.limits import Limits
 from bridge.inbox import RobotMessage
 from bridge.pioneer.base import ArcosBase
-from bridge.pioneer.base_connection import Opened, Received
+from bridge.pioneer.base_connection import BaseConnection, Opened, Received
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
 from bridge.ros2.base import Ros2Base
+from bridge.ros2.connection import RosConnection
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.robot.description import RobotDescription
 from sim.base.firmware import Firmware
@@ -72,8 +73,8 @@ class VirtualConnection(ABC):
         """Bring what the robot has sent to the base."""
 
 
-class ArcosConnection(VirtualConnection):
-    """The bytes between a Pioneer's firmware and its session, as a `bridge.pioneer.base.Connection`."""
+class ArcosConnection(VirtualConnection, BaseConnection):
+    """The bytes between a Pioneer's firmware and its session."""
 
     def __init__(self, firmware: Firmware, limits: Limits | None) -> None:
         super().__init__(firmware, limits or Limits())
@@ -105,8 +106,8 @@ class ArcosConnection(VirtualConnection):
         self.arrivals.append(Opened())
 
 
-class Ros2Connection(VirtualConnection):
-    """The messages between a ROS 2 robot and its base, as a `bridge.ros2.base.Connection`."""
+class Ros2Connection(VirtualConnection, RosConnection):
+    """The messages between a ROS 2 robot and its base."""
 
     zid = "bridge"
     source: bytes | None = None

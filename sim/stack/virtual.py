@@ -56,8 +56,9 @@ class VirtualBridge:
         self._inbox: list[object] = []
         self._node = Node(
             self.connection.base,
-            self,
-            self,
+            self.take,
+            key=self.key,
+            publish=self.publish,
             limits=self.connection.limits,
             ready=lambda: None,
             clock=self,

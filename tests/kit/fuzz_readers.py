@@ -21,8 +21,8 @@ from bridge.pioneer.framing import Command, Decoder, Packet, encode_command, enc
 from bridge.pioneer.packets import ConfigPac, GyroPac, Sip, decode_names, encode_names
 from bridge.pioneer.session import Session
 from bridge.ros2.address import parse_ros_address
-from bridge.ros2.base import Ros2Base, TokenSeen
-from bridge.ros2.discovery import read_topic_token, topic_token
+from bridge.ros2.base import Ros2Base
+from bridge.ros2.discovery import TokenSeen, read_topic_token, topic_token
 from bridge.ros2.rmw import read_token
 from deploy.drive.config import DriveConfig
 from deploy.drive.records import CONFIG_FILE, attachments

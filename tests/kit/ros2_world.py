@@ -4,8 +4,8 @@ import math
 
 from bridge.base import BaseReport, Setpoint, TurnRate
 from bridge.inbox import RobotMessage
-from bridge.ros2.base import Ros2Base, TokenSeen
-from bridge.ros2.discovery import Announced
+from bridge.ros2.base import Ros2Base
+from bridge.ros2.discovery import Announced, TokenSeen
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire import messages

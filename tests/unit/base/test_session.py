@@ -12,8 +12,8 @@ from kit.pioneer_bench import Pioneer
 from bridge.base import BaseReport, Failed, Lost, Ready, Recovered, TurnRate
 from bridge.pioneer.framing import HOSTBAUD_RATES, Command, encode_command
 from bridge.pioneer.odometry import ROBOTS
-from bridge.pioneer.session import FAST_RATE, BaudChanged, Session, SessionEvent
-from bridge.pioneer.states import SessionState
+from bridge.pioneer.session import BaudChanged, Session, SessionEvent
+from bridge.pioneer.states import FAST_RATE, SessionState
 from rover_ncp.core.geometry import Velocity
 from sim.base.client_commands import MockCommand
 from sim.base.firmware import ClientState

@@ -63,8 +63,9 @@ class Loop:
         self.arrivals, self.silent = [], False
         self.node = Node(
             self.base,
-            self,
-            self,
+            self.take,
+            key=self.key,
+            publish=self.publish,
             limits=limits or Limits(),
             ready=lambda: None,
             clock=self,

@@ -10,8 +10,7 @@ from kit.described import described
 from kit.ros2_world import BURGER, EPOCH_S, OURS, World, announced, beyond_its_second, header, odometry, twist
 
 from bridge.base import Failed, Lost, Notice, PassedOn, Ready, Recovered
-from bridge.ros2.base import LoopSeen, TokenSeen
-from bridge.ros2.discovery import Announced
+from bridge.ros2.discovery import Announced, LoopSeen, TokenSeen
 from rover_ncp.core.config import validated
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.topics import Topics

@@ -6,8 +6,7 @@ from kit.ros2_world import World
 from kit.virtual_bench import VirtualDriver, VirtualRig
 
 from bridge.base import Ready
-from bridge.ros2.base import TokenSeen
-from bridge.ros2.discovery import Announced
+from bridge.ros2.discovery import Announced, TokenSeen
 from rover_ncp.core.config import validated
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.robot.description import load_description

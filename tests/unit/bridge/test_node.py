@@ -130,7 +130,7 @@ def test_a_drive_goes_on_although_its_stamps_no_longer_fit_ros(bridge):
 
 def test_a_damaged_packet_is_a_warning_for_some_seconds(bridge):
     levels = []
-    bridge.publish = lambda name, data: (
+    bridge.deliver = lambda name, data: (
         name != "diagnostics"
         or levels.append(decode("diagnostic_msgs/msg/DiagnosticArray", data).status[0].level)
     )

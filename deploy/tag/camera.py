@@ -68,7 +68,7 @@ def file_pictures(source: str, left_out: Counter[str]) -> Iterator[Picture]:
     if path.is_dir():
         files = sorted(each for each in path.iterdir() if each.suffix.lower() in PICTURES)
         # Copying from a Mac leaves files such as ._p0.jpg, which are no pictures.
-        files = [each for each in files if not each.name.startswith(".")]
+        files = [each for each in files if not each.name.startswith(".") and each.is_file()]
         if not files:
             raise FileError(f"{path}: no pictures (.png, .jpg)")
         return _still_pictures(path, files, left_out)

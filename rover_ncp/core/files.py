@@ -39,12 +39,11 @@ def resolve(kind: str, name_or_path: str | Path, folder: Path = Path()) -> Path:
     if not text:
         raise FileError(f"an empty name, expected a file or one of the shipped {kind}")
     if "/" not in text and not Path(text).suffix:
-        shipped = Path(str(_DATA / kind / f"{text}.yaml"))
-        if shipped.is_file():
-            return shipped
+        shipped = shipped_names(kind)
+        if text in shipped:
+            return Path(str(_DATA / kind / f"{text}.yaml"))
         if not _exists(folder / text):
-            shipped_list = ", ".join(shipped_names(kind))
-            raise FileError(f"{text}: no such file, and none of the shipped {kind} ({shipped_list})")
+            raise FileError(f"{text}: no such file, and none of the shipped {kind} ({', '.join(shipped)})")
     return existing_file(folder / text)
 
 
@@ -65,10 +64,18 @@ def _exists(path: Path) -> bool:
         raise FileError(f"{path}: cannot be read: {error.strerror}") from error
 
 
+def open_file(path: Path) -> IO[bytes]:
+    """Open a file to read. Raises FileError, also for a device or pipe: its end may never come."""
+    try:
+        return existing_file(path).open("rb")
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read: {error.strerror}") from error
+
+
 def read_bytes(path: Path) -> bytes:
     """Read a file; an unreadable one, or one of more than `MAX_BYTES`, is a FileError."""
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             content = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror}") from error

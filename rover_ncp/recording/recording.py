@@ -22,7 +22,7 @@ from mcap.writer import Writer
 from pydantic import BaseModel, Field
 
 from rover_ncp.core.errors import FileError
-from rover_ncp.core.files import create, write_atomic
+from rover_ncp.core.files import create, open_file, write_atomic
 from rover_ncp.recording.mcap_format import Damaged, read_records
 from rover_ncp.recording.recorded import Recorded, header_stamp_ns, steady
 from rover_ncp.wire.cdr import definition, is_known
@@ -197,7 +197,7 @@ def _contents(path: Path) -> Iterator[Content]:
     channels: dict[int, tuple[str, str]] = {}
     headed = False
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             for record in read_records(path, file):
                 headed = headed or isinstance(record, Header)
                 if isinstance(record, Message):
@@ -259,7 +259,7 @@ def read_recording(
 def require_finished(path: Path) -> None:
     """Raise FileError if a process still writes this recording, or if it cannot be read."""
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError as error:
         raise FileError(f"{path}: another process is writing it; wait for its end") from error

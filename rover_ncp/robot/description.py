@@ -19,7 +19,7 @@ from rover_ncp.core.geometry import Pose
 from rover_ncp.robot.topics import Topics
 
 _DEPTH = 4
-"""Largest number of files that are based on each other."""
+"""Largest number of steps of `based_on` from a file."""
 
 MAX_BASE_TIMEOUT_S = 2.5
 """Longest base timeout that counts: a Pioneer has 2 s."""
@@ -335,10 +335,11 @@ def _merged(path: Path, depth: int) -> dict[str, Any]:
     base = data.get("based_on")
     if base is None:
         return data
-    if not isinstance(base, str) or not depth:
-        raise ConfigError(
-            str(path), [f"$.based_on: expected a description's name, in {_DEPTH} steps at most"]
-        )
+    if not isinstance(base, str):
+        raise ConfigError(str(path), ["$.based_on: expected the name or the file of a description"])
+    if not depth:
+        problem = f"at most {_DEPTH} steps from file to file are followed: is a file based on itself?"
+        raise ConfigError(str(path), [f"$.based_on: {problem}"])
     try:
         base_path = resolve("robots", base, path.parent)
     except FileError as error:

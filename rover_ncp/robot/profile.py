@@ -11,7 +11,6 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from rover_ncp.core.config import StrictModel, load_yaml
-from rover_ncp.core.files import existing_file
 
 _Delay = Field(default=None, ge=0, le=2)
 _Factor = Field(default=None, gt=0.2, lt=5)
@@ -82,4 +81,4 @@ OF_THE_GROUND = "turn_asymmetry", "downhill_x_m", "downhill_y_m"
 
 def load_profile(path: str | Path) -> RoverProfile:
     """Load a profile by path. Raises FileError or ConfigError."""
-    return load_yaml(existing_file(Path(path)), RoverProfile)
+    return load_yaml(Path(path), RoverProfile)

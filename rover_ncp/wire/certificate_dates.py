@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rover_ncp.core.errors import FileError
+from rover_ncp.core.files import read_bytes
 
 _TLS = "transport/link/tls"
 
@@ -40,8 +41,8 @@ def _validity(settings: Any, name: str) -> Iterator[tuple[datetime, datetime]]:
     try:
         from cryptography import x509
 
-        pem = base64.b64decode(encoded) if encoded else Path(path).read_bytes()
+        pem = base64.b64decode(encoded) if encoded else read_bytes(Path(path))
         certificate = x509.load_pem_x509_certificate(pem)
-    except (ImportError, OSError, ValueError, binascii.Error):
+    except (ImportError, FileError, ValueError, binascii.Error):
         return
     yield certificate.not_valid_before_utc, certificate.not_valid_after_utc

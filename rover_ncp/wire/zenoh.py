@@ -11,7 +11,7 @@ import zenoh
 
 from rover_ncp.core.config import MAX_DEPTH
 from rover_ncp.core.errors import FileError, UsageError
-from rover_ncp.core.files import existing_file, read_text
+from rover_ncp.core.files import read_text
 from rover_ncp.wire.address import MAX_PORT, parse_address
 from rover_ncp.wire.certificate_dates import require_valid
 
@@ -58,7 +58,7 @@ def read_config(file: Path | None) -> zenoh.Config:
     """Return the settings in a file, or Zenoh's own. Raises FileError."""
     if file is None:
         return zenoh.Config()
-    if _nesting(read_text(existing_file(file))) > MAX_DEPTH:
+    if _nesting(read_text(file)) > MAX_DEPTH:
         raise FileError(
             f"{file}: not a Zenoh configuration: more than {MAX_DEPTH} lists or objects in each other"
         )

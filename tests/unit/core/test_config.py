@@ -2,7 +2,6 @@ import os
 import re
 import struct
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
@@ -135,12 +134,13 @@ def test_unreadable_empty_and_huge_files_name_their_path(tmp_path):
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
     with (tmp_path / "huge.yaml").open("wb") as file:
         file.truncate(1 << 40)
+    os.mkfifo(tmp_path / "pipe.yaml")
     for path, expected in [
-        (tmp_path / "none.yaml", "cannot be read"),
+        (tmp_path / "none.yaml", "no such file"),
         (tmp_path / "empty.yaml", "the file is empty"),
         (tmp_path / "binary.yaml", "not a text file in UTF-8 but in UTF-16"),
         (tmp_path / "huge.yaml", "the limit of such a file"),
-        (Path("/dev/zero"), "the limit of such a file"),
+        (tmp_path / "pipe.yaml", "is a device or pipe, expected a file"),
     ]:
         with pytest.raises(FileError, match=f"^{path}: .*{expected}"):
             load_yaml(path, Base)

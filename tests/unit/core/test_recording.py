@@ -164,7 +164,7 @@ def test_file_that_is_no_recording_is_a_one_line_error(tmp_path, content, messag
         read_recording(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
-    with pytest.raises(FileError, match="cannot be read"):
+    with pytest.raises(FileError, match="no such file"):
         read_recording(tmp_path / "nothing.mcap")
 
 

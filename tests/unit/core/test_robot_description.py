@@ -74,7 +74,8 @@ def test_a_description_is_based_on_a_file_beside_it_whatever_the_working_folder(
         (f"name: x\nbased_on: turtlebot4\ntopics: {{odom_frame: {'o' * 201}}}\n", r"\$.topics.odom_frame"),
         ("name: x\nbased_on: p3at\nspeed: 1\n", r"\$.speed: unknown key"),
         ("name: x\n", r"\$.footprint"),
-        ("name: loop\nbased_on: bad.yaml\n", r"\$.based_on: expected a description's name, in 4 steps"),
+        ("name: loop\nbased_on: bad.yaml\n", r"\$\.based_on: at most 4 steps .*: is a file based on itself"),
+        (f"name: x\nbased_on: {'x' * 5000}\n", r"\$\.based_on: .*File name too long"),
     ],
 )
 def test_bad_files_are_refused(tmp_path, monkeypatch, text, expected):

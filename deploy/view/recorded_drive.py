@@ -6,7 +6,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deploy.drive.records import STAGING_FILE, attached_course, attached_policy, attached_settings
+from deploy.drive.records import (
+    STAGING_FILE,
+    START_TOPIC,
+    attached_course,
+    attached_policy,
+    attached_settings,
+)
 from deploy.place.outcome import DockResult, PoseErrors
 from deploy.view.timeline import TOPICS, Moved, Tick, Timeline
 from rover_ncp.circuit.policy import Policy
@@ -26,8 +32,8 @@ Rows = tuple[tuple[str, str], ...]
 
 KINDS: dict[str, str] = {Parked.YES: "good", Parked.UNCERTAIN: "doubt", Parked.NO: "bad"}
 """The colour of a verdict on a page."""
-OTHER_VERDICTS = {Parked.UNCERTAIN.value: Parked.UNCERTAIN, "fault": Parked.NO, "ended": Parked.NO}
-"""The verdict of a driver that did not end as parked, by its last state."""
+VERDICTS = {**{str(parked): parked for parked in Parked}, "fault": Parked.NO, "ended": Parked.NO}
+"""The driver's verdict, by its last state; another state is that of a driver that was killed."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +88,9 @@ class Summary(NamedTuple):
 
 def read_drive(path: Path) -> Drive:
     """Read a recording of ``rover-ncp deploy``. Raises FileError and ConfigError."""
-    recording = read_recording(path, topics=TOPICS)
+    recording = read_recording(path, topics=TOPICS | {START_TOPIC})
+    if (drives := len(recording.topic(START_TOPIC))) > 1:
+        raise FileError(f"{path}: holds {drives} drives, expected one: 'mcap filter' cuts a file by time")
     policy, course = attached_policy(recording), attached_course(recording)
     staging = attached_policy(recording, STAGING_FILE) if STAGING_FILE in recording.attachments else None
     timeline = Timeline(policy, course, staging)
@@ -95,22 +103,24 @@ def read_drive(path: Path) -> Drive:
 
 def summarise(drive: Drive) -> Summary:
     """Summarise a drive for its report."""
-    dock = drive.timeline.dock
-    verdicts = {} if drive.docks else drive.timeline.judge()
+    dock, status = drive.timeline.dock, drive.timeline.status
+    verdicts: dict[str, Verdict] | None = None
+    if status is not None and status.state in VERDICTS:
+        verdicts = {} if drive.docks else drive.timeline.judge()
     rows = list(facts(drive.timeline, verdicts))
     if drive.settings.get("dry_run"):
         rows.append(("Dry run", "no command was sent"))
     if drive.damage:
         rows.append(("Recording", f"{drive.damage}; the page shows what precedes it"))
     if dock is not None:
-        parked, headline = _dock_headline(dock, drive.timeline.status)
+        parked, headline = _dock_headline(dock, status)
         rows[:0] = _dock_rows(dock, drive)
-    elif drive.docks:  # the driver was killed: only its own verdict says whether the rover is docked
+    elif status is not None and verdicts:
+        parked, headline = _headline(verdicts, status)
+    else:  # the driver was killed: only its own verdict says whether the rover is parked or docked
         what = "undocked from" if drive.settings.get("undock") else "docked at"
-        parked = Parked.NO
-        headline = f"Not {what} {drive.course.name}: the recording ends before the driver's verdict"
-    else:
-        parked, headline = _headline(verdicts, drive.timeline.status)
+        goal = f"{what} {drive.course.name}" if drive.docks else "parked"
+        parked, headline = Parked.NO, f"Not {goal}: the recording ends before the driver's verdict"
     began = datetime.fromtimestamp(drive.timeline.ticks[0].wall_ns * 1e-9, UTC)
     return Summary(
         parked=parked,
@@ -121,16 +131,16 @@ def summarise(drive: Drive) -> Summary:
     )
 
 
-def _headline(verdicts: Mapping[str, Verdict], status: DriverStatus | None) -> tuple[Parked, str]:
+def _headline(verdicts: Mapping[str, Verdict], status: DriverStatus) -> tuple[Parked, str]:
     """Return the verdict and its words, which say if the true pose was judged and not the driver's."""
     by, verdict = next(iter(verdicts.items()))
     parked, reason = verdict.words, verdict.reason
-    if by == "estimated" and parked is Parked.YES and status is not None:
-        parked = OTHER_VERDICTS.get(status.state, parked)
+    if by == "estimated" and parked is Parked.YES:
+        parked = VERDICTS[status.state]
         reason = status.reason
-    if parked is Parked.UNCERTAIN and status is not None:
+    if parked is Parked.UNCERTAIN:
         reason = status.reason
-    if by == "true" and parked is Parked.YES and status is not None and status.state == Parked.UNCERTAIN:
+    if by == "true" and parked is Parked.YES and status.state == Parked.UNCERTAIN:
         reason = "the driver's own verdict is uncertain"
     words = parked.capitalize() + (" (true pose)" if by == "true" else "")
     return parked, words + (f": {reason}" if reason else "")

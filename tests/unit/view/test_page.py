@@ -166,5 +166,10 @@ def test_the_drivers_uncertain_verdict_is_never_shown_as_parked(tmp_path):
     summary = summarise(recorded(tmp_path / "truth.mcap", "parking", more=[uncertain]))
     assert summary.headline == "Parked (true pose): the driver's own verdict is uncertain"
     stopped = state(DriverStatus(state="fault", reason="stopped by stall"), uncertain.log_ns)
+    killed = state(DriverStatus(state="driving", tick=319), uncertain.log_ns)
+    for truth in (True, False):
+        summary = summarise(recorded(tmp_path / f"{truth}.mcap", "parking", truth=truth, more=[killed]))
+        assert summary.headline == "Not parked: the recording ends before the driver's verdict"
+        assert dict(summary.rows).get("State") == "driving"
     summary = summarise(recorded(tmp_path / "fault.mcap", "parking", truth=False, more=[stopped]))
     assert (summary.parked, summary.headline) == (Parked.NO, "Not parked: stopped by stall")

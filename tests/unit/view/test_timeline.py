@@ -163,6 +163,10 @@ def test_incomplete_recordings_are_rejected(tmp_path):
         read_drive(attached(tmp_path / "still.mcap", **files))
     with pytest.raises(ConfigError, match=r"broken\.mcap, policy\.yaml"):
         read_drive(attached(tmp_path / "broken.mcap", policy=b"format: 9", course=b""))
+    starts = [Recorded("deploy/start", STRING, messages.text("{}"), ns, ns) for ns in (1, 2)]
+    write_drive(tmp_path / "two.mcap", course=SHORT, more=starts)
+    with pytest.raises(FileError, match="holds 2 drives, expected one"):
+        read_drive(tmp_path / "two.mcap")
 
 
 def test_motion_of_another_stage_is_no_motion_of_a_policy(short):

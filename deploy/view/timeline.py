@@ -208,8 +208,11 @@ class Timeline:
 
         The base reports contacts.
         """
-        began = self.ticks[0].wall_ns
-        until = began + round((self.course.horizon_s + TICK_S) * 1e9)
+        began, horizon_ns = self.ticks[0].wall_ns, round(self.course.horizon_s * 1e9)
+        if self.final is not None and self.status is not None and self.status.tick >= self.course.ticks:
+            # The driver drove to the horizon. A stall may have made its first tick late.
+            began = min(began, self.final.wall_ns - horizon_ns)
+        until = began + horizon_ns + round(TICK_S * 1e9)
         estimates = [tick.estimate for tick in self.ticks]
         if self.final is not None and self.final is not estimates[-1]:
             estimates.append(self.final)

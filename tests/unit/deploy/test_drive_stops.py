@@ -205,6 +205,21 @@ def test_drive_with_a_contact_is_never_parked(tmp_path, harm, contact):
     assert read_drive(virtual.path).timeline.judge()["estimated"].parked is parked
 
 
+def test_page_of_a_drive_whose_first_tick_was_late_says_what_the_driver_says(tmp_path):
+    virtual = VirtualDrive(course=ANYWHERE, path=tmp_path / "run.mcap")
+    link, take = virtual.link, virtual.link.odometry.take
+
+    def take_late(timeout_s=0.0):
+        found = take(timeout_s)
+        if found and link.requests and not link.sent:
+            virtual.bridge.sleep(0.15)
+        return found
+
+    link.odometry.take = take_late
+    assert virtual.run().verdict is Parked.YES
+    assert read_drive(virtual.path).timeline.judge()["estimated"].parked
+
+
 def test_bumper_that_was_pressed_before_the_lease_does_not_count():
     virtual = VirtualDrive(course=ANYWHERE)
     virtual.link.change_gate(stops={"bumper": 3})

@@ -1,4 +1,4 @@
-"""Pictures of a camera: a device, a video, a folder of pictures, or an address (`deploy.tag.http_camera`)."""
+"""Pictures of a camera that runs, or of a folder."""
 
 import io
 import logging
@@ -9,7 +9,7 @@ import time
 import warnings
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -59,37 +59,30 @@ def is_device(source: str) -> bool:
     return source.isdecimal() or source.startswith("/dev/") or Path(source).is_char_device()
 
 
-def file_pictures(source: str, left_out: Counter[str]) -> Iterator[Picture]:
-    """Return the pictures of a folder, a picture's file or a video. Raises FileError.
+def folder_pictures(source: str, left_out: Counter[str]) -> Iterator[Picture]:
+    """Return the pictures of a folder. Raises FileError.
 
     Pictures that cannot be read are counted in ``left_out``, by reason.
     """
     path = Path(source)
-    if path.is_dir():
-        files = sorted(each for each in path.iterdir() if each.suffix.lower() in PICTURES)
-        # Copying from a Mac leaves files such as ._p0.jpg, which are no pictures.
-        files = [each for each in files if not each.name.startswith(".") and each.is_file()]
-        if not files:
-            raise FileError(f"{path}: no pictures (.png, .jpg)")
-        return _still_pictures(path, files, left_out)
-    if not path.is_file():
+    if not path.is_dir():
         *login, place = source.rpartition("@")  # it may be an address that holds a password
         raise FileError(
-            f"{'...@' * any(login)}{place}: no such file; expected a device (0 or /dev/video0; 'rover-ncp "
-            "tag cameras' lists them), http://HOST:PORT/PATH, a video or a folder of pictures"
+            f"{'...@' * any(login)}{place}: no such folder; expected a device (0 or /dev/video0; 'rover-ncp "
+            "tag cameras' lists them), http://HOST:PORT/PATH, or a folder of pictures"
         )
-    return _still_pictures(path, [path], left_out) if path.suffix.lower() in PICTURES else _video(path)
+    return _pictures_in(path, left_out)
 
 
-def _still_pictures(path: Path, files: Sequence[Path], left_out: Counter[str]) -> Iterator[Picture]:
-    read, problem = 0, ""
-    for each in files:
+def _pictures_in(path: Path, left_out: Counter[str]) -> Iterator[Picture]:
+    # Copying from a Mac leaves files such as ._p0.jpg, which are no pictures.
+    files = [each for each in path.iterdir() if each.suffix.lower() in PICTURES and each.name[0] != "."]
+    files = [each for each in files if each.is_file()]
+    read, problem = 0, "it has no .png or .jpg"
+    for each in sorted(files):
         try:
             with each.open("rb") as file:
-                data = file.read(MAX_FILE + 1)
-            if len(data) > MAX_FILE:
-                raise ValueError(f"a picture of more than {MAX_FILE >> 20} MiB")
-            picture = decode_picture(data, each.stat().st_mtime_ns)
+                picture = decode_picture(file.read(MAX_FILE), each.stat().st_mtime_ns)
         except (OSError, ValueError) as error:
             problem = getattr(error, "strerror", None) or str(error)
             left_out[problem] += 1
@@ -99,29 +92,6 @@ def _still_pictures(path: Path, files: Sequence[Path], left_out: Counter[str]) -
         yield picture
     if not read:
         raise FileError(f"{path}: no picture can be read: {problem}")
-
-
-def _video(path: Path) -> Iterator[Picture]:
-    capture = cv2.VideoCapture(str(path))
-    if not capture.isOpened():
-        raise FileError(f"{path}: not a video that OpenCV reads")
-    size = capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
-    if size[0] * size[1] > MAX_PIXELS:
-        raise FileError(f"{path}: {size[0]:.0f} × {size[1]:.0f} pixels, expected {MAX_PIXELS} at most")
-    began_ns = path.stat().st_mtime_ns
-    for grey, _ in _frames(capture):
-        yield Picture(grey, began_ns + round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6))
-
-
-def _frames(capture: cv2.VideoCapture) -> Iterator[tuple[NDArray[np.uint8], int]]:
-    """Yield the grey levels of all pictures, and when each was read (ns)."""
-    while True:
-        more, frame = capture.read()
-        read_ns = time.time_ns()
-        if not more:
-            return
-        grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame
-        yield np.asarray(grey, np.uint8), read_ns
 
 
 def decode_picture(data: bytes, wall_ns: int) -> Picture:
@@ -170,12 +140,6 @@ class PictureMoments:
         return None if measured_ns is None else measured_ns - monotonic_ns
 
 
-class Ended(str):
-    """Why a camera ended; it does not take the place of the last picture."""
-
-    __slots__ = ()
-
-
 class LiveCamera(ClosedAtExit):
     """The newest picture of a camera that runs: no picture waits in a queue.
 
@@ -186,28 +150,26 @@ class LiveCamera(ClosedAtExit):
     def __init__(self, name: str, left_out: Counter[str]) -> None:
         self._name, self._left_out, self._problem = name, left_out, ""
         self._moments = PictureMoments()
-        self.newest = Inbox[Callable[[], Picture] | Ended](2)
-        """Functions that decode the newest pictures, or raise ValueError, and an end."""
+        self.newest = Inbox[Callable[[], Picture] | str](2)
+        """Functions that decode the newest pictures, or raise ValueError; why the camera ended."""
 
     def __iter__(self) -> Iterator[Picture]:
         seen_s = time.monotonic()
         while True:
             arrived = self.newest.take(TIMEOUT_S)
-            pictures = [each for each in arrived if not isinstance(each, Ended)]
-            ends = [str(each) for each in arrived if isinstance(each, Ended)]
-            for decode in pictures[-1:]:
+            for decode in [each for each in arrived if callable(each)][-1:]:
                 try:
                     picture = decode()
                 except ValueError as error:
                     self.leave_out(str(error))
-                    continue
-                seen_s, self._problem = time.monotonic(), ""
-                yield picture
-                seen_s = time.monotonic()
-            if not arrived or (pictures and time.monotonic() - seen_s > TIMEOUT_S):
-                ends.append(self._problem or f"no picture for {TIMEOUT_S:g} s")
-            if ends:
-                raise UsageError(f"camera {self._name}: {ends[0]}")
+                else:
+                    self._problem = ""
+                    yield picture
+                    seen_s = time.monotonic()
+            ends = [each for each in arrived if isinstance(each, str)]
+            if ends or not arrived or time.monotonic() - seen_s > TIMEOUT_S:
+                words = [*ends, self._problem or f"no picture for {TIMEOUT_S:g} s"]
+                raise UsageError(f"camera {self._name}: {words[0]}")
 
     def moment_ns(self, stamp_ns: int | None, arrival_ns: int) -> int | None:
         """Return when a picture was taken, by the wall clock; None if it is left out."""
@@ -243,10 +205,9 @@ class ReadCamera(LiveCamera):
                 if self._closing:
                     return
                 self.newest.put(picture)
-            why = "it sends no more pictures"
+            self.newest.put("it sends no more pictures")
         except (OSError, ValueError, ArithmeticError) as error:
-            why = str(error) or type(error).__name__
-        self.newest.put(Ended(why))
+            self.newest.put(str(error) or type(error).__name__)
 
     @abstractmethod
     def _pictures(self) -> Iterator[Callable[[], Picture]]:
@@ -269,8 +230,13 @@ class DeviceCamera(ReadCamera):
             if not capture.isOpened():
                 raise ValueError(self._closed())
             self._set(capture)
-            for grey, read_ns in _frames(capture):
-                yield partial(Picture, grey, read_ns)
+            while True:
+                more, frame = capture.read()
+                read_ns = time.time_ns()
+                if not more:
+                    return
+                grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame
+                yield partial(Picture, np.asarray(grey, np.uint8), read_ns)
         finally:
             capture.release()
 

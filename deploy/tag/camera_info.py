@@ -28,17 +28,8 @@ MODELS = {
 NAMES: Mapping[str, Sequence[str]] = {
     "width": ("image_width", "width", "image_Width"),
     "height": ("image_height", "height", "image_Height"),
-    "k": ("camera_matrix", "k", "K", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix", "mtx"),
-    "d": (
-        "distortion_coefficients",
-        "d",
-        "D",
-        "distCoeffs",
-        "dist_coeffs",
-        "Distortion_Coefficients",
-        "dist_coeff",
-        "dist",
-    ),
+    "k": ("camera_matrix", "k", "K", "Camera_Matrix"),
+    "d": ("distortion_coefficients", "d", "D", "Distortion_Coefficients"),
 }
 """What programs call a picture's size, the camera matrix and the distortion."""
 EXPECTED = (

@@ -23,15 +23,12 @@ Camera = Annotated[
     str,
     typer.Option(
         help="A device (0, /dev/video0; 'tag cameras' lists them), a stream or picture (http://...), a "
-        "video, a folder, or a ROS 2 topic (ros2/tcp/HOST#image=TOPIC)."
+        "folder of pictures, or a ROS 2 topic (ros2/tcp/HOST#image=TOPIC)."
     ),
 ]
 Map = Annotated[Path, typer.Option(help="The tags: sizes and places (YAML).")]
 Seconds = Annotated[
     float | None, typer.Option(min=0.1, help="End after so many seconds.", show_default=False)
-]
-Decimate = Annotated[
-    float, typer.Option(min=1.0, max=4.0, help="Search for tags in a picture so many times smaller.")
 ]
 
 
@@ -123,7 +120,6 @@ def run(
         str | None,
         typer.Option(help="Where the bridge listens; without it, poses are only shown.", show_default=False),
     ] = None,
-    decimate: Decimate = 2.0,
     seconds: Seconds = None,
     picture: Annotated[
         Path | None,
@@ -155,7 +151,6 @@ def run(
         camera_file,
         map,
         address=address,
-        decimate=decimate,
         seconds=seconds,
         picture=picture,
         overwrite=overwrite,

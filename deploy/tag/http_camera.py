@@ -10,7 +10,6 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from email.message import Message
 from functools import partial
 from typing import NamedTuple
 from urllib.parse import SplitResult, unquote, urlsplit
@@ -33,7 +32,7 @@ MIN_PERIOD_S = 0.1
 """Time between two requests for pictures."""
 RETRY_S = 2.0
 """Time after the last picture in which a camera is asked again: below `TIMEOUT_S`, which has no reason."""
-JPEG, PNG = b"\xff\xd8\xff", b"\x89PNG"
+JPEG = b"\xff\xd8\xff"
 START, END, SCAN = 0xD8, 0xD9, 0xDA
 """Markers of a JPEG: its start, its end, and the start of a scan, whose data have no length."""
 _AFTER_SCAN = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
@@ -80,17 +79,24 @@ class HttpCamera(ReadCamera):
                 time.sleep(max(0.0, began_s + MIN_PERIOD_S - time.monotonic()))
 
     def _connected(self, session: requests.Session) -> Iterator[Callable[[], Picture]]:
-        """Yield the pictures of one connection."""
+        """Yield the pictures of one connection: of a stream, or a single one."""
+        reader = PictureReader()
         with self._answer(session) as response:
-            read = partial(response.raw.read1, CHUNK)
-            first, wall_ns = b"", time.time_ns()
-            while len(first.lstrip()) < len(PNG) and (more := read()):
-                first, wall_ns = first + more, time.time_ns()
-            if first.lstrip().startswith((JPEG, PNG)):
-                data = _whole(first, read)
-                yield from self._picture(data, response.headers.get(STAMP), wall_ns)
-            else:
-                yield from self._stream(first, read, response.headers.get("content-type", ""))
+            kind = response.headers.get("content-type", "").partition(";")[0] or "other data"
+            while more := response.raw.read1(CHUNK):
+                wall_ns = time.time_ns()
+                for found in reader.feed(more):
+                    if isinstance(found, str):
+                        self.leave_out(found)
+                        continue
+                    stamp = found.stamp or response.headers.get(STAMP)
+                    if (moment_ns := self.moment_ns(_stamp_ns(stamp), wall_ns)) is not None:
+                        yield partial(decode_picture, found.data, moment_ns)
+        if not reader.began:
+            raise ValueError(
+                f"it sends {kind}, no JPEG: give the address of its stream or its "
+                "picture, such as http://HOST:81/stream"
+            )
 
     def _answer(self, session: requests.Session) -> requests.Response:
         """Return the answer to a request. Raises ValueError for one that is an error."""
@@ -119,30 +125,6 @@ class HttpCamera(ReadCamera):
             raise ValueError("it refuses this name and password")
         raise ValueError("it asks for a password: give http://NAME:PASSWORD@HOST/PATH")
 
-    def _stream(
-        self, first: bytes, read: Callable[[], bytes], content: str
-    ) -> Iterator[Callable[[], Picture]]:
-        kind = Message()
-        kind["content-type"] = content
-        if kind.get_content_maintype() != "multipart" and not first.lstrip().startswith(b"--"):
-            told = f"{kind.get_content_type()}, no pictures" if first else "nothing"
-            raise ValueError(
-                f"it sends {told}: give the address of its stream or its picture, such as "
-                "http://HOST:81/stream"
-            )
-        reader, more = PictureReader(), first
-        while more:
-            for found in reader.feed(more):
-                if isinstance(found, str):
-                    self.leave_out(found)
-                else:
-                    yield from self._picture(found.data, found.stamp, time.time_ns())
-            more = read()
-
-    def _picture(self, data: bytes, stamp: str | None, wall_ns: int) -> Iterator[Callable[[], Picture]]:
-        if (moment_ns := self.moment_ns(_stamp_ns(stamp), wall_ns)) is not None:
-            yield partial(decode_picture, data.lstrip(b"\r\n"), moment_ns)
-
 
 def _address(source: str) -> SplitResult:
     try:
@@ -156,16 +138,6 @@ def _address(source: str) -> SplitResult:
             "password %2F for /, %3F for ?, %23 for #; a camera of another protocol (rtsp) is not read"
         )
     return parts
-
-
-def _whole(first: bytes, read: Callable[[], bytes]) -> bytes:
-    """Return a whole answer. Raises ValueError if it is too long."""
-    data = bytearray(first)
-    while more := read():
-        data += more
-        if len(data) > MAX_PICTURE:
-            raise ValueError(f"a picture of more than {MAX_PICTURE >> 20} MiB")
-    return bytes(data)
 
 
 def _reason(error: BaseException) -> str:
@@ -199,7 +171,7 @@ class PictureReader:
         self._buffer, self._head = bytearray(), b""
         self._at = self._scanned = 0
         """Where the next marker of the present picture is, 0 between pictures; where its scan goes on."""
-        self._began = False
+        self.began = False
         """Whether there was a picture."""
 
     def feed(self, data: bytes) -> Iterator[Found | str]:
@@ -226,11 +198,11 @@ class PictureReader:
         """Drop what is before the next picture but for its header; return whether one begins."""
         at = self._buffer.find(JPEG)
         if at >= 0:
-            self._head, self._at, self._began = bytes(self._buffer[max(at - MAX_HEAD, 0) : at]), 2, True
+            self._head, self._at, self.began = bytes(self._buffer[max(at - MAX_HEAD, 0) : at]), 2, True
             del self._buffer[:at]
         elif len(self._buffer) > MAX_HEAD:
-            if not self._began:
-                raise ValueError(f"no JPEG of its stream begins within {MAX_HEAD} bytes")
+            if not self.began:
+                raise ValueError(f"no JPEG begins within {MAX_HEAD} bytes")
             del self._buffer[:-MAX_HEAD]
         return at >= 0
 

@@ -15,6 +15,8 @@ from deploy.tag.locate import Located, Locator, Rejection
 from deploy.tag.tag_map import CameraFile, TagMap
 from rover_ncp.core.errors import UsageError
 
+DECIMATE = 2.0
+"""Tags are searched for in pictures so many times smaller: the drive needs the processor."""
 MAX_AGE_S = 1.0
 """An older picture gives no pose: the drive's estimate does not reach back so far."""
 DARK, BRIGHT = 20.0, 235.0
@@ -90,9 +92,9 @@ class TagCameras(BaseModel):
 class Localiser:
     """Turns pictures into poses and counts the others, by reason."""
 
-    def __init__(self, camera: CameraFile, tag_map: TagMap, decimate: float) -> None:
+    def __init__(self, camera: CameraFile, tag_map: TagMap) -> None:
         self._size = (camera.intrinsics.height, camera.intrinsics.width)
-        self._detector, self._locator = Detector(decimate), Locator(camera, tag_map)
+        self._detector, self._locator = Detector(DECIMATE), Locator(camera, tag_map)
         self._ids = {tag.id for tag in tag_map.tags}
         self.pictures = self.poses = 0
         self.rejected = Counter[str]()

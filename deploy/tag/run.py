@@ -13,13 +13,14 @@ from deploy.tag.camera import (
     LiveCamera,
     Picture,
     devices,
-    file_pictures,
+    folder_pictures,
     is_device,
 )
 from deploy.tag.camera_info import load_camera_info
 from deploy.tag.detector import Detection, Detector
 from deploy.tag.http_camera import HttpCamera
 from deploy.tag.localiser import (
+    DECIMATE,
     Localiser,
     TagCalibration,
     TagCamera,
@@ -52,7 +53,6 @@ def run_localiser(
     map_file: Path,
     *,
     address: BridgeAddress | None,
-    decimate: float,
     seconds: float | None,
     picture: Path | None,
     overwrite: bool,
@@ -69,7 +69,7 @@ def run_localiser(
         raise UsageError("--camera-file: expected the camera's file; only a camera of ROS may do without it")
     if picture is not None:
         require_writable(picture, overwrite=overwrite)
-    localiser, shown = Localiser(camera, tag_map, decimate), 0.0
+    localiser, shown = Localiser(camera, tag_map), 0.0
     with Interrupts() as interrupts, contextlib.ExitStack() as stack:
         link = stack.enter_context(PoseLink(address)) if address is not None else None
         began = time.monotonic()
@@ -162,7 +162,7 @@ def calibrate_yaw(source: str, camera_file: Path, map_file: Path, *, seconds: fl
     if tag_map.tags_on == "rover":
         raise UsageError(f"{map_file}: tags_on: rover: the mount of a ceiling's camera is measured by hand")
     require_writable(camera_file, overwrite=True)
-    detector, left_out = Detector(2.0), Counter[str]()  # as in `run`: the drive needs the processor
+    detector, left_out = Detector(DECIMATE), Counter[str]()
     seen: list[list[Detection]] = []
     with (
         Interrupts() as interrupts,
@@ -219,7 +219,7 @@ def opened(
     elif is_device(source):
         camera = DeviceCamera(source, settings, left_out)
     else:
-        yield file_pictures(source, left_out), False
+        yield folder_pictures(source, left_out), False
         return
     with camera:
         yield iter(camera), True

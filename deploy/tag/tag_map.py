@@ -4,10 +4,9 @@ A mount is a pose in space: x forward, y left, z up in m; yaw, pitch, roll in ra
 that a positive pitch points down. A camera looks along its x axis, a tag's printed side faces along its own.
 """
 
-import logging
 import math
 from collections import Counter
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +14,6 @@ from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from rover_ncp.core.config import StrictModel
-
-_LOGGER = logging.getLogger("rover_ncp")
 
 Floats = NDArray[np.float64]
 Coordinate = Annotated[float, Field(ge=-1000.0, le=1000.0, description="m")]
@@ -151,12 +148,3 @@ class CameraFile(StrictModel):
         le=10_000,
         description="focus of a device in its driver's units, with its autofocus off",
     )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _without_delay(cls, data: Any) -> Any:
-        """Leave out a key of earlier versions, which `tag calibrate` wrote into every file."""
-        if isinstance(data, dict) and "delay_s" in data:
-            _LOGGER.warning("a camera's delay_s has no effect: leave it out; a drive finds the delay itself")
-            return {key: value for key, value in data.items() if key != "delay_s"}
-        return data

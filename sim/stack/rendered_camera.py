@@ -52,7 +52,7 @@ class RenderedLocaliser(TagLocaliser):
     ) -> None:
         super().__init__(rover, place, stream, send)
         camera, tags = dock_camera(place)
-        self.renderer, self.localiser = Renderer(camera, tags, stream), Localiser(camera, tags, 2.0)
+        self.renderer, self.localiser = Renderer(camera, tags, stream), Localiser(camera, tags)
 
     @classmethod
     def has_tags(cls, start: Pose, place: Place) -> bool:

@@ -261,7 +261,7 @@ def test_server_that_does_not_speak_http_or_does_not_answer_ends_the_command():
         (stream_of(part(50), 3.5), "no picture for 3 s|no answer for 3 s"),
         (
             stream_of(b"<html></html>", content="text/html"),
-            "text/html, no pictures: give the address",
+            "text/html, no JPEG: give the address",
         ),
         (lambda request: request.send_error(404), "HTTP 404"),
     ],

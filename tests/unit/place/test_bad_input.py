@@ -35,7 +35,7 @@ class Camera:
         camera, known = dock_camera(place())
         hung = known.model_copy(update={"tags": tuple(hang(known.tags))})
         self._renderer = Renderer(camera, hung, np.random.default_rng(2))
-        self.localiser = Localiser(camera, known, 2.0)
+        self.localiser = Localiser(camera, known)
         self._gain, self._frozen = gain, frozen
         self._kept = deque(maxlen=1 if frozen else 2)
         """The pictures that a camera repeats which sees nothing new."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from kit.tags import CAMERA, WALL, picture_of
 
-from deploy.tag.camera import Picture, file_pictures
+from deploy.tag.camera import Picture, folder_pictures
 from deploy.tag.localiser import Localiser, drawn
 from deploy.tag.locate import Rejection
 from deploy.tag.run import until
@@ -22,7 +22,7 @@ SECOND_NS = 1_000_000_000
 
 @pytest.fixture
 def localiser():
-    return Localiser(CAMERA, WALL, 2.0)
+    return Localiser(CAMERA, WALL)
 
 
 def test_pose_of_a_good_picture(localiser):
@@ -64,7 +64,7 @@ def test_other_resolution_than_the_calibrations_is_an_error(localiser):
 
 def test_tags_that_are_not_in_the_map_are_named():
     known = WALL.model_copy(update={"tags": WALL.tags[:2]})
-    localiser = Localiser(CAMERA, known, 2.0)
+    localiser = Localiser(CAMERA, known)
     assert localiser.take(Picture(picture_of(POSE), SECOND_NS)) is not None
     assert localiser.unknown == {9}
 
@@ -79,7 +79,7 @@ def test_picture_for_people_marks_the_tags(localiser):
 
 
 def test_tag_that_is_printed_twice_is_named():
-    localiser = Localiser(CAMERA, WALL.model_copy(update={"tags": WALL.tags[:1]}), 2.0)
+    localiser = Localiser(CAMERA, WALL.model_copy(update={"tags": WALL.tags[:1]}))
     twin = Tag(id=7, size=0.14, x=2.0, y=-0.2, z=0.3, yaw=math.pi)
     both = picture_of(POSE, tag_map=TagMap.model_construct(tags=(WALL.tags[0], twin)))
     assert localiser.take(Picture(both, SECOND_NS)) is None
@@ -93,14 +93,14 @@ def test_folder_of_pictures_is_read_in_order_without_what_is_no_picture(tmp_path
         (tmp_path / f"._{name}").write_bytes(b"a Mac's by-product")
     left_out = Counter()
     (tmp_path / "2.png").write_bytes(b"no picture")
-    assert [int(each.grey[0, 0]) for each in file_pictures(str(tmp_path), left_out)] == [10, 200]
+    assert [int(each.grey[0, 0]) for each in folder_pictures(str(tmp_path), left_out)] == [10, 200]
     assert left_out.total() == 1
     for good in ("0.png", "1.JPG"):
         (tmp_path / good).unlink()
     with pytest.raises(FileError, match="no picture can be read: a picture is neither"):
-        list(file_pictures(str(tmp_path), left_out))
-    with pytest.raises(FileError, match="no such file"):
-        file_pictures(str(tmp_path / "nothing.mp4"), left_out)
+        list(folder_pictures(str(tmp_path), left_out))
+    with pytest.raises(FileError, match="no such folder"):
+        folder_pictures(str(tmp_path / "nothing"), left_out)
 
 
 def test_reading_ends_when_the_user_wants():

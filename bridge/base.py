@@ -138,6 +138,8 @@ class LinkHealth(NamedTuple):
     counters: Mapping[str, int]
     unheard: tuple[str, ...] = ()
     """Inputs of the description that have sent nothing, each with what was found instead."""
+    clock: str | None = ""
+    """How the clock of odometry runs at another rate; "" if it does not, None = not known yet."""
 
 
 class Base(Protocol):

@@ -134,6 +134,7 @@ class Answers:
             state=known.state,
             timeout_s=known.timeout_s,
             unheard=health.unheard,
+            clock=health.clock,
             problem=self.problem or (report.hazard_unknown if report is not None else ""),
             version=own,
             zenoh=zenoh,

@@ -116,6 +116,7 @@ class Preflight:
             "model": self._check_model,
             "link": self._inputs.link,
             "odometry": self._inputs.odometry,
+            "clock": self._inputs.clock,
             "inputs": self._inputs.unheard,
             "gyro": self._inputs.gyro,
             "pose": self._inputs.poses,

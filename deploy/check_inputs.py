@@ -26,6 +26,8 @@ RATE_SHARE, MAX_HZ = 0.8, 50.0
 """Share of a described rate; a bridge passes on 50 reports a second at most."""
 BATTERY_SHARE, BATTERY_WAIT_S = 11.5 / 11.0, 2.0
 """Of the voltage at which the gate stops, so that a drive ends before it; a Pioneer's alarm level."""
+CLOCK_WAIT_S = 8.0
+"""A bridge that has just begun knows a clock's rate after 7 s of odometry."""
 NO_REPLY = "the bridge does not report its base"
 
 
@@ -106,6 +108,17 @@ class InputSteps:
         if rate == 0.0:
             words = f"{words}: {self._monitor.why_no_odometry()}"
         return rate >= minimum, words
+
+    def clock(self) -> Answer | None:
+        """Check that the robot's clock runs as fast as the bridge's, which needs some seconds of odometry."""
+
+        def known() -> bool:
+            base = self._link.about_base()
+            return base is None or base.clock is not None
+
+        self._moves.until(known, CLOCK_WAIT_S)
+        base = self._link.about_base()
+        return None if base is None or not base.clock else (False, base.clock)
 
     def unheard(self) -> Answer | None:
         """Check that each input of the description has sent something."""

@@ -167,7 +167,7 @@ class Ros2Base:
             self._unused.words(topic) or self._announced.found_instead(topic, wanted)
             for topic, wanted in self._unheard.items()
         )
-        return LinkHealth(bool(self._unused.topics), counters, unheard)
+        return LinkHealth(bool(self._unused.topics), counters, unheard, self._odometer.clock)
 
     @property
     def note(self) -> str:

@@ -68,6 +68,8 @@ class RosOdometer:
         """Lines for the log that the last message gave cause for."""
         self._unnamed = self._other_rate = False
         """Whether the log names an empty frame, and a clock that runs at another rate."""
+        self.clock: str | None = None
+        """How the clock of odometry runs at another rate; "" if it does not, None = not known yet."""
         self.restarts = 0
         """How often the origin was set anew, because the robot began again, and why the last time."""
         self.restart_reason = ""
@@ -155,15 +157,17 @@ class RosOdometer:
     def _new_and_fresh(self, stamp_ns: int, arrived_s: float) -> bool:
         self._age_s = 0.0
         if stamp_ns == 0:  # a publisher without a clock
+            self.clock = ""
             return True
         arrived_ns = round(arrived_s * 1e9)
         self._offsets = update_clock_offset(self._offsets, arrived_s, stamp_ns)
         seconds = self._offsets[-NOTICE_SECONDS - 2 : -1]  # the second of now is not over
-        rate = _clock_rate(seconds) if len(seconds) > NOTICE_SECONDS else ""
-        if rate and not self._other_rate:
+        if len(seconds) > NOTICE_SECONDS:
+            rate, speeds = _clock_rate(seconds), "it then drives at other speeds than it is sent"
+            self.clock = f"odometry on {self._where}: {rate}; {speeds}" if rate else ""
+        if self.clock and not self._other_rate:
             self._other_rate = True
-            speeds = "it then drives at other speeds than it is sent"
-            self.notices.append(f"odometry on {self._where}: {rate}; {speeds}")
+            self.notices.append(self.clock)
         measured_ns = self._clock.measured_ns(stamp_ns, arrived_ns)
         back_s = self._clock.set_back_s
         if back_s:

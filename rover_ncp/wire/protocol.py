@@ -180,10 +180,11 @@ class BaseReply(StrictModel):
     """The base's model, the lowest voltage of its battery, and its timeout in s; None = not known.
 
     A timeout of the state ``unknown`` is the factory setting. ``unheard`` are inputs of the description that
-    have sent nothing, each with what was found instead. ``problem`` is why the base is lost, or why it is not
-    known whether there is a hazard; "" if neither. ``version`` and ``zenoh`` are the bridge's, ``wall_ns`` is
-    its wall clock when the query arrived. ``room_m`` is the free way ahead and behind by sonar or laser;
-    None = not known or nothing there.
+    have sent nothing, each with what was found instead. ``clock`` is how the clock that stamps odometry runs
+    at another rate than the bridge's; "" if it does not, None = not known yet. ``problem`` is why the base is
+    lost, or why it is not known whether there is a hazard; "" if neither. ``version`` and ``zenoh`` are the
+    bridge's, ``wall_ns`` is its wall clock when the query arrived. ``room_m`` is the free way ahead and
+    behind by sonar or laser; None = not known or nothing there.
     """
 
     model: str
@@ -191,6 +192,7 @@ class BaseReply(StrictModel):
     state: TimeoutState
     timeout_s: float | None = None
     unheard: tuple[str, ...] = ()
+    clock: str | None = ""
     problem: str = ""
     version: str = ""
     zenoh: str = ""

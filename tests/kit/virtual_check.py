@@ -5,6 +5,7 @@ from deploy.check_inputs import Battery
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from kit.virtual_drive import ChangedLink
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.robot.description import load_description
 from sim.base.faults import Faults, parse_fault
 from sim.base.firmware import Firmware
@@ -23,6 +24,7 @@ def check(
     config=None,
     change=(),
     on_floor=False,
+    clock_rate=1.0,
     localise=lambda link, rover: None,
     odometry=lambda data: data,
 ):
@@ -33,6 +35,7 @@ def check(
         base = Firmware(robot, rover, faults=Faults([parse_fault(fault) for fault in faults]), config=config)
     else:
         base = Ros2Robot(robot, rover)
+        base._stamp_ns = lambda: round(clock_rate * base.now * NS_PER_S)
     bridge, battery = VirtualBridge(base, limits), Battery()
     bridge.sleep(3.0)
     link = ChangedLink(bridge, battery.record)

@@ -138,7 +138,7 @@ def test_a_request_reads_as_documented():
         (
             BaseReply(model="x", state=TimeoutState.UNKNOWN),
             {"model": "x", "battery_min_v": None, "state": "unknown", "timeout_s": None, "unheard": []}
-            | {"problem": "", "version": "", "zenoh": "", "wall_ns": 0, "room_m": [None, None]},
+            | {"clock": "", "problem": "", "version": "", "zenoh": "", "wall_ns": 0, "room_m": [None, None]},
         ),
         (
             GateStatus(),

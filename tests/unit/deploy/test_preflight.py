@@ -174,6 +174,14 @@ def test_robot_that_is_not_well_fails_the_check_that_finds_it(options, name, wor
     assert_stopped(link, rover)
 
 
+@pytest.mark.parametrize("rate", [1.03, 1.5, 2.0])
+def test_a_robot_whose_clock_runs_faster_is_found_before_it_moves(rate):
+    findings, _, rover = check(robot="turtlebot4", model="turtlebot4", clock_rate=rate)
+    assert (findings[-1].name, findings[-1].ok) == ("clock", False)
+    assert f"its stamps advance by {rate:.2f} s in a second of this computer" in findings[-1].detail
+    assert rover.pose == ORIGIN
+
+
 def gyro_times(factor):
     """Return a change of each gyro reading."""
     return {"imu": lambda data: imu((sample := read_imu(data)).rate * factor, 2.5e-5, sample.stamp_ns)}

@@ -6,16 +6,19 @@ a line that only links to a table of ``measured/`` by that table.
 
 import ast
 import csv
+import importlib
 import inspect
 import re
 import textwrap
+import typing
 from collections.abc import Iterator, Mapping
+from dataclasses import is_dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from model_cards import models_page
-from pydantic import BaseModel
-from result_fields import RESULTS, models_in, noted, result_fields
+from pydantic import BaseModel, TypeAdapter
 
 from bridge.gate.limits import Limits
 from deploy.place.place import Place
@@ -71,9 +74,33 @@ MODELS: dict[str, tuple[str, type[BaseModel]]] = {
     "camera": ("Camera", CameraFile),
 }
 """By the name of the example in ``examples/``."""
-UNITS = {"rad_m": "rad/m", "rad_s": "rad/s", "per_s": "1/s", "us": "µs", "hz": "Hz", "mb": "MB"}
-UNITS |= {unit: unit for unit in ("m", "rad", "s", "ms", "ns", "mV")}
-"""By the end of a field's name."""
+RESULTS = {
+    "park": "sim.park.park:ParkResult",
+    "park --dock": "sim.park.dock:DockedResult",
+    "train": "sim.learn.results:TrainResult",
+    "train --randomize": "sim.learn.results:RobustResult",
+    "eval": "sim.evaluate.results:EvalResult",
+    "mock": "sim.mock.run:MockResult",
+    "bridge": "bridge.node:BridgeResult",
+    "export": "rover_ncp.export.commands:Exported",
+    "tag cameras": "deploy.tag.localiser:TagCameras",
+    "tag print": "deploy.tag.localiser:TagPrintResult",
+    "tag calibrate": "deploy.tag.localiser:TagCalibration",
+    "tag run": "deploy.tag.localiser:TagRunResult",
+    "deploy": "deploy.drive.result:DriveResult",
+    "teleop": "deploy.teleop:TeleopResult",
+    "identify": "deploy.identify.run:IdentifyResult",
+    "course": "rover_ncp.course.feasibility:CourseResult",
+    "place": "deploy.place.survey:PlaceResult",
+    "replay": "deploy.replay:Comparison",
+    "check": "deploy.check:CheckResult",
+    "keys": "bridge.zenoh.certificate_authority:KeysResult",
+    "recover": "rover_ncp.recording.recording:Recovery",
+    "explain": "sim.explain.explain:Result",
+    "report": "deploy.view.page:Report",
+    "watch": "deploy.view.server:WatchResult",
+}
+"""By command: the model of its result as ``module:name``."""
 
 
 def reference_pages() -> dict[str, str]:
@@ -167,15 +194,7 @@ def files_page() -> str:
         parts += [f"## {title}", f"```yaml\n{example}```"]
         comments = re.findall(r"^ *(?:- )?(\w+):.* # (.+)$", example, re.MULTILINE)
         said = {key: text for key, text in comments if len(re.findall(rf"\b{key}:", example)) == 1}
-        seen: list[type[BaseModel]] = [model]
-        for each in seen:
-            if each is not model:
-                parts.append(f"### {title}: {each.__name__.lstrip('_')}")
-            if each.__doc__ and each.__doc__ != BaseModel.__doc__ and not each.__name__.startswith("_"):
-                parts.append(inspect.cleandoc(each.__doc__))
-            parts.append(_keys(each, said))
-            parts_of = [part for field in each.model_fields.values() for part in models_in(field.annotation)]
-            seen += [part for part in dict.fromkeys(parts_of) if part not in seen]
+        parts += _tables(title, model, said)
         if name == "policy":
             parts.append(_signals())
     return "\n\n".join(parts) + "\n"
@@ -197,23 +216,45 @@ def _signals() -> str:
     )
 
 
-def _keys(model: type[BaseModel], said: Mapping[str, str]) -> str:
-    """Return the table of a model's keys; ``said`` are the comments of the example, by key."""
-    notes, required = _notes(model), model.model_json_schema().get("required", [])
-    rows = ["| key | type | default | meaning |", "|---|---|---|---|"]
-    for name, field in model.model_fields.items():
-        schema = _schema(model, name)
-        default = "required" if name in required else f"`{field.get_default(call_default_factory=True)}`"
-        if default in {"`None`", "`()`", "`{}`", "``"} or isinstance(field.default, BaseModel):
-            default = ""
-        meaning = field.description or notes.get(name) or said.get(name, "")
-        rows.append(f"| `{name}` | {_type(schema)} | {default} | {_cell(meaning)} |")
-    return "\n".join(rows)
+def _tables(title: str, model: type, said: Mapping[str, str] | None = None) -> Iterator[str]:
+    """Yield the description and the keys of a model or a data class, and of those in its fields.
+
+    ``said`` has meanings of a file's keys that the model does not describe. A result has no defaults.
+    """
+    seen = [model]
+    for each in seen:
+        schema = TypeAdapter(each).json_schema(mode="serialization")
+        name = each.__name__.lstrip("_")
+        if each is not model:
+            yield f"### {title}: {name}"
+        if each.__doc__ and each.__doc__ != BaseModel.__doc__ and not each.__name__.startswith("_"):
+            yield inspect.cleandoc(each.__doc__)
+        notes, required = _notes(each), schema.get("required", [])
+        default = "" if said is None else " default |"
+        rows = [f"| key | type |{default} meaning |", f"|---|---|{'---|' if default else ''}---|"]
+        for key, field in schema.get("properties", {}).items():
+            if default:
+                default = f" {_default(field, key in required)} |"
+            meaning = field.get("description") or notes.get(key) or (said or {}).get(key, "")
+            rows.append(f"| `{key}` | {_type(field)} |{default} {_cell(meaning)} |")
+        yield "\n".join(rows)
+        types = typing.get_type_hints(each).values()
+        seen += [part for hint in types for part in _models_in(hint) if part not in seen]
 
 
-def _schema(model: type[BaseModel], name: str) -> dict[str, Any]:
-    schema: dict[str, Any] = model.model_json_schema()["properties"][name]
-    return schema
+def _default(field: Mapping[str, Any], required: bool) -> str:
+    found = field.get("default")
+    if found is None:
+        return "required" if required and "default" not in field else ""
+    return "" if found in ("", []) or isinstance(found, dict) else f"`{found}`"
+
+
+def _models_in(annotation: Any) -> Iterator[type]:
+    """Yield the models and data classes in the type of a field."""
+    if isinstance(annotation, type) and (issubclass(annotation, BaseModel) or is_dataclass(annotation)):
+        yield annotation
+    for part in typing.get_args(annotation):
+        yield from _models_in(part)
 
 
 def _type(schema: dict[str, Any]) -> str:
@@ -237,13 +278,15 @@ def _type(schema: dict[str, Any]) -> str:
     return ", ".join([text, *bounds])
 
 
-def _notes(model: type[BaseModel]) -> dict[str, str]:
-    """Return the text below each field in the source of a model, those of its bases included."""
-    notes: dict[str, str] = {}
+def _notes(model: type) -> dict[str, str]:
+    """Return the text below each field in the source of a class and of its bases."""
+    notes = {}
     for base in reversed(model.__mro__):
-        if not issubclass(base, BaseModel) or not base.__module__.startswith(("rover_ncp", "bridge", "sim")):
-            continue
-        notes |= noted(ast.parse(textwrap.dedent(inspect.getsource(base))).body[0])
+        if base.__module__.startswith(("rover_ncp", "bridge", "deploy", "sim")):
+            body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0].body  # type: ignore[attr-defined]
+            for field, below in pairwise(body):
+                if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr):
+                    notes[ast.unparse(field.target)] = below.value.value
     return notes
 
 
@@ -275,17 +318,13 @@ def results_page() -> str:
     """Return the page of the JSON that commands print."""
     parts = [
         "# JSON results",
-        "With `--json` a command prints one JSON object. A dot leads into an object, or into the objects of "
-        "a list; `NAME` stands for any name. A value that is not known or not finite is null. Exit "
-        "codes: [Commands](commands.md).",
+        "With `--json` a command prints one JSON object. Units are SI unless a name has another. A value "
+        "that is not known or not finite is null. Exit codes: [Commands](commands.md).",
     ]
-    for command in RESULTS:
-        rows = ["| field | unit | meaning |", "|---|---|---|"]
-        for path, meaning in result_fields(command).items():
-            names = path.split(".")[::-1]
-            units = (unit for name in names for end, unit in UNITS.items() if name.endswith(f"_{end}"))
-            rows.append(f"| `{path}` | {next(units, '')} | {_cell(meaning)} |")
-        parts += [f"## {command}", "\n".join(rows)]
+    for command, where in RESULTS.items():
+        module, _, name = where.partition(":")
+        model = getattr(importlib.import_module(module), name)
+        parts += [f"## {command}", *_tables(command, model)]
     return "\n\n".join(parts) + "\n"
 
 

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from kit.paths import DATA, ROOT
+from kit.paths import DATA
 from kit.recorded_drives import write_drive
 
 from rover_ncp import cli
@@ -60,14 +60,3 @@ def test_a_recovered_recording_opens_and_a_cut_off_one_does_not(tmp_path):
         checked(recording)
     assert cli.run(["recover", str(recording)]) == 0
     assert {status for status, _ in checked(recording).values()} == {"ok"}
-
-
-def test_layout_and_recording_are_written_into_one_file(tmp_path):
-    target = tmp_path / "run.rrd"
-    script = ROOT / "docs" / "viewing" / "rerun_drive.py"
-    recording = DATA / "formats" / "0.1.0" / "drive.mcap"
-    subprocess.run([sys.executable, str(script), str(recording), "--save", str(target)], check=True, **HOW)
-    text = subprocess.run([rerun(), "rrd", "print", str(target)], check=True, **HOW).stdout
-    assert "Blueprint" in text
-    for path in ("/neurons/AVB", "/paths/rover/estimate", "/rover/status"):
-        assert f" - {path} " in text

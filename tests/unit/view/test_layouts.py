@@ -1,8 +1,7 @@
-"""Layouts for Foxglove and Rerun name topics, fields and neurons that recordings have."""
+"""The layout for Foxglove names topics, fields and neurons that recordings have."""
 
 import json
 import re
-from runpy import run_path
 
 import pytest
 from kit.paths import DATA, ROOT
@@ -15,7 +14,6 @@ from rover_ncp.wire.cdr import decode
 VIEWING = ROOT / "docs" / "viewing"
 FOXGLOVE = json.loads((VIEWING / "rover-ncp.json").read_text())
 LAYOUT = FOXGLOVE["configById"]
-RERUN = run_path(str(VIEWING / "rerun_drive.py"))
 PATHS = [path["value"] for panel in LAYOUT.values() for path in panel.get("paths", ())]
 """Of the plots: TOPIC.FIELD.FIELD or TOPIC.FIELD[INDEX]."""
 PARKING = {f"neurons/{name}" for name in load_policy("parking").circuit.neurons}
@@ -48,8 +46,3 @@ def test_every_plotted_field_is_in_its_message(path, recorded):
         value = getattr(value, name)
         value = value[int(index)] if index else value
     assert isinstance(float(value), float)
-
-
-def test_every_topic_of_the_rerun_layout_is_in_a_recording(recorded):
-    assert {*RERUN["PATHS"], *RERUN["TEXTS"]} <= recorded.keys()
-    assert all(topic.startswith(RERUN["NEURONS"] + "/") for topic in SHIPPED)

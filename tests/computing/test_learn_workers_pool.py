@@ -10,7 +10,6 @@ import time
 import pytest
 from kit.training_processes import is_running
 
-from rover_ncp.core.errors import ConfigError, UsageError
 from sim.learn.workers import ProcessPool, WorkerDied
 from sim.park.live import wait_for
 
@@ -50,15 +49,6 @@ def test_process_that_dies_is_reported(child, function, argument, ending):
         pool.submit(function, argument).result()
     assert child.is_alive()
     assert multiprocessing.active_children() == [child]
-
-
-def refuse():
-    raise ConfigError("mine.yaml", ["wrong"])
-
-
-def test_error_of_a_worker_arrives():
-    with pytest.raises(UsageError, match=r"mine\.yaml: wrong"), ProcessPool(1) as pool:
-        pool.submit(refuse).result()
 
 
 def test_processes_end_with_their_parent():

@@ -2,13 +2,11 @@
 
 import subprocess
 import sys
-from dataclasses import replace
 
 import pytest
 from kit.paths import ROOT
 
-from paper.runs import BudgetName, ResultStore, RunName, budget_for, make_runs, replay, select, train_run
-from paper.search import Budget
+from paper.runs import BudgetName, RunName, budget_for, replay, select, train_run
 from paper.tasks import TASKS
 from rover_ncp.core.errors import UsageError
 
@@ -81,30 +79,3 @@ def test_command_makes_runs_once_and_replays_them(tmp_path):
     assert command("run", *runs, "--processes", "1").endswith("1 runs made, 0 found\n")
     assert command("run", *runs) == "0 runs made, 1 found\n"
     assert command("replay", *runs) == "1 runs replayed, 1 to the last bit, 0 differ\n"
-
-
-@pytest.mark.parametrize(
-    ("task", "agent", "iterations", "rollouts", "worst", "search", "warm_up"),
-    [
-        ("pendulum", "circuit", 25_000, 20, 10, "published-benchmarks", 1),
-        ("mountain-car", "circuit", 50_000, 20, 20, "published-mountain-car", 1),
-        ("parking", "circuit", 20_000, 1, 1, "published-parking", 0),
-        ("pendulum", "mlp", 20_000, 10, 5, "published-network", 0),
-    ],
-)
-def test_the_published_budget_is_the_papers(task, agent, iterations, rollouts, worst, search, warm_up):
-    budget = budget_for(TASKS[task], BudgetName.PUBLISHED, agent)
-    assert budget == Budget(rollouts, worst, search, iterations, warm_up)
-    quick = budget_for(TASKS[task], QUICK, agent)
-    assert quick == replace(budget, iterations=quick.iterations)
-    assert budget_for(TASKS[task], BudgetName.ALGORITHM1).strategy == "algorithm1"
-
-
-@pytest.mark.long
-@pytest.mark.usefixtures("no_git")
-def test_runs_in_processes_are_those_of_one_process(tmp_path):
-    names = [RunName(task="cart-pole", agent="mlp", seed=seed, budget=QUICK) for seed in (0, 1)]
-    store = ResultStore(tmp_path)
-    make_runs(names, store, 2, lambda _: None)
-    found = store.results("cart-pole", "mlp", QUICK)
-    assert [comparable(result) for result in found] == [comparable(train_run(name)) for name in names]

@@ -14,7 +14,7 @@ def compile_c(files, folder, target, *options):
     for file, text in files.items():
         (folder / file).write_text(text)
     sources = [file for file in files if file.endswith(".c")]
-    command = ["gcc", *STRICT, *options, "-o", target, *sources, *([] if "-r" in options else ["-lm"])]
+    command = ["gcc", *STRICT, *options, "-o", target, *sources, "-lm"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=100, check=False)
     assert done.returncode == 0, done.stderr
     return folder / target
@@ -24,15 +24,10 @@ class CPolicy:
     """What `Runner` is, on the C code; ``real`` is the type that it was compiled for."""
 
     def __init__(self, policy, library, name, real=ctypes.c_double):
-        self.policy, self._path, self._name, self._real = policy, library, name, real
+        self.policy, self._name, self._real = policy, name, real
         self._library = ctypes.CDLL(str(library))
         self._state = (real * policy.circuit.size)()
         self.reset()
-
-    def __deepcopy__(self, memo):
-        copied = CPolicy(self.policy, self._path, self._name, self._real)
-        copied._state[:] = self._state[:]
-        return copied
 
     @property
     def potentials(self):

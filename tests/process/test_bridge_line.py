@@ -12,7 +12,6 @@ from bridge.pioneer import base_connection as line_module
 from bridge.pioneer import transport
 from bridge.pioneer.base_connection import BaseConnection, Broken, Opened, Received, first_connection
 from bridge.pioneer.transport import TcpTransport
-from rover_ncp.core.errors import NoRobot
 from sim.park.live import wait_for
 
 
@@ -76,22 +75,6 @@ def test_a_broken_line_is_reported_and_opened_again(server, opened):
     assert_opened_again(server, line, inbox)
 
 
-def test_a_write_that_fails_breaks_the_line(opened, monkeypatch):
-    line, inbox, peer = opened
-
-    def fail(*_):
-        raise NoRobot("the line takes no more bytes")
-
-    monkeypatch.setattr(TcpTransport, "write", fail)
-    line.write(b"x")
-    monkeypatch.undo()
-    line.write(b"y")  # nothing more goes out on a line that has failed
-    assert "takes no more bytes" in str(next_of(inbox, Broken).error)
-    peer.settimeout(0.05)
-    with pytest.raises(TimeoutError):
-        peer.recv(10)
-
-
 def test_a_line_that_is_reopened_is_closed_by_the_thread_and_the_loop_never_waits(
     server, opened, monkeypatch
 ):
@@ -109,55 +92,6 @@ def test_a_line_that_is_reopened_is_closed_by_the_thread_and_the_loop_never_wait
     assert closed_by
     assert threading.main_thread() not in closed_by
     assert_opened_again(server, line, inbox)
-
-
-def test_lines_on_which_nothing_arrives_are_opened_again_less_and_less_often(server, open_line, monkeypatch):
-    monkeypatch.setattr(line_module, "MAX_RETRY_S", 0.2)
-    line, inbox = open_line()
-    waits = []
-    monkeypatch.setattr(line._closing, "wait", waits.append)
-    for words in (b"", b"", b"", b"", b"hello", b""):
-        peer, _ = server.accept()
-        with peer:
-            peer.sendall(words)
-        next_of(inbox, Broken)
-        line.drop()
-    wait_for(lambda: len(waits) == 6)
-    assert waits == [0.05, 0.1, 0.2, 0.2, 0.05, 0.1]
-
-
-def test_line_that_opens_after_the_end_is_closed(server, open_line, monkeypatch):
-    line, inbox = open_line()
-    peer, _ = server.accept()
-    opens, going_on = threading.Event(), threading.Event()
-    real = line_module.open_transport
-
-    def slow(endpoint):
-        opens.set()
-        going_on.wait(5.0)
-        return real(endpoint)
-
-    monkeypatch.setattr(line_module, "open_transport", slow)
-    peer.close()
-    next_of(inbox, Broken)
-    line.drop()
-    assert opens.wait(5.0)
-    line.close()
-    going_on.set()
-    late, _ = server.accept()
-    with late:
-        late.settimeout(5.0)
-        with suppress(ConnectionResetError):  # an aborted line ends so, too
-            assert late.recv(1) == b""
-
-
-def test_unexpected_error_is_a_broken_line(server, open_line, monkeypatch):
-    def explode(*_):
-        raise RuntimeError("boom")
-
-    monkeypatch.setattr(TcpTransport, "read", explode)
-    _, inbox = open_line()
-    assert str(next_of(inbox, Broken).error).endswith(": boom")
 
 
 def test_line_that_does_not_take_the_last_zeros_delivers_no_setpoints_after_its_end(
@@ -204,12 +138,6 @@ def test_flood_of_one_origin_drops_no_messages_of_others():
     assert [arrival for _, arrival in inbox.take(0.0)] == floods[:1]
 
 
-def test_inbox_waits_no_longer_than_its_timeout():
-    began = time.monotonic()
-    assert Inbox().take(0.05) == []
-    assert 0.04 < time.monotonic() - began < 1.0
-
-
 @pytest.fixture
 def endpoint(monkeypatch):
     """An endpoint where nothing listens yet."""
@@ -233,20 +161,3 @@ def test_the_first_connection_waits_for_a_base_that_is_still_starting(endpoint):
     servers[0].close()
     assert len(asked) == 4
     assert said == [f"{endpoint}: connection refused: nothing listens there; trying again for 2.5 s"]
-
-
-def test_the_first_connection_ends_at_ctrl_c_and_after_its_attempts(endpoint, monkeypatch):
-    with pytest.raises(KeyboardInterrupt):
-        first_connection(endpoint, Inbox(), lambda: True, str)
-    monkeypatch.setattr(line_module, "FIRST_TRIES", 3)
-    asked = []
-    with pytest.raises(NoRobot, match="connection refused"):
-        first_connection(endpoint, Inbox(), lambda: asked.append(True), str)
-    assert len(asked) == 2
-
-
-def test_only_a_refused_first_connection_is_tried_again():
-    said = []
-    with pytest.raises(NoRobot):
-        first_connection("serial//dev/none", Inbox(), lambda: False, said.append)
-    assert not said

@@ -1,21 +1,16 @@
 """The bridge as a process: how it begins and how it ends."""
 
 import json
-import resource
 import signal
 import socket
 import time
-from contextlib import closing
 
-import numpy as np
 import pytest
 from kit.bridge_bench import MACHINE_S, STOP_S, Driver, braking_s, wait_for
 from kit.true_motion import stood_after
 
 from bridge.pioneer import base_connection
-from bridge.pioneer.transport import open_transport
 from rover_ncp import cli
-from rover_ncp.core.errors import NoRobot
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import decode
@@ -68,9 +63,6 @@ def test_rover_drives_stops_in_time_and_stops_again_at_ctrl_c(tmp_path):
         # A lease that lapses while the next one begins cuts that one's first command off.
         wait_for(lambda: motors(driver) == "off")
         driver.start()
-        base = open_transport(f"tcp/{rig.base}")
-        with closing(base), pytest.raises(NoRobot, match="one client at a time"):
-            base.read(2.0)
         # A command that is still on its way when the bridge stops is not counted.
         # A busy machine may bring one so late that it is dropped.
         wait_for(lambda: driver.gate.accepted + sum(driver.gate.dropped.values()) == driver.sent)
@@ -85,11 +77,6 @@ def test_rover_drives_stops_in_time_and_stops_again_at_ctrl_c(tmp_path):
     assert set(result["dropped"]) <= {"stale", "no-lease"}
     assert (set(result["stops"]), result["reconnects"]) == ({"silence"}, 0)
     assert mock["touched"] is False
-    states = rig.truth.read()
-    assert states[-1].pose.x == pytest.approx(mock["pose"]["x"], abs=1e-5)
-    assert np.abs(np.diff([state.clock_ns for state in states]) - 10_000_000).max() <= 1
-    wall_ns = states[-1].wall_ns - states[0].wall_ns
-    assert wall_ns == pytest.approx(states[-1].clock_ns - states[0].clock_ns, abs=5e7)
     # The driver's name neither clears the screen nor forges a line.
     lines = (tmp_path / "bridge.log").read_text().splitlines()
     assert [line for line in lines if line.startswith("ready ")] == lines[1:2]
@@ -110,9 +97,8 @@ def test_a_query_that_does_not_name_a_request_makes_none(tmp_path):
         wait_for(lambda: driver.gate.stop_reason == "all")
 
 
-@pytest.mark.parametrize("options", [(), ("--listen", "tcp/0.0.0.0:0", "--insecure")], ids=["", "insecure"])
-def test_no_robot_is_exit_3_once_the_bridge_listens(fails, options):
-    assert fails(NO_ROBOT, *options) == (3, f"{NO_ROBOT}: connection refused: nothing listens there")
+def test_no_robot_is_exit_3_once_the_bridge_listens(fails):
+    assert fails(NO_ROBOT) == (3, f"{NO_ROBOT}: connection refused: nothing listens there")
 
 
 def test_a_port_in_use_is_exit_2_and_the_robot_is_left_alone(fails):
@@ -124,9 +110,3 @@ def test_a_port_in_use_is_exit_2_and_the_robot_is_left_alone(fails):
             robot.accept()
     assert code == 2
     assert line == f"--listen {listen}: another process listens there already"
-
-
-def test_bridge_that_may_open_too_few_files_is_refused(fails, monkeypatch):
-    monkeypatch.setattr(resource, "getrlimit", lambda kind: (60, 60))
-    code, line = fails(NO_ROBOT)
-    assert (code, line.partition(",")[0]) == (2, "this process may open 60 files")

@@ -1,11 +1,9 @@
 """Cameras over sockets: HTTP, and a ROS 2 robot's in both Zenoh forms."""
 
 import base64
-import hashlib
 import http.server
 import itertools
 import math
-import socket
 import struct
 import threading
 import time
@@ -37,7 +35,7 @@ PICTURES = [picture_of(POSE, seed=seed) for seed in range(3)]
 class Server:
     """A camera over HTTP. ``answer`` gets the request and writes all after its status and headers."""
 
-    def __init__(self, answer, host="127.0.0.1"):
+    def __init__(self, answer):
         class Handler(http.server.BaseHTTPRequestHandler):
             def do_GET(self):
                 answer(self)
@@ -45,13 +43,10 @@ class Server:
             def log_message(self, *arguments):
                 pass
 
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        kind = type("Kind", (http.server.ThreadingHTTPServer,), {"address_family": family})
-        self._server = kind((host, 0), Handler)
+        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         self._server.daemon_threads = True
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
-        named = f"[{host}]" if ":" in host else host
-        self.host = f"{named}:{self._server.server_address[1]}"
+        self.host = f"127.0.0.1:{self._server.server_address[1]}"
 
     def close(self):
         self._server.shutdown()
@@ -63,8 +58,8 @@ def serve():
     """Return a function that starts a server and returns its host and port."""
     servers = []
 
-    def start(answer, host="127.0.0.1"):
-        servers.append(Server(answer, host))
+    def start(answer):
+        servers.append(Server(answer))
         return servers[-1].host
 
     yield start
@@ -149,29 +144,14 @@ def chunked(request):
     time.sleep(0.5)
 
 
-def redirecting(request):
-    if request.path == "/there":
-        stream_of(part(50), 0.5)(request)
-    else:
-        request.send_response(302)
-        request.send_header("Location", "/there")
-        request.end_headers()
-
-
 @pytest.mark.parametrize(
-    ("answer", "host"),
-    [
-        (stream_of(part(50), 0.5, content='multipart/mixed; boundary="b"'), "127.0.0.1"),
-        (stream_of(part(50), 0.5), "::1"),
-        (stream_of(jpeg(50), content="image/jpeg"), "127.0.0.1"),
-        (chunked, "127.0.0.1"),
-        (redirecting, "127.0.0.1"),
-    ],
-    ids=["mixed", "IPv6", "one picture", "chunked", "redirected"],
+    "answer",
+    [stream_of(part(50), 0.5, content='multipart/mixed; boundary="b"'), chunked],
+    ids=["mixed", "chunked"],
 )
-def test_camera_is_read_as_a_browser_does(serve, answer, host, monkeypatch):
+def test_camera_is_read_as_a_browser_does(serve, answer, monkeypatch):
     monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")  # a camera is not read through a proxy
-    assert levels_of(f"http://{serve(answer, host)}/") == [50]
+    assert levels_of(f"http://{serve(answer)}/") == [50]
 
 
 def test_picture_that_is_not_a_stream_is_asked_for_again(serve):
@@ -187,33 +167,19 @@ def test_picture_that_is_not_a_stream_is_asked_for_again(serve):
 SECRET = "p@ss:w%2Frd"
 
 
-def protected(scheme):
-    """Answer with a stream if name and password of HTTP's ``scheme`` are right."""
-    name, password = "robot", urllib.parse.unquote(SECRET)
-
-    def answer(request):
-        given = request.headers.get("Authorization", "")
-        if scheme == "Basic":
-            right = given == "Basic " + base64.b64encode(f"{name}:{password}".encode()).decode()
-        else:
-            fields = urllib.request.parse_keqv_list(urllib.request.parse_http_list(given.partition(" ")[2]))
-            hashed = [f"{name}:cam:{password}", f"GET:{request.path}"]
-            a1, a2 = (hashlib.md5(each.encode()).hexdigest() for each in hashed)
-            right = fields.get("response") == hashlib.md5(f"{a1}:n:{a2}".encode()).hexdigest()
-        if right:
-            stream_of(part(50), 0.5)(request)
-        else:
-            challenge = f'{scheme} realm="cam"{", nonce=n" * (scheme == "Digest")}'
-            request.send_response(401)
-            request.send_header("WWW-Authenticate", challenge)
-            request.end_headers()
-
-    return answer
+def protected(request):
+    """Answer with a stream if name and password are right."""
+    login = base64.b64encode(f"robot:{urllib.parse.unquote(SECRET)}".encode()).decode()
+    if request.headers.get("Authorization", "") == f"Basic {login}":
+        stream_of(part(50), 0.5)(request)
+    else:
+        request.send_response(401)
+        request.send_header("WWW-Authenticate", 'Basic realm="cam"')
+        request.end_headers()
 
 
-@pytest.mark.parametrize("scheme", ["Basic", "Digest"])
-def test_password_of_the_address_is_used_and_in_no_message(serve, scheme, caplog):
-    host = serve(protected(scheme))
+def test_password_of_the_address_is_used_and_in_no_message(serve, caplog):
+    host = serve(protected)
     assert levels_of(f"http://robot:{SECRET}@{host}/s?user=robot") == [50]
     for login, words in (("", "asks for a password"), ("robot:wr0ng@", "refuses this name and password")):
         with pytest.raises(UsageError, match=words) as caught:
@@ -224,12 +190,8 @@ def test_password_of_the_address_is_used_and_in_no_message(serve, scheme, caplog
 @pytest.mark.parametrize(
     "address",
     [
-        "http://",
-        "http://robot:s3cret@:81/",
         "http://robot:s3c/ret@cam/",
-        "http://robot:s3cret@cam:0/",
         "rtsp://a:s3cret@cam/",
-        "a:s3cret@cam/stream",
     ],
 )
 def test_address_that_cannot_be_read_is_not_shown(address):
@@ -241,23 +203,9 @@ def test_address_that_cannot_be_read_is_not_shown(address):
     assert "s3c" not in str(caught.value)
 
 
-def test_server_that_does_not_speak_http_or_does_not_answer_ends_the_command():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        address = f"http://127.0.0.1:{server.getsockname()[1]}/?pwd=s3cret"
-        camera = HttpCamera(address, Counter())
-        with camera, pytest.raises(UsageError, match=r"/\?\.\.\.: it does not speak HTTP"):
-            accepted, _ = server.accept()
-            with accepted:
-                accepted.sendall(b"hello\r\n\r\n")
-            next(iter(camera))
-    with pytest.raises(UsageError, match=r"/\?\.\.\.: Connection refused"):
-        levels_of(address)
-
-
 @pytest.mark.parametrize(
     ("answer", "words"),
     [
-        (stream_of(part(50), *[DAMAGED, 0.4] * 10), "a picture is damaged"),
         (stream_of(part(50), 3.5), "no picture for 3 s|no answer for 3 s"),
         (
             stream_of(b"<html></html>", content="text/html"),
@@ -269,17 +217,6 @@ def test_server_that_does_not_speak_http_or_does_not_answer_ends_the_command():
 def test_camera_that_dies_ends_the_command_with_one_line(serve, answer, words):
     with pytest.raises(UsageError, match=words):
         levels_of(f"http://{serve(answer)}/", 10)
-
-
-def test_challenge_without_a_realm_is_one_line(serve):
-    def challenge(request):
-        request.send_response(401)
-        request.send_header("WWW-Authenticate", "Digest")
-        request.send_header("Content-Length", "0")
-        request.end_headers()
-
-    with pytest.raises(UsageError, match=r"/: the connection failed \(KeyError\)"):
-        levels_of(f"http://robot:secret@{serve(challenge)}/")
 
 
 def stamped(data):
@@ -338,10 +275,3 @@ def test_poses_come_from_a_ros_camera_with_its_own_camera_info_and_mount(
     assert code == 0
     assert found["poses"] >= 2
     assert math.dist((found["last"]["x"], found["last"]["y"]), POSE[:2]) < 0.01
-
-
-def test_ros_camera_without_camera_info_says_what_to_give(publish, tags, run_json, monkeypatch):
-    monkeypatch.setattr("deploy.tag.ros_camera.WAIT_S", 0.3)
-    code, found = run_json(f"tag run --camera ros2/{publish(Convention.ROS2DDS, [])} --map {tags}")
-    assert code == 2
-    assert "no camera_info on 'camera/camera_info' within 0.3 s; give --camera-file" in found["error"]

@@ -8,7 +8,7 @@ from kit.deploy_bench import Bridge
 
 from deploy.drive.zenoh_link import REQUEST_TRIES, ROUND_TRIP_S, ZenohLink
 from deploy.zenoh_client import BridgeAddress, ZenohClient
-from rover_ncp.core.errors import AnotherDriver, SafetyStop
+from rover_ncp.core.errors import SafetyStop
 
 
 def request_motors(bridge, *delays):
@@ -34,13 +34,6 @@ def test_one_slow_answer_is_allowed_and_the_link_is_measured_again():
     first, renewal, release = bridge.requests
     assert (first.enable, renewal.enable, release.enable) == (True, True, False)
     assert renewal.sent_ns > first.sent_ns
-
-
-def test_a_lease_of_another_driver_is_an_error_of_its_own():
-    bridge = Bridge()
-    bridge.refusal = "another-driver"
-    with pytest.raises(AnotherDriver, match="refuses the motors"):
-        request_motors(bridge)
 
 
 def test_no_callback_runs_after_close_and_none_is_left_to_abort_python():

@@ -4,7 +4,6 @@ import contextlib
 import json
 import os
 import pty
-import signal
 import subprocess
 import sys
 import termios
@@ -103,13 +102,3 @@ def test_ctrl_c_stops_the_rover_and_the_terminal_is_as_before(rig, sit_down, tmp
     recording = read_recording(tmp_path / "run.mcap")
     assert recording.complete
     assert {"odom", "cmd_vel", "rover/cmd_out", "rover/gate"} <= {m.topic for m in recording.messages}
-
-
-def test_screen_that_takes_no_output_delays_neither_key_nor_end(rig, sit_down):
-    person = sit_down(screen_full=True)
-    wait_for(lambda: person.type("i") and speed(rig.truth) > 0.05, 15.0)
-    left_ns = time.monotonic_ns()
-    person.process.send_signal(signal.SIGTERM)
-    assert stood_after(rig.truth, left_ns) < 0.2 + braking_s(V_M_S) + MACHINE_S
-    assert person.process.wait(2.0) == 130
-    assert person.settings == person.before

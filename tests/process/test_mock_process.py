@@ -1,15 +1,11 @@
 """The mock as a process, on real TCP: clients that vanish, faults from its input, its end."""
 
-import os
 import signal
 import socket
-import sys
 import time
 from contextlib import ExitStack, closing
-from pathlib import Path
 
 import pytest
-from kit.paths import ROOT
 from kit.pioneer_bench import Pioneer
 from kit.true_motion import moving
 
@@ -17,15 +13,9 @@ from bridge.pioneer.framing import Command, Decoder, encode_command, encode_fram
 from bridge.pioneer.packets import Kind, decode_names
 from bridge.pioneer.transport import open_transport
 from rover_ncp.cli import run
-from rover_ncp.core.errors import UsageError
-from sim.mock.options import MockOptions
-from sim.mock.ros2_server import free_port
-from sim.mock.run import run_mock
 from sim.mock.server import Server
 from sim.park.live import Process, wait_for
 from sim.park.truth import TruthReader
-
-CAMERA, TAGS = (ROOT / "docs" / "examples" / name for name in ("camera.yaml", "tags.yaml"))
 
 
 @pytest.fixture
@@ -119,72 +109,3 @@ def test_running_mock_takes_faults_from_its_input_and_answers_when_they_began(mo
     assert "expected NAME" in log[1]
     assert log[2].endswith(" mute")
     assert process.stop().code == 0
-
-
-def test_mock_serves_where_no_fault_can_come_from_its_input(mock):
-    process, endpoint = mock("--fault", "-")  # its input is /dev/null
-    with closing(open_transport(endpoint)) as line:
-        greet(line)
-    process.send_signal(signal.SIGINT)
-    assert process.wait(10.0).code == 0
-
-
-def test_no_client_connects_while_the_camera_starts(monkeypatch):
-    """It would get no answer for as long as that takes, some seconds."""
-    port = free_port("127.0.0.1")
-
-    def camera(*_):
-        with pytest.raises(ConnectionRefusedError):
-            socket.create_connection(("127.0.0.1", port), 1.0)
-        raise UsageError("the camera starts")
-
-    monkeypatch.setattr("sim.mock.run._camera", camera)
-    options = MockOptions(listen=f"127.0.0.1:{port}", camera=Path("camera.yaml"), tags=Path("tags.yaml"))
-    with pytest.raises(UsageError, match="the camera starts"):
-        run_mock(options)
-
-
-def test_camera_of_a_killed_mock_ends_and_leaves_its_port_to_the_next(mock):
-    port = free_port("127.0.0.1")
-    options = ["--camera", str(CAMERA), "--tags", str(TAGS), "--camera-listen", f"127.0.0.1:{port}"]
-    process, _ = mock(*options)
-    process.send_signal(signal.SIGKILL)
-    process.wait(5.0)
-
-    def is_free():
-        try:
-            socket.create_server(("127.0.0.1", port)).close()
-        except OSError:
-            return False
-        return True
-
-    wait_for(is_free)
-    process, _ = mock(*options)
-    assert process.stop().code == 0
-
-
-def camera_command():
-    return ["mock", "--listen", "127.0.0.1:0", "--camera", str(CAMERA), "--tags", str(TAGS)]
-
-
-@pytest.mark.parametrize("library", ["cv2", "apriltag"])
-def test_camera_without_its_extra_is_one_line(library, monkeypatch, capsys):
-    for name in ("sim.camera.server", "sim.camera.render", "deploy.tag.locate", "deploy.tag.detector"):
-        monkeypatch.delitem(sys.modules, name, raising=False)
-    for name in [each for each in sys.modules if each.startswith(f"{library}.")]:
-        monkeypatch.delitem(sys.modules, name)  # it would be found without the library itself
-    monkeypatch.setitem(sys.modules, library, None)
-    assert run(camera_command()) == 2
-    said = f"{library} is not installed: install rover-ncp with the extra tag, as rover-ncp[tag]"
-    assert capsys.readouterr().err == f"rover-ncp: {said}\n"
-
-
-def end_at_once(*_):
-    os._exit(7)
-
-
-def test_camera_whose_process_dies_at_its_start_is_one_line(monkeypatch, capsys):
-    monkeypatch.setattr("sim.camera.server._serve", end_at_once)
-    assert run([*camera_command(), "--camera-listen", "127.0.0.1:0"]) == 2
-    said = "its process ended with exit code 7 before it served a picture"
-    assert capsys.readouterr().err == f"rover-ncp: camera 127.0.0.1:0: {said}\n"

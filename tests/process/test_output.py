@@ -41,37 +41,22 @@ sys.exit(cli.main())
 LINES = 5 * MAX_LINES
 
 
-def talk(stdout, count=LINES, shell="", **environment):
-    """Run the command; return its exit code, what stdout got if it is a pipe, and the lines of stderr."""
-    command = [sys.executable, "-c", TALKS, str(count)]
-    if shell:
-        command = ["sh", "-c", f'exec "$@" {shell}', "sh", *command]
-    done = subprocess.run(
-        command,
-        stdout=stdout,
-        stderr=subprocess.PIPE,
-        env=os.environ | environment,
-        timeout=30,
-        check=False,
-    )
-    return done.returncode, done.stdout, done.stderr.decode().splitlines()
-
-
-@pytest.mark.parametrize("reader", ["full", "gone", "takes nothing"])
+@pytest.mark.parametrize("reader", ["full", "takes nothing"])
 def test_result_that_cannot_be_written_is_exit_2_and_delays_nothing(reader):
     fds = os.pipe()
-    if reader == "gone":
-        os.close(fds[0])
     with Path("/dev/full").open("wb") as full:
-        code, _, (in_time, *error) = talk(full if reader == "full" else fds[1])
+        done = subprocess.run(
+            [sys.executable, "-c", TALKS, str(LINES)],
+            stdout=full if reader == "full" else fds[1],
+            stderr=subprocess.PIPE,
+            timeout=30,
+            check=False,
+        )
+    in_time, *error = done.stderr.decode().splitlines()
     os.close(fds[1])
-    assert (code, in_time) == (2, "True")
+    assert (done.returncode, in_time) == (2, "True")
     if reader != "takes nothing":  # then the error is behind the lines that wait
         assert error[0].startswith("rover-ncp: standard output cannot be written: ")
-
-
-def test_output_that_is_closed_takes_everything():
-    assert talk(None, shell=">&-")[0] == 0
 
 
 def test_slow_reader_gets_the_result_and_the_number_of_dropped_lines():
@@ -84,17 +69,10 @@ def test_slow_reader_gets_the_result_and_the_number_of_dropped_lines():
     assert len(lines) - len(dropped) + sum(dropped) == LINES + 2
 
 
-@pytest.mark.parametrize("locale", [{"LC_ALL": "C", "PYTHONUTF8": "0"}, {"PYTHONIOENCODING": "ascii"}])
-def test_ascii_terminal_gets_escape_sequences_for_other_characters(locale):
-    code, out, _ = talk(subprocess.PIPE, 1, **locale)
-    assert (code, out.splitlines()[0][:11]) == (0, b"0 \\xb1\\x1b ")
-
-
 @pytest.mark.parametrize(
     ("text", "shown"),
     [
         ("θ ±3 µs, Zoë", "θ ±3 µs, Zoë"),
-        ("a\nready zenoh=x\x85b\u2028c", "a\\nready zenoh=x\\x85b\\u2028c"),
         ("\u202eabc\udc80", "\\u202eabc\\udc80"),
     ],
 )

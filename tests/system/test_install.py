@@ -1,7 +1,6 @@
 """Wheel and sdist, installed into fresh environments: all that a user needs comes with them."""
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -11,21 +10,7 @@ import zipfile
 import pytest
 from kit.paths import ROOT
 
-
-def newest_python():
-    """Return the path of Python 3.13; None where there is none."""
-    ask = ["python3.13", "-c", "import sys; print(sys.executable)"]
-    try:  # pyenv shows programs of versions that it does not run unless asked
-        done = subprocess.run(
-            ask, env={**os.environ, "PYENV_VERSION": "3.13"}, capture_output=True, text=True, check=True
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return None
-    return done.stdout.strip()
-
-
 COLD = pytest.mark.timeout(600)  # downloads, and commands with cold kernels
-NEWEST = newest_python()
 # What each set of extras makes possible, as command lines and their exit codes.
 WORKS = {
     "": [("--version", 0), ("bridge --base tcp/127.0.0.1:1", 3)],
@@ -86,12 +71,6 @@ def test_wheel_and_sdist_hold_the_packages_with_their_data(built):
 @pytest.mark.parametrize("extras", WORKS)
 def test_an_installed_wheel_does_what_its_extras_promise(extras, built, tmp_path):
     check_install(sys.executable, extras, built[".whl"], tmp_path)
-
-
-@COLD
-@pytest.mark.skipif(NEWEST is None, reason="needs Python 3.13")
-def test_the_sdist_works_with_the_newest_supported_python(built, tmp_path):
-    check_install(NEWEST, "train", built[".gz"], tmp_path)
 
 
 def check_install(python, extras, archive, folder):

@@ -1,7 +1,7 @@
 """A very short soak with real processes."""
 
 import pytest
-from faults.soak import Usage, leaks, soak
+from faults.soak import soak
 from faults.table import ROWS
 
 pytestmark = pytest.mark.timed
@@ -16,20 +16,3 @@ def test_faults_in_a_row_all_end_in_time_and_the_rover_stands(keys, tmp_path):
     assert len(rounds) >= 2
     assert (bridge_memory[:7], mock_memory[:5]) == ("bridge:", "mock:")
     assert last.startswith(f"{len(rounds)} faults; not reached: ")
-
-
-@pytest.mark.parametrize(
-    ("change", "grown"),
-    [
-        (lambda at: {}, []),
-        (lambda at: {"threads": 20 if at == 3 else 14 + at // 10}, ["threads grew from 14 to 17"]),
-        (lambda at: {"files": 31 if at % 7 == 0 else 30}, []),
-        (lambda at: {"memory_mb": 70.0 + 10.0 * min(at, 9)}, []),
-        (lambda at: {"memory_mb": 60.0 if at == 37 else 70.0 + at}, ["memory_mb grew from 82 to 106"]),
-    ],
-    ids=["nothing", "threads", "files that are opened for a moment", "memory that settles", "memory"],
-)
-def test_only_growth_is_a_leak(change, grown):
-    usual = Usage(0.0, 70.0, 14, 30)
-    samples = [usual._replace(t_s=15.0 * at, **change(at)) for at in range(40)]
-    assert list(leaks(samples, settled=10)) == grown

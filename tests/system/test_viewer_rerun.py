@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 from kit.paths import DATA
-from kit.recorded_drives import write_drive
 
 from rover_ncp import cli
 from rover_ncp.recording.recording import read_recording
@@ -49,14 +48,3 @@ def test_a_live_drive_opens_without_complaint(tmp_path, capsys):
         told
     )
     assert set(told.values()) == {("ok", "—")}
-
-
-def test_a_recovered_recording_opens_and_a_cut_off_one_does_not(tmp_path):
-    recording = tmp_path / "run.mcap"
-    write_drive(recording)
-    content = recording.read_bytes()
-    recording.write_bytes(content[: len(content) * 2 // 3])
-    with pytest.raises(AssertionError, match="recovery"):
-        checked(recording)
-    assert cli.run(["recover", str(recording)]) == 0
-    assert {status for status, _ in checked(recording).values()} == {"ok"}

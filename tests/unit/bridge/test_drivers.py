@@ -146,7 +146,6 @@ def answer(driver, request, tag=None):
 @pytest.mark.parametrize(
     ("name", "payload", "expected"),
     [
-        ("rover/motors", b"", "MotorsRequest"),
         ("rover/motors", b"{}", "enable"),
         ("rover/stop", b'{"release": 1e999}', "StopRequest"),
         ("rover/stop", b" " * 100_000, "expected at most 4096"),
@@ -158,16 +157,7 @@ def test_a_request_that_cannot_be_read_is_refused_by_name(requester, name, paylo
         requester.rig.query(name, payload)
 
 
-@pytest.mark.parametrize(
-    "payload",
-    [
-        b"stop",
-        b'{"stop": true}',
-        b'{"reason": null}',
-        json.dumps({"reason": "x" * 250}).encode(),
-        b'{"release": true, "why": 1}',
-    ],
-)
+@pytest.mark.parametrize("payload", [b"stop", b'{"release": true, "why": 1}'])
 def test_a_stop_that_cannot_be_read_stops_and_releases_nothing(requester, payload):
     requester.rig.wait_for(lambda: requester.motors().granted)
     with pytest.raises(RuntimeError, match="StopRequest"):
@@ -187,21 +177,7 @@ def test_a_lost_answer_locks_all_drivers_out_until_the_lease_lapses(requester):
     assert (again.lease, again.key != first.key) == (first.lease + 1, True)
 
 
-def test_a_signature_is_for_one_kind_and_one_key_expression(requester):
-    requester.rig.wait_for(lambda: requester.motors().granted)
-    rig, lease, release = requester.rig, requester.lease, dump_json(MotorsRequest(enable=False))
-    others = [(Signed.COMMAND, "rover/motors"), (Signed.MOTORS, "cmd_vel"), (Signed.MOTORS, "x/rover/motors")]
-    for kind, where in others:
-        tag = lease.sign(kind, where, release, rig.now_ns).pack()
-        assert json.loads(rig.query("rover/motors", release, tag))["reason"] == "another-driver"
-    command = twist_stamped(Velocity(0.1, 0.0), 1)
-    rig.command(command, lease.sign(Signed.MOTORS, "cmd_vel", command, rig.now_ns).pack())
-    requester.rig.wait_for(lambda: requester.gate.dropped == {"foreign": 1})
-    requester.motors(enable=False)
-    requester.rig.wait_for(lambda: requester.gate.lease == 0)
-
-
-@pytest.mark.parametrize("tag", [bytes(40), CommandTag(0, 2**63, 2**62).pack(), b"", None])
+@pytest.mark.parametrize("tag", [bytes(40), None])
 def test_a_tag_of_zeros_neither_drives_nor_releases(requester, tag):
     """No lease has the number 0, also while none is held."""
     rig = requester.rig

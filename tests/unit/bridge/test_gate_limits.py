@@ -60,10 +60,8 @@ def test_the_gate_keeps_the_limits_of_a_pioneers_description(checked, tmp_path):
     "text",
     [
         "brake: 1e-310",
-        "brake: 1e-300",
         "omega_max: 1e-320",
         "fence: {x_min: -1e300, x_max: 1e300, y_min: -1, y_max: 1}",
-        "command_timeout_s: 1e-9",
         "lease_s: 1e-9",
         "battery_min_v: 1e9",
     ],

@@ -72,11 +72,6 @@ def odometer():
     return Odometer(ROBOTS["p3at-sh"])
 
 
-def test_the_turn_rate_of_old_firmware_comes_from_the_wheels():
-    state = Odometer(ROBOTS["p3dx"]).update(Sip(left=-100, right=100), 0.0)
-    assert state.omega == pytest.approx(100 * 0.0056)
-
-
 @given(
     steps=st.lists(st.tuples(*[st.integers(-4000, 4000)] * 2, st.integers(-2000, 2000)), min_size=1),
     start=st.tuples(st.integers(0, 0x7FFF), st.integers(0, 0x7FFF), st.integers(-2048, 2047)),
@@ -108,14 +103,6 @@ def test_a_reset_zeroes_the_pose_when_the_base_has_done_it_not_before(odometer):
     assert not odometer.reset_pending
     assert (after.x, after.y) == (0.003, 0.0)
     assert after.theta == pytest.approx(math.tau / 4096)
-
-
-def test_a_reset_near_zero_ends_at_the_bases_own_counters(odometer):
-    odometer.update(Sip(), 0.0)
-    odometer.update(Sip(x=40), 0.1)
-    odometer.reset_pending = True
-    odometer.update(Sip(x=40), 0.2)
-    assert odometer.update(Sip(x=0), 0.3).x == 0.0
 
 
 def test_bumper_bits_count_only_when_the_base_is_known_to_have_bumpers(odometer):
@@ -181,7 +168,3 @@ def test_silent_sonar_makes_only_its_own_direction_unknown(odometer):
     assert clearance(odometer, later, 11.0) == (5.0, 5.0)
     assert clearance(odometer, later, 11.001) == pytest.approx((math.nan, 5.0), nan_ok=True)
     assert clearance(odometer, {AHEAD[1]: 4.0}, 11.1) == (4.0, 5.0)
-
-
-def test_clearance_without_sonars_is_unknown(odometer):
-    assert all(map(math.isnan, clearance(odometer, {}, 10.0)))

@@ -13,7 +13,6 @@ from bridge.ros2 import messages as ros
 from bridge.ros2.covariance import Variances, odometry_variances
 from rover_ncp.core.files import shipped_names
 from rover_ncp.robot.description import load_description
-from rover_ncp.wire.header import read_stamp_ns
 from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import decode, read_odometry, text
 from rover_ncp.wire.protocol import dump_json
@@ -71,15 +70,6 @@ def test_echoes_lie_where_the_sonars_look():
     assert back == pytest.approx((-0.241 + 2 * math.cos(angle), -0.027 + 2 * math.sin(angle), 0.25), abs=1e-6)
 
 
-def test_every_sonar_has_its_place_on_the_base():
-    transforms = sent(STATE)["tf_static"].transforms
-    assert [item.child_frame_id for item in transforms] == [f"sonar_{k}" for k in range(16)]
-    assert {item.header.frame_id for item in transforms} == {"base_link"}
-    first = transforms[0].transform
-    assert (first.translation.x, first.translation.y, first.translation.z) == (0.147, 0.136, 0.25)
-    assert (first.rotation.z, first.rotation.w) == pytest.approx((math.sqrt(0.5), math.sqrt(0.5)))
-
-
 @pytest.mark.parametrize(("charging", "status"), [(None, 0), (False, 2), (True, 1)])
 def test_bumpers_battery_and_charging_as_far_as_it_is_known(charging, status):
     messages = sent(replace(STATE, charging=charging))
@@ -91,21 +81,6 @@ def test_bumpers_battery_and_charging_as_far_as_it_is_known(charging, status):
 def test_battery_without_a_known_voltage_is_no_empty_one():
     battery = sent(replace(STATE, battery_v=0.0))["battery_state"]
     assert (math.isnan(battery.voltage), battery.present) == (True, False)
-
-
-def test_battery_has_the_stamp_of_its_own_report():
-    header = sent(replace(STATE, battery_age_s=7.5))["battery_state"].header
-    assert read_stamp_ns(header) == STAMP - 7_500_000_000
-
-
-def test_gate_status_has_the_driver_and_the_hold_reason():
-    lease = Lease(7, bytes(32), "deploy", 0, 0.0, 1.0, 41, NO_CONTACT)
-    status = ros.gate_status(GateState(lease=lease, held=None, accepted=3, dropped={Reason.STALE: 2}))
-    assert (status.lease, status.driver_name, status.sequence, status.held) == (7, "deploy", 41, "")
-    assert (status.accepted, status.dropped) == (3, {"stale": 2})
-    status = ros.gate_status(GateState(held=Reason.NO_LEASE, lease_over=Reason.BUMPER))
-    assert (status.lease, status.held, status.ended) == (0, "", "bumper")
-    assert ros.gate_status(GateState(stop_reason="smoke", held=Reason.STOPPED)).stop_reason == "smoke"
 
 
 def test_the_longest_state_of_the_gate_fits_its_key():
@@ -137,13 +112,9 @@ def test_diagnostics_name_the_problems():
     ill_words = "STOP button pressed, stalled, bumper pressed, reports faults"
     healthy = {"link to the base": (0, "clean"), "base": (0, "fine"), "gate": (0, "open")}
     assert levels(well) == healthy
-    assert levels(well, health=DAMAGED) == healthy | {
-        "link to the base": (1, "messages are damaged or cannot be used")
-    }
+    assert levels(well, health=DAMAGED)["link to the base"] == (1, "messages are damaged or cannot be used")
     assert levels(ill, SILENT) == healthy | {"base": (2, ill_words), "gate": (1, "silence")}
     assert levels(None) == healthy | {"base": (2, "not connected")}
-    over = GateState(held=Reason.NO_LEASE, lease_over=Reason.STALL)
-    assert levels(well, over) == healthy | {"gate": (1, "stall")}
 
 
 # Covariances of odometry and gyro: those of the description, and never 0
@@ -166,9 +137,3 @@ def test_variances_of_odometry_are_the_errors_of_a_metre_and_a_radian_and_never_
     assert math.sqrt(pose[0]) >= robot.odometry.distance_error / math.sqrt(3)
     assert math.sqrt(pose[2]) >= robot.odometry.turn_error / math.sqrt(3)
     assert (lateral > 1e-6) is (robot.wheels.axles_m > 0.0)  # a skid-steered robot slides sideways
-
-
-def test_the_gyros_variance_is_the_robots():
-    for name, variance in (("husky-a200", 0.005**2), ("p3at-sh", 1e-6)):
-        message = decode("sensor_msgs/msg/Imu", ros.turn_rate(0.1, load_description(name), STAMP))
-        assert message.angular_velocity_covariance[8] == pytest.approx(variance)

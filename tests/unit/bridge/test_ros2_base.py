@@ -7,13 +7,11 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from kit.described import described
-from kit.ros2_world import BURGER, EPOCH_S, OURS, World, announced, beyond_its_second, header, odometry, twist
+from kit.ros2_world import BURGER, EPOCH_S, OURS, World, announced, odometry, twist
 
 from bridge.base import Failed, Lost, Notice, PassedOn, Ready, Recovered
 from bridge.ros2.discovery import Announced, LoopSeen, TokenSeen
-from rover_ncp.core.config import validated
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.robot.topics import Topics
 from rover_ncp.wire.cdr import decode, encode
 from rover_ncp.wire.messages import (
     BATTERY_STATE,
@@ -25,16 +23,11 @@ from rover_ncp.wire.messages import (
     TWIST_STAMPED,
     boolean,
     read_twist,
-    text,
 )
 
 
-@pytest.mark.parametrize("frames", [("", ""), ("odom", ""), ("", "robot1/base_footprint")])
-@pytest.mark.parametrize("described", [BURGER.topics.odom_frame, ""])
-def test_odometry_that_leaves_frames_empty_is_used_and_named_once(frames, described):
-    topics = validated(BURGER.topics.model_dump() | {"odom_frame": described}, Topics, "test")
-    world = World(BURGER.model_copy(update={"topics": topics}))
-    world.run(2.0, frames=frames)
+def test_odometry_that_leaves_frames_empty_is_used_and_named_once(world):
+    world.run(2.0, frames=("odom", ""))
     assert [type(event) for event in world.events] == [Notice, Ready]
     assert world.events[0].text == (
         "odometry on odom leaves a frame empty: it is taken for odom → base_footprint"
@@ -45,15 +38,6 @@ def test_odometry_that_leaves_frames_empty_is_used_and_named_once(frames, descri
 def test_it_is_ready_when_odometry_arrives_evenly(world, prefix):
     world.run(2.0, frames=(f"{prefix}odom", f"{prefix}base_footprint"))
     assert world.events == [Ready("turtlebot3-burger on tcp/robot:7447", BURGER)]
-
-
-def test_a_description_may_have_the_frames_as_the_robot_sends_them():
-    topics = BURGER.topics.model_copy(
-        update={"odom_frame": "robot1/odom", "base_frame": "robot1/base_footprint"}
-    )
-    world = World(BURGER.model_copy(update={"topics": topics}))
-    world.run(2.0, frames=("robot1/odom", "robot1/base_footprint"))
-    assert [type(event) for event in world.events] == [Ready]
 
 
 def test_the_pose_begins_at_zero_wherever_the_robot_is():
@@ -122,14 +106,6 @@ def test_the_end_of_the_clock_in_odometry_ends_nothing(ready):
     assert ready.line.closed
 
 
-def test_a_stamp_with_more_than_a_second_of_nanoseconds_does_not_count(ready):
-    ready.hear("odom", beyond_its_second(odometry(2**31 - 1)))
-    ready.run(0.2)
-    assert ready.base.health().counters["odom: not used"] == 1
-    assert ready.stamp_s == pytest.approx(EPOCH_S + ready.now, abs=0.06)
-    assert [type(event) for event in ready.events] == [Ready]
-
-
 def test_the_line_is_closed_even_if_it_does_not_take_the_last_zero(ready, monkeypatch):
     monkeypatch.setattr(ready.line, "publish", Mock(side_effect=OSError))
     with pytest.raises(OSError):
@@ -137,8 +113,7 @@ def test_the_line_is_closed_even_if_it_does_not_take_the_last_zero(ready, monkey
     assert ready.line.closed
 
 
-@pytest.mark.parametrize("field", ["data", "is_docked"])
-@pytest.mark.parametrize("docked", [True, False])
+@pytest.mark.parametrize(("field", "docked"), [("data", True), ("is_docked", False)])
 def test_each_word_of_the_robot_that_it_is_docked_is_passed_on(field, docked):
     topics = BURGER.topics.model_copy(update={"docked": "dock", "docked_field": field})
     world = World(BURGER.model_copy(update={"topics": topics}))
@@ -164,7 +139,7 @@ def test_sensor_on_which_nothing_comes_is_named_with_what_was_found_instead():
     assert "imu" not in str(world.base.health().unheard)
 
 
-@pytest.mark.parametrize(("status", "charging"), [(0, None), (1, True), (2, False), (3, False), (4, None)])
+@pytest.mark.parametrize(("status", "charging"), [(0, None), (1, True), (2, False)])
 def test_battery_is_known_for_a_minute(ready, status, charging):
     ready.hear("battery_state", encode(BATTERY_STATE, voltage=11.5, power_supply_status=status))
     ready.run(59.0)
@@ -172,12 +147,6 @@ def test_battery_is_known_for_a_minute(ready, status, charging):
     assert ready.reports[-1].battery_age_s == pytest.approx(59.0, abs=0.2)
     ready.run(2.0)
     assert (ready.reports[-1].battery_v, ready.reports[-1].charging) == (0.0, None)
-
-
-def test_a_battery_that_has_not_reported_has_no_age(ready):
-    ready.run(1.0)
-    report = ready.reports[-1]
-    assert (report.battery_v, report.charging, report.battery_age_s) == (0.0, None, 0.0)
 
 
 # Bad input.
@@ -218,9 +187,7 @@ def test_reason_of_a_robot_that_cannot_be_served_is_named(world, token, odom, wo
     assert world.last == Failed(f"tcp/robot:7447: {words}")
 
 
-@pytest.mark.parametrize(
-    "payload", [b"", b"\0\1\0\0", text("x" * 800), odometry(EPOCH_S)[:-9], b"\0\1\0\0" + b"\xff" * 900]
-)
+@pytest.mark.parametrize("payload", [b"", odometry(EPOCH_S)[:-9], b"\0\1\0\0" + b"\xff" * 900])
 def test_bytes_that_are_no_odometry_never_make_it_ready(world, payload):
     world.run(7.0, odom=False, each=lambda: world.hear("odom", payload))
     assert isinstance(world.last, Failed)
@@ -228,17 +195,10 @@ def test_bytes_that_are_no_odometry_never_make_it_ready(world, payload):
     assert not world.reports
 
 
-def test_another_type_of_odometry_is_named_although_its_messages_arrive(world):
-    world.tell(announced("odom", POSE_STAMPED))
-    world.run(7.0, odom=False, each=lambda: world.hear("odom", b"\0\1\0\0"))
-    assert world.last == Failed(f"tcp/robot:7447: {WRONG_TYPE}")
-
-
 @pytest.mark.parametrize(
     ("values", "reason"),
     [
         ({"x": math.nan}, "odometry is not finite"),
-        ({"v": math.inf}, "odometry is not finite"),
         ({"theta": math.nan}, "odometry cannot be read: the orientation 0, 0, nan, nan is not a rotation"),
     ],
 )
@@ -247,30 +207,6 @@ def test_odometry_that_is_not_finite_stops_it(ready, values, reason):
     assert isinstance(ready.last, Lost)
     assert re.fullmatch(f"\\d+ messages on odom cannot be used: {reason}", ready.last.reason)
     assert all(math.isfinite(report.x) for report in ready.reports)
-
-
-@pytest.mark.parametrize("w", [0.0, 0.5])
-def test_invalid_quaternion_is_named_as_no_rotation(ready, w):
-    ready.run(0.7, odom=False, each=lambda: hear_odometry(ready, w))
-    assert isinstance(ready.last, Lost)
-    assert f"cannot be used: odometry cannot be read: the orientation 0, 0, 0, {w:g}" in ready.last.reason
-
-
-def test_a_covariance_of_nan_changes_nothing(ready):
-    covariance = np.full(36, math.nan)
-    ready.run(2.0, odom=False, each=lambda: hear_odometry(ready, 1.0, covariance=covariance))
-    assert [type(event) for event in ready.events] == [Ready]
-
-
-def hear_odometry(world, w, **covariance):
-    message = encode(
-        ODOMETRY,
-        header=header(EPOCH_S + world.now),
-        child_frame_id="base_footprint",
-        pose={"pose": {"orientation": {"w": w}}, **covariance},
-        twist=covariance,
-    )
-    world.hear("odom", message)
 
 
 def test_a_second_publisher_of_commands_stops_it_and_is_named(ready):
@@ -286,7 +222,7 @@ def test_a_second_publisher_of_commands_stops_it_and_is_named(ready):
     assert isinstance(ready.last, Recovered)
 
 
-@pytest.mark.parametrize(("anew", "again"), [({}, Recovered), ({"x": 0.9}, Ready), ({"theta": 1.0}, Ready)])
+@pytest.mark.parametrize(("anew", "again"), [({}, Recovered), ({"x": 0.9}, Ready)])
 def test_odometry_that_was_set_anew_while_the_base_was_lost_is_other_odometry(ready, anew, again):
     """A person drives by another node, and resets odometry: a fence is no longer where it was."""
     ready.hear("cmd_vel", twist(Velocity(0.1, 0.0)))

@@ -1,15 +1,13 @@
 """What a ROS 2 robot does without commands: the measurement, and what lifts the refusal to serve it."""
 
-from dataclasses import replace
-
 import pytest
 from kit.described import described
 
-from bridge.base import BaseReport, Ready
+from bridge.base import BaseReport
 from bridge.gate.limits import Fence
 from bridge.measure_timeout import measure, words_for
-from bridge.ros2.base_timeout import Phase, TimeoutMeasurement, TimeoutRecord
-from rover_ncp.core.errors import ConfigError, NoRobot, SafetyStop
+from bridge.ros2.base_timeout import Phase, TimeoutMeasurement
+from rover_ncp.core.errors import ConfigError, SafetyStop
 from rover_ncp.core.files import shipped_names
 from rover_ncp.robot.description import load_description
 from sim.base.ros2_robot import Ros2Robot
@@ -36,8 +34,7 @@ def measured(speed_after, *, rate_hz=20.0, moves=None):
     return found
 
 
-@pytest.mark.parametrize("timeout_s", [0.25, 0.6, 2.0])
-@pytest.mark.parametrize("rate_hz", [10.0, 62.0])
+@pytest.mark.parametrize(("timeout_s", "rate_hz"), [(0.25, 62.0), (2.0, 10.0)])
 def test_a_measured_timeout_is_never_too_short(timeout_s, rate_hz):
     found = measured(lambda silent_s: 0.1 if silent_s < timeout_s else 0.0, rate_hz=rate_hz)
     assert found.phase is Phase.HALTED
@@ -116,8 +113,7 @@ class Robot:
         return abs(self.speed) < 0.01
 
 
-@pytest.mark.parametrize("timeout_s", [0.5, 1.5])
-@pytest.mark.parametrize("model", ["turtlebot3-burger", "husky-a200", "jackal-j100"])
+@pytest.mark.parametrize(("timeout_s", "model"), [(0.5, "husky-a200"), (1.5, "turtlebot3-burger")])
 def test_a_robot_is_measured_through_the_gate_and_gets_the_line(timeout_s, model):
     robot = Robot(timeout_s, model)
     found = robot.measure()
@@ -143,13 +139,12 @@ def test_a_robot_that_the_fence_halts_is_not_measured(x_max):
     assert robot.robot.drive.rover.pose.x < x_max
 
 
-@pytest.mark.parametrize("at_s", [1.0, 2.5])
-def test_an_interrupted_measurement_stops_the_robot(at_s):
+def test_an_interrupted_measurement_stops_the_robot():
     robot, moving_s = Robot(None), []
 
     def stopping():
         moving_s.extend([robot.now_s] if robot.speed > 0.09 else [])
-        return bool(moving_s) and robot.now_s > moving_s[0] + at_s
+        return bool(moving_s) and robot.now_s > moving_s[0] + 1.0
 
     with pytest.raises(KeyboardInterrupt):
         robot.measure(stopping)
@@ -174,38 +169,14 @@ def test_odometry_that_stops_ends_the_measurement_and_the_robot_stands(silent):
     assert robot.stands_soon()
 
 
-def test_a_robot_that_is_lost_before_it_is_driven_is_named(monkeypatch):
-    """It is ready, and lost again before a report of it."""
-    robot = Robot(0.5)
-    base, receive = robot.line.base, robot.line.base.receive
-
-    def ready_alone(arrival, now):
-        events = [event for event in receive(arrival, now) if not isinstance(event, BaseReport)]
-        if any(isinstance(event, Ready) for event in events):
-            robot.act = robot.line.arrivals.clear
-        return events
-
-    monkeypatch.setattr(base, "receive", ready_alone)
-    with pytest.raises(NoRobot, match="lost before it was driven: no odometry on odom"):
-        robot.measure()
-    assert robot.now_s < 10.0
-    assert not robot.began_s
-
-
-@pytest.mark.parametrize("silent_s", [3.0, 20.0])
-def test_a_stop_topic_that_is_silent_at_first_delays_the_measurement(silent_s):
+def test_a_robot_whose_stop_topic_is_silent_is_not_measured():
     robot = Robot(0.5, "husky-a200")
 
     def act():
-        if robot.now_s < silent_s:
-            arrivals = robot.line.arrivals
-            arrivals[:] = [found for found in arrivals if found.topic != "platform/emergency_stop"]
+        arrivals = robot.line.arrivals
+        arrivals[:] = [found for found in arrivals if found.topic != "platform/emergency_stop"]
 
     robot.act = act
-    if silent_s == 3.0:
-        assert robot.measure().line
-        assert robot.began_s[0] >= silent_s
-        return
     with pytest.raises(SafetyStop, match="emergency_stop: no message has come"):
         robot.measure()
     assert not robot.began_s
@@ -222,11 +193,3 @@ def test_a_measurement_counts_for_its_own_robot_and_not_when_it_halts_too_late(t
     with pytest.raises(ConfigError, match="measured_base_timeout_s"):
         described("late.yaml", f"{turtlebot} 2.6")
     assert {load_description(name).measured_base_timeout_s for name in shipped_names("robots")} == {None}
-
-
-def test_only_a_measurement_in_the_description_or_the_option_lifts_the_refusal():
-    unknown = TimeoutRecord()
-    assert "--measure-timeout" in unknown.refusal
-    assert (TimeoutRecord(0.5).refusal, TimeoutRecord(None, True).refusal) == ("", "")
-    assert "0.5 s" in TimeoutRecord(0.5).note
-    assert "not known" in replace(unknown, unsafe=True).note

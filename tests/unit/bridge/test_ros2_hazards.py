@@ -3,13 +3,11 @@
 import pytest
 from kit.described import described
 from kit.ros2_world import World
-from kit.virtual_bench import VirtualDriver, VirtualRig
 
 from bridge.base import Ready
 from bridge.ros2.discovery import Announced, TokenSeen
 from rover_ncp.core.config import validated
 from rover_ncp.core.errors import ConfigError
-from rover_ncp.robot.description import load_description
 from rover_ncp.robot.topics import HazardTopic
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import BATTERY_STATE, BOOL, IMU, hazards
@@ -139,40 +137,6 @@ def test_with_two_publishers_of_a_stop_nothing_is_known(stop):
     assert unknown(world) == two
 
 
-def test_a_publisher_of_another_type_is_none_of_a_latched_stop():
-    world = world_of(stop=LATCHED)
-    other = {"zid": "b", "ros_type": IMU, "source": b"b"}
-    world.tell(publisher(True, **other))
-    assert "no publisher is announced" in unknown(world)
-    world.tell(publisher(True, "a"))
-    press(world, False)
-    world.tell(publisher(False, **other))
-    assert unknown(world) == ""
-
-
 def test_a_topic_is_periodic_or_latched():
     with pytest.raises(ConfigError, match="either periodic_s or latched"):
         validated(LATCHED | {"periodic_s": 1.0}, HazardTopic, "robot.yaml")
-
-
-@pytest.mark.parametrize("model", ["husky-a200", "jackal-j100", "turtlebot4"])
-def test_a_driver_gets_no_lease_while_hazards_are_not_heard_and_loses_it_when_they_fall_silent(model):
-    robot = load_description(model)
-    topic = (robot.topics.stop or robot.topics.hazards).topic
-    rig = VirtualRig(robot)
-    emit, rig.muted = rig.base._emit, True
-    rig.base._emit = lambda name, data: (rig.muted and name == topic) or emit(name, data)
-    driver = VirtualDriver(rig)
-    rig.sleep(3.0)
-    refusal = driver.motors()
-    assert (refusal.granted, refusal.reason) == (False, "hazard-unknown")
-    assert topic in refusal.detail
-    rig.muted = False
-    rig.sleep(0.5)
-    assert driver.motors().granted
-    driver.drive(0.5, 0.1)
-    rig.muted = True
-    driver.drive(3.5, 0.1)
-    assert driver.gate.ended == "hazard-unknown"
-    assert f"{topic}: no message for" in driver.gate.ended_detail
-    assert rig.stands_after(0.5)

@@ -1,7 +1,6 @@
 """Odometry of a ROS 2 robot: its rate, its clocks, two publishers, restarts."""
 
 import gc
-import math
 import tracemalloc
 from itertools import cycle, pairwise
 
@@ -38,23 +37,13 @@ def test_clock_that_runs_slower_is_named(ready):
     assert "its stamps advance by 0." in lost.reason
 
 
-@pytest.mark.parametrize("rate", [1.03, 1.5, 2.0])
-def test_clock_that_runs_faster_is_named_once(ready, rate):
+def test_clock_that_runs_faster_is_named_once(ready):
     """Its stamps never look old, and the robot drives faster than by its own speeds."""
-    at_rate(ready, rate, 20.0)
+    at_rate(ready, 1.03, 20.0)
     notices = [event.text for event in ready.events if isinstance(event, Notice)]
     assert len(notices) == 1
     named = float(notices[0].split("advance by ")[1].split()[0])
-    assert named == pytest.approx(rate, abs=0.03)
-
-
-@pytest.mark.parametrize("set_s", [-1.0, 0.4, 3600.0])
-def test_clock_that_is_set_has_no_other_rate(ready, set_s):
-    for _ in range(3):
-        at_rate(ready, 1.0, 4.0)
-        ready.clock_s += set_s
-        ready.run(4.0)
-    assert not [event for event in ready.events if isinstance(event, Notice) and "advance" in event.text]
+    assert named == pytest.approx(1.03, abs=0.02)
 
 
 def test_bursts_of_old_odometry_do_not_count(ready):
@@ -132,7 +121,7 @@ def gaps_s(world, seconds):
     return max(after - before for before, after in pairwise([*reported_s, world.now]))
 
 
-@pytest.mark.parametrize("back_s", [0.2, 0.3, 0.6, 1.0])
+@pytest.mark.parametrize("back_s", [0.2, 1.0])
 def test_a_clock_that_is_set_back_a_little_costs_one_message_and_is_named(ready, back_s):
     ready.setpoint_v = 0.2
     ready.run(2.0)
@@ -144,11 +133,10 @@ def test_a_clock_that_is_set_back_a_little_costs_one_message_and_is_named(ready,
     assert ready.stamp_s == pytest.approx(ready.clock_s + ready.now, abs=0.06)
 
 
-@pytest.mark.parametrize("back_s", [1.5, 3600.0])
-def test_a_clock_that_is_set_back_far_is_a_restart_that_names_it(ready, back_s):
-    ready.clock_s -= back_s
+def test_a_clock_that_is_set_back_far_is_a_restart_that_names_it(ready):
+    ready.clock_s -= 1.5
     ready.run(3.0)
-    assert ready.events[1] == Lost(f"odometry on odom began again: its clock was set back by {back_s:.2f} s")
+    assert ready.events[1] == Lost("odometry on odom began again: its clock was set back by 1.50 s")
     assert isinstance(ready.last, Ready)
     assert ready.stamp_s == pytest.approx(ready.clock_s + ready.now, abs=0.06)
 
@@ -185,9 +173,8 @@ def driven(ready):
 
 
 @pytest.mark.parametrize(
-    "new", [{"x": 0.0}, {"x": 0.6, "theta": 0.5}, {"x": 0.6, "y": 0.3}, {"x": 0.6, "theta": -math.pi}]
+    ("new", "silent_s"), [({"x": 0.0}, 0.8), ({"x": 0.6, "y": 0.3}, 60.0), ({"x": 0.6, "theta": 0.5}, 3.5)]
 )
-@pytest.mark.parametrize("silent_s", [0.8, 3.5, 60.0])
 def test_a_robot_that_restarts_elsewhere_is_not_taken_for_the_old_one(driven, new, silent_s):
     """It was sent zeros while it was silent, so it cannot have driven there."""
     driven.run(silent_s, odom=False)
@@ -206,7 +193,7 @@ def test_a_robot_that_coasts_while_it_is_silent_keeps_its_odometry(driven, coast
     assert driven.reports[-1].x == pytest.approx(0.6 + coasted_m)
 
 
-@pytest.mark.parametrize("jump", [{"x": 0.9}, {"y": -0.9}, {"theta": 2.0}])
+@pytest.mark.parametrize("jump", [{"x": 0.9}, {"theta": 2.0}])
 def test_one_pose_elsewhere_costs_a_sample_and_two_begin_odometry_anew(driven, jump):
     before = len(driven.reports)
     driven.run(0.04, **jump)

@@ -4,7 +4,6 @@ from pathlib import Path
 from runpy import run_path
 
 import gymnasium
-import numpy as np
 import pytest
 from kit.paths import ROOT
 from kit.tutorials import PAGES, write_files
@@ -31,21 +30,3 @@ def test_circuit_of_the_tutorial_learns_and_the_file_scores_the_same(capsys):
     before, after = (EXAMPLE["score"](environment, load_policy(name)) for name in ("wall.yaml", "out.yaml"))
     assert after > 0.6 * before  # returns are negative
     assert capsys.readouterr().out.splitlines()[-1] == f"out.yaml: return {after:.4g}, untrained {before:.4g}"
-
-
-def test_the_largest_output_chooses_a_discrete_action():
-    class Env(gymnasium.Env):
-        observation_space = gymnasium.spaces.Box(-1.0, 1.0, (4,))
-        action_space = gymnasium.spaces.Discrete(2, start=3)
-        actions: list[int] = []  # noqa: RUF012
-
-        def reset(self, *, seed=None, options=None):
-            return np.zeros(4), {}
-
-        def step(self, action):
-            self.actions.append(action)
-            return np.zeros(4), 1.0, len(self.actions) == 5, False, {}
-
-    env, policy = Env(), load_policy("parking")
-    assert EXAMPLE["play"](env, policy, 0) == 5.0
-    assert set(env.actions) <= {3, 4}

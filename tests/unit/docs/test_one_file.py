@@ -30,11 +30,3 @@ def test_search_of_the_example_only_improves_and_stays_within_bounds():
     for name, (lower, upper, _, count) in EXAMPLE["PARAMETERS"].items():
         assert circuit[name].shape == (count,)
         assert np.all((circuit[name] >= lower) & (circuit[name] <= upper))
-
-
-def test_example_imports_nothing_of_the_project():
-    text = (ROOT / "docs" / "examples" / "one_file.py").read_text()
-    assert len(text.splitlines()) <= 400
-    for package in ("rover_ncp", "bridge", "deploy", "sim"):
-        assert f"import {package}" not in text
-        assert f"from {package}" not in text

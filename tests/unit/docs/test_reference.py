@@ -10,11 +10,10 @@ import yaml
 from kit.paths import ROOT
 
 from paper.claims import load_claims
-from rover_ncp.circuit.policy_file import load_circuit, load_policy
+from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.config import parse_yaml
 from rover_ncp.course.course import load_course
 from sim.learn.rollout import rollout
-from sim.learn.settings import TrainSettings, resolve_task
 
 EXAMPLES = ROOT / "docs" / "examples"
 # Examples that leave keys out: bodies of MuJoCo, what a robot is seldom measured for, a Pioneer's own.
@@ -38,13 +37,6 @@ def test_the_example_of_a_policy_drives_forward_until_it_sees_one_metre():
     assert 0.05 < run.poses[-1, 0] < 1.5
     assert run.commands[-1, 0] < 0.5 * run.commands[5, 0]
     assert np.ptp(run.poses[:, 1]) == 0.0
-
-
-def test_the_example_of_a_circuit_can_be_trained_on_the_example_of_a_course():
-    course, circuit = (str(EXAMPLES / f"{name}.yaml") for name in ("course", "circuit"))
-    task = resolve_task(TrainSettings(course=course, circuit=circuit))
-    assert load_circuit(circuit).held
-    assert rollout(task.policy, load_course(course)).total < 0
 
 
 def test_page_on_the_paper_has_the_present_tables_and_cites_claims_that_exist():

@@ -331,23 +331,13 @@ def teleop(
 
 
 def identify(
-    recording: Annotated[
-        Path | None,
-        typer.Argument(help="A recording of a drive, instead of driving one.", show_default=False),
-    ] = None,
     *,
-    robot: Annotated[
-        str | None,
-        typer.Option(
-            help="Drive this robot: where its bridge listens, PROTOCOL/HOST[:PORT].", show_default=False
-        ),
-    ] = None,
+    robot: Robot,
     model: Model = None,
     out: Annotated[Path, typer.Option(help="The rover profile to write (YAML).")] = Path("rover.yaml"),
     fence: Annotated[
-        float | None,
-        typer.Option(min=0.1, max=5.0, help="How far it may come from its start, m.", show_default="0.8"),
-    ] = None,
+        float, typer.Option(min=0.1, max=5.0, help="How far it may come from its start, m.")
+    ] = 0.8,
     record: Record = None,
     overwrite: Overwrite = False,
     namespace: Namespace = "",
@@ -358,11 +348,9 @@ def identify(
 
     Drives for a minute, forward and back by half a metre, then left and right, at walking pace, through the
     same lease and gate as 'rover-ncp deploy'; keep a circle of --fence metres around it free. Ctrl-C stops
-    the rover. A recording of another drive determines fewer values: delays, gains and accelerations need
-    several steps of the command with pauses between. With --model, steps are no faster than the robot drives,
-    and mean speeds that some robots report are corrected. A recording of 'deploy' or 'identify' with --model
-    holds the description; give --model with one that does not, as of 'teleop'.
-    Each value is shown ± its standard deviation. A value with too large a deviation is left out.
+    the rover. With --model, steps are no faster than the robot drives, and mean speeds that some robots
+    report are corrected. Each value is shown ± its standard deviation. A value with too large a deviation
+    is left out.
 
         rover-ncp identify --robot tcp/192.168.1.20 --out profile.yaml
         rover-ncp eval course --trials 300 --randomize full --profile profile.yaml
@@ -374,27 +362,11 @@ def identify(
     Ends with 0, 1 when a delay or gain could not be determined, 3 no bridge, no robot, not authorised or
     another driver, 4 stopped by a safety rule, which is named, 130 Ctrl-C.
     """
-    if (recording is None) == (robot is None):
-        raise UsageError("expected either --robot to drive one, or a recording of a drive")
-    output = Output(json, controls=True)
-    from deploy.identify.excitation import FENCE_M
-    from deploy.identify.run import identify_recording, identify_robot
+    from deploy.identify.run import identify_robot
     from deploy.recorder import Recorder
     from deploy.zenoh_client import BridgeAddress
     from rover_ncp.robot.description import load_description
 
-    if robot is None:
-        assert recording is not None
-        reject(
-            "needs --robot",
-            fence=fence,
-            record=record,
-            namespace=namespace,
-            zenoh_config=zenoh_config,
-        )
-        return identify_recording(recording, out, output, model=model, overwrite=overwrite)
     address, recorder = BridgeAddress(robot, namespace, zenoh_config), Recorder(record)
-    described = load_description(model) if model else None
-    return identify_robot(
-        address, recorder, fence or FENCE_M, out, output, robot=described, overwrite=overwrite
-    )
+    described, output = load_description(model) if model else None, Output(json, controls=True)
+    return identify_robot(address, recorder, fence, out, output, robot=described, overwrite=overwrite)

@@ -95,11 +95,11 @@ def attached_course(recording: Recording) -> Course:
     return parse_yaml(attached_text(recording, COURSE_FILE), Course, f"{recording.path}, {COURSE_FILE}")
 
 
-def attached_settings(recording: Recording, name: str = CONFIG_FILE) -> dict[str, Any]:
+def attached_settings(recording: Recording) -> dict[str, Any]:
     """Read a driver's settings as they are; {} if there are none. Raises FileError and ConfigError."""
-    if name not in recording.attachments:
+    if CONFIG_FILE not in recording.attachments:
         return {}
-    settings = read_yaml(attached_text(recording, name), f"{recording.path}, {name}")
+    settings = read_yaml(attached_text(recording, CONFIG_FILE), f"{recording.path}, {CONFIG_FILE}")
     return settings if isinstance(settings, dict) else {}
 
 

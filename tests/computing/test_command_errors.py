@@ -15,7 +15,7 @@ BASE = "--base tcp/127.0.0.1:1"
 SHORT = DATA / "short_course.yaml"
 OUTPUTS = [
     f"deploy {ROBOT} --record drive.mcap",
-    "identify drive.mcap --out poses.yaml",
+    f"identify {ROBOT} --out poses.yaml",
     "recover drive.mcap --out file",
     "report drive.mcap --out notes",
     "course check parking --out notes.png",
@@ -30,7 +30,7 @@ OPTIONS = [
     "train --resume",
     "train --cluster tcp://127.0.0.1:9 --processes 2",
     "train --rollouts 3",
-    f"identify drive.mcap {ROBOT}",
+    "identify",
     f"check {ROBOT}",
     "mock --ros2 --model turtlebot4 --gyro",
     "course check parking --out x.pdf",

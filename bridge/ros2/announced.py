@@ -48,11 +48,10 @@ class AnnouncedTopics:
     def found_instead(self, topic: str, wanted: str) -> str:
         """Return in words what is announced in place of a topic on which nothing comes."""
         where = self._name(topic)
-        types = {found.ros_type for found in self._tokens if self.publishes(found, topic)} - {wanted}
         elsewhere = {found.topic for found in self._tokens if found.published and found.ros_type == wanted}
         words = f"no message on {where}"
-        if types:
-            return f"{words}: it has the type {_listed(types)}, expected {wanted}"
+        if problem := self.type_problem(topic, wanted):
+            return f"{words}: {problem}"
         if elsewhere - {where}:
             return f"{words}: {wanted} is published on {_listed(elsewhere - {where})}"
         return f"{words}, expected {wanted}"
@@ -63,12 +62,13 @@ class AnnouncedTopics:
         known = f"published there: {_listed(published)}" if published else "no topic is announced there"
         return f"no {ODOMETRY} arrives on {self._name(topic)}; {known}"
 
-    def odometry_type(self, topic: str) -> str:
-        """Return in words that a topic of odometry has another type; "" if none is announced."""
+    def type_problem(self, topic: str, wanted: str) -> str:
+        """Return in words that a topic is published with another type alone; "" if it is not."""
         types = {found.ros_type for found in self._tokens if self.publishes(found, topic)}
-        if types <= {ODOMETRY}:
+        if not types or wanted in types:
             return ""
-        return f"{self._name(topic)} has the type {_listed(types)}, expected {ODOMETRY}"
+        todo = "name a topic of that type in the description"
+        return f"it has the type {_listed(types)}, expected {wanted}: {todo}"
 
 
 def _listed(names: set[str]) -> str:

@@ -46,6 +46,7 @@ from rover_ncp.wire.header import header_of
 from rover_ncp.wire.messages import (
     BUMP,
     CLIFF,
+    ODOMETRY,
     STALL,
     TWIST,
     TWIST_STAMPED,
@@ -113,9 +114,11 @@ class Ros2Base:
         self._hazard_types = {found.topic: kind for found, kind in hazard_topics(self._topics)}
         self._unused = UnusedMessages(line.topic)
         topics = self._topics
-        known = [*sensor_topics(topics), *self._hazard_types.items()]
+        self._types = dict(sensor_topics(topics)) | self._hazard_types
         # Odometry has words of its own, and a dock may report seldom.
-        self._unheard = {name: kind for name, kind in known if name not in {topics.odom, topics.docked}}
+        self._unheard = {
+            name: kind for name, kind in self._types.items() if name not in {topics.odom, topics.docked}
+        }
         """Topics on which no message came, and their types."""
         self._turns = GyroTurns()
         self._room = ScanRoom(description) if self._topics.scan is not None else None
@@ -210,6 +213,11 @@ class Ros2Base:
     def _take(self, topic: str, message: RobotMessage) -> list[BaseEvent]:
         """Take a message of another topic than odometry. Raises FormatError for one that cannot be used."""
         now = message.arrived_s
+        # A message of another type may be read as one of the described type. Both types of poses can be read.
+        wanted = "" if topic == self._topics.pose else self._types.get(topic, "")
+        if wanted and (problem := self._announced.type_problem(topic, wanted)):
+            self._hazards.reject(topic, problem)
+            raise FormatError(problem)
         if topic == self._topics.cmd_vel:
             self._other_command(message)
         elif topic == self._topics.imu:
@@ -327,8 +335,8 @@ class Ros2Base:
 
     def _no_odometry(self, where: str, now: float) -> str:
         topic = self._topics.odom
-        if words := self._announced.odometry_type(topic):
-            return words
+        if words := self._announced.type_problem(topic, ODOMETRY):
+            return f"{where}: {words}"
         rate = self._odometer.rate_hz(now)
         if rate > 0:
             least = f"expected {MIN_IN_RATE / RATE_S:g} or more, evenly"

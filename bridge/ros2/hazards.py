@@ -26,7 +26,7 @@ class Hazards:
         """When the newest message of each publisher came that still counts; None: the form names none."""
         self._pressed_s = -math.inf
         self._unreadable: dict[str, str] = {}
-        """Topics whose last message cannot be read, and why not."""
+        """Topics whose last message cannot be used, and why not."""
         self._pressed, self._was_pressed = False, False
         self._present, self._were_present = frozenset[int](), frozenset[int]()
 
@@ -39,7 +39,7 @@ class Hazards:
                 self._present = read_hazards(payload)
                 self._were_present |= self._present
         except FormatError as error:
-            self._unreadable[topic] = str(error)
+            self.reject(topic, str(error))
             raise
         self._unreadable.pop(topic, None)
         sources, found = self._sources[topic], self.topics[topic]
@@ -47,6 +47,10 @@ class Hazards:
         if not found.latched:
             for other in [each for each, heard_s in sources.items() if now - heard_s > found.max_silence_s]:
                 del sources[other]
+
+    def reject(self, topic: str, problem: str) -> None:
+        """Note why a message cannot be used."""
+        self._unreadable[topic] = problem
 
     def _press(self, pressed: bool, now: float) -> None:
         """Take a stop button; a periodic one is released after three periods without a message of a press.
@@ -80,7 +84,7 @@ class Hazards:
         sources = self._sources[found.topic]
         heard_s = max(sources.values(), default=-math.inf)
         if found.topic in self._unreadable:
-            return f"a message cannot be read: {self._unreadable[found.topic]}"
+            return f"a message cannot be used: {self._unreadable[found.topic]}"
         if len(publishers) > 1 or len(sources) > 1:
             names = ", ".join(sorted({each.who for each in publishers})[:MAX_NAMES]) or "none is announced"
             return f"it has {max(len(publishers), len(sources))} publishers ({names}), expected one"

@@ -54,6 +54,9 @@ MAX_BYTES = 1 << 26
 WAIT_S, POLL_S = 5.0, 0.05
 """Longest wait for camera_info and tf_static."""
 IMAGE_TOPIC = "camera/image_raw"
+NAME_ANOTHER = (
+    "name a topic of images by '#image=TOPIC' (on the robot, 'ros2 topic list -t' has topics and types)"
+)
 
 
 class RosCamera(LiveCamera):
@@ -62,7 +65,7 @@ class RosCamera(LiveCamera):
     def __init__(self, source: str, left_out: Counter[str]) -> None:
         super().__init__(source, left_out)
         where = RosSource.parse(source, "image", IMAGE_TOPIC)
-        self._type = image_type(where.topic)
+        self._problem = f"no message on '{where.topic}': {NAME_ANOTHER}"
         self._session = where.open()
         self._held = self._session.declare_subscriber(where.key(where.topic), self._take)
 
@@ -72,24 +75,28 @@ class RosCamera(LiveCamera):
 
     def _take(self, sample: zenoh.Sample) -> None:
         wall_ns, data = time.time_ns(), sample.payload.to_bytes()
-        moment_ns = self.moment_ns(header_stamp_ns(self._type, data) or None, wall_ns)
+        moment_ns = self.moment_ns(header_stamp_ns(IMAGE, data) or None, wall_ns)
         if moment_ns is not None:
-            self.newest.put(partial(read_image, self._type, data, moment_ns))
+            self.newest.put(partial(read_image, data, moment_ns))
 
 
-def image_type(topic: str) -> str:
-    """Return the type of an image topic, which image_transport names by it."""
-    return COMPRESSED if topic.endswith("/compressed") else IMAGE
-
-
-def read_image(ros_type: str, data: bytes, wall_ns: int) -> Picture:
-    """Decode an Image or a CompressedImage. Raises ValueError."""
+def read_image(data: bytes, wall_ns: int) -> Picture:
+    """Decode an Image or a CompressedImage, whatever its topic's name says. Raises ValueError."""
+    with contextlib.suppress(FormatError):
+        return _read_raw(decode(IMAGE, data, MAX_BYTES), wall_ns)
     try:
-        message = decode(ros_type, data, MAX_BYTES)
+        message = decode(COMPRESSED, data, MAX_BYTES)
     except FormatError as error:
-        raise ValueError(str(error)) from error
-    if ros_type == COMPRESSED:
+        found = f"a message of {len(data)} bytes is neither {IMAGE} nor {COMPRESSED}"
+        raise ValueError(f"{found}: {NAME_ANOTHER}") from error
+    try:
         return decode_picture(message.data.tobytes(), wall_ns)
+    except ValueError as error:
+        found = f"a CompressedImage with the format {message.format[:40]!r}"
+        raise ValueError(f"{error} ({found}, expected JPEG or PNG of a colour or grey camera)") from error
+
+
+def _read_raw(message: Any, wall_ns: int) -> Picture:
     if message.encoding not in {*LEVELS, *COLOURS}:
         expected = ", ".join([*LEVELS, *COLOURS])
         raise ValueError(f"an image with the encoding {message.encoding[:40]!r}, expected {expected}")

@@ -40,7 +40,7 @@ def test_a_husky_parks_in_a_namespace_by_best_effort_odometry_at_200_hz_and_a_cl
         (
             "",
             ["--odom-type", "geometry_msgs/msg/PoseStamped"],
-            "odom has the type geometry_msgs/msg/PoseStamped",
+            "odom: it has the type geometry_msgs/msg/PoseStamped",
         ),
         ("", ["--frames", "map", "base"], "odometry is of map → base, expected odom → base_link"),
     ],

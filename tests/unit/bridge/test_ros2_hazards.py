@@ -12,6 +12,7 @@ from rover_ncp.robot.topics import HazardTopic
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import BATTERY_STATE, BOOL, IMU, hazards
 
+UINT8 = "std_msgs/msg/UInt8"
 LATCHED = {"topic": "stop", "latched": True}
 
 
@@ -71,7 +72,7 @@ def test_each_topic_must_be_heard_and_readable():
     assert "no message on hazard_detection" in str(world.base.health().unheard)
     assert "no message on stop" not in str(world.base.health().unheard)
     world.hear("hazard_detection", hazards((1, 3), 0)[:-3])
-    assert unknown(world).startswith("hazard_detection: a message cannot be read: ")
+    assert unknown(world).startswith("hazard_detection: a message cannot be used: ")
     world.hear("hazard_detection", hazards((), 0))
     assert unknown(world) == ""
 
@@ -135,6 +136,14 @@ def test_with_two_publishers_of_a_stop_nothing_is_known(stop):
     assert unknown(world) == ""
     world.hear("stop", encode(BOOL, data=False), b"stranger")  # without a token
     assert unknown(world) == two
+
+
+@pytest.mark.parametrize("stop", ["stop", LATCHED])
+def test_a_stop_of_another_type_that_can_be_read_as_the_described_one_does_not_count(stop):
+    world = world_of(stop=stop)
+    world.tell(publisher(True, ros_type=UINT8))
+    world.hear("stop", encode(UINT8, data=0))
+    assert f"it has the type {UINT8}, expected {BOOL}" in unknown(world)
 
 
 def test_a_topic_is_periodic_or_latched():

@@ -7,7 +7,7 @@ import zlib
 import cv2
 import numpy as np
 import pytest
-from kit.tags import CAMERA, HEADER, INFO, LENS, MAST, PICTURE, image, transform
+from kit.tags import CAMERA, HEADER, INFO, LENS, MAST, PICTURE, compressed_image, image, transform
 from scipy.spatial.transform import Rotation
 
 from deploy.tag.locate import OPTICAL
@@ -37,7 +37,7 @@ def test_image_of_each_encoding_becomes_grey(encoding, order, padding):
     row = np.array([levels[each] for each in order] * 4 + [7] * padding, np.uint8)
     data = np.tile(row, 3)
     message = encode(IMAGE, encoding=encoding, height=3, width=4, step=len(row), data=data)
-    found = read_image(IMAGE, message, 7)
+    found = read_image(message, 7)
     assert (found.grey.shape, found.wall_ns) == ((3, 4), 7)
     assert found.grey == pytest.approx(60, abs=1)
 
@@ -46,7 +46,12 @@ def test_bayer_pattern_begins_with_its_first_colour():
     red = np.zeros((8, 8), np.uint8)
     red[::2, ::2] = 200
     message = encode(IMAGE, encoding="bayer_rggb8", height=8, width=8, step=8, data=red.ravel())
-    assert read_image(IMAGE, message, 0).grey[3:5, 3:5] == pytest.approx(60, abs=2)
+    assert read_image(message, 0).grey[3:5, 3:5] == pytest.approx(60, abs=2)
+
+
+def test_compressed_image_is_read_on_a_topic_of_any_name():
+    grey = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    assert (read_image(compressed_image(grey), 0).grey == grey).all()
 
 
 def too_large():
@@ -66,24 +71,24 @@ def too_large():
 
 
 @pytest.mark.parametrize(
-    ("ros_type", "data", "words"),
+    ("data", "words"),
     [
-        (IMAGE, image(np.zeros((2, 2), np.uint8), "mono16"), "'mono16', expected mono8, .*rgb8"),
-        (IMAGE, encode(IMAGE, encoding="mono8", height=4, width=4, step=4), "4 × 4 pixels has 0 bytes"),
-        (IMAGE, encode(IMAGE, encoding="mono8", height=0, width=0, step=0), "0 × 0 pixels"),
-        (IMAGE, b"short", "not sensor_msgs/msg/Image"),
+        (image(np.zeros((2, 2), np.uint8), "mono16"), "'mono16', expected mono8, .*rgb8"),
+        (encode(IMAGE, encoding="mono8", height=4, width=4, step=4), "4 × 4 pixels has 0 bytes"),
+        (encode(IMAGE, encoding="mono8", height=0, width=0, step=0), "0 × 0 pixels"),
+        (b"short", "a message of 5 bytes is neither sensor_msgs/msg/Image nor .*CompressedImage"),
+        (INFO, f"a message of {len(INFO)} bytes is neither"),
         (
-            COMPRESSED,
             encode(COMPRESSED, format="h264", data=np.ones(9, np.uint8)),
-            "neither a JPEG nor a PNG",
+            r"neither a JPEG nor a PNG \(a CompressedImage with the format 'h264', expected JPEG or PNG",
         ),
-        (COMPRESSED, encode(COMPRESSED, format="jpeg"), "neither a JPEG nor a PNG"),
-        (COMPRESSED, encode(COMPRESSED, format="png", data=too_large()), "more than 50000000 pixels"),
+        (encode(COMPRESSED, format="jpeg"), "neither a JPEG nor a PNG"),
+        (encode(COMPRESSED, format="png", data=too_large()), "more than 50000000 pixels"),
     ],
 )
-def test_message_that_is_no_picture_says_why(ros_type, data, words):
+def test_message_that_is_no_picture_says_why(data, words):
     with pytest.raises(ValueError, match=words):
-        read_image(ros_type, data, 0)
+        read_image(data, 0)
 
 
 def test_camera_of_ros_has_its_intrinsics_and_its_mount_by_the_frames_up_to_the_base():

@@ -164,6 +164,14 @@ dist: $(RELEASE_STAMP) ## Wheel and sdist in dist, and the bill of materials of 
 			--output-file build/sbom/$$(basename $$lock .txt).cdx.json $$lock || exit 1; \
 	done
 
+.PHONY: sanitize
+sanitize: $(STAMP) ## The native library's tests under AddressSanitizer and UndefinedBehaviorSanitizer. Needs g++.
+	$(BIN)/python hatch_build.py --sanitized build/sanitized
+	LD_PRELOAD="$$(c++ -print-file-name=libasan.so) $$(c++ -print-file-name=libubsan.so)" \
+		ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 SANITIZED=build/sanitized \
+		$(BIN)/pytest -q tests/unit/test_native.py tests/unit/circuit/test_solver.py tests/unit/learn/test_evaluator.py \
+		tests/unit/search/test_descent.py
+
 .PHONY: coverage-gate
 coverage-gate: $(STAMP) ## The gate's own tests must run every line and branch of it.
 	$(BIN)/coverage run --branch --include='bridge/gate/*.py' --data-file=.coverage-gate \
@@ -206,7 +214,7 @@ nightly-cpu:
 	nice -n 19 $(MAKE) mutate
 	nice -n 19 $(MAKE) fuzz
 
-$(STAMP): pyproject.toml constraints.txt
+$(STAMP): pyproject.toml constraints.txt hatch_build.py $(wildcard rover_ncp/native/*.cpp rover_ncp/native/*.h)
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "rover-ncp needs Python 3.11 to 3.13, found %d.%d; run make PYTHON=..." % v)'
 	$(MAKE_VENV) $(VENV)
 	$(INSTALL) $(DEV)

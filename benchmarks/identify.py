@@ -58,7 +58,7 @@ def main() -> None:
     options.add_argument("--processes", type=int, default=2)
     chosen = options.parse_args()
     study = partial(_study, chosen.randomize, chosen.seed, not chosen.odometry_only)
-    # Spawned, never forked: numba and cffi do not survive a fork.
+    # Spawned, never forked: cffi does not survive a fork.
     with ProcessPoolExecutor(chosen.processes, multiprocessing.get_context("spawn")) as pool:
         found = list(track(pool.map(study, range(chosen.robots)), "robots", total=chosen.robots))
     print("\n".join(table(found)))

@@ -55,9 +55,7 @@ No output delays a command on which a rover depends (`bridge`, `mock`, `deploy`,
 `check`, `watch`, `tag run`). Text that its reader does not take is dropped beyond 1,000 lines, and the number
 of dropped lines is reported.
 
-No command imports Python files of the current folder, except the module of a policy `module:name`. Compiled
-kernels are kept in `~/.cache/rover-ncp-UID`, or in the folder that `NUMBA_CACHE_DIR` names; it may be deleted
-at any time.
+No command imports Python files of the current folder, except the module of a policy `module:name`.
 """
 """What holds for all commands."""
 MODELS: dict[str, tuple[str, type[BaseModel]]] = {

@@ -1,6 +1,6 @@
 """Whole episodes of a benchmark, by circuits and networks, in a library that is compiled from ``native.c``.
 
-The result of an episode depends neither on its lane nor on the others. Circuits tick in their own kernel.
+The result of an episode depends neither on its lane nor on the others. Circuits tick in rover_ncp's library.
 """
 
 import ctypes
@@ -10,19 +10,16 @@ import tempfile
 from ctypes import c_bool, c_double, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from paper.tasks import PLANTS, Benchmark, Net, Vector, rng_of
 from rover_ncp.circuit.circuit import RESTING_MV
-from rover_ncp.circuit.compiled import allocate_lanes, fill_lane, make_program, resting_potentials
+from rover_ncp.circuit.compiled import make_circuits
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.solver import tick_lanes
 from rover_ncp.core.errors import UsageError
-from rover_ncp.kernels.jit import kernel
-from sim.world.chipmunk import call_with_thing
+from rover_ncp.native.core import bound_tick, required
 
 LANES = 8
 SOURCE = Path(__file__).with_name("native.c")
@@ -50,6 +47,15 @@ class Episodes(ctypes.Structure):
         *((name, c_int64 * LANES) for name in ("episode", "tick")),
         ("fresh", c_bool * LANES),
         ("mujoco", _Mujoco),
+    )
+
+
+class _Circuits(ctypes.Structure):
+    _fields_ = (
+        *((name, c_void_p) for name in ("fill", "tick", "circuits", "observations", "commands")),
+        *((name, c_int64) for name in ("size", "neurons")),
+        *((name, c_void_p) for name in ("vectors", "potentials")),
+        ("rest", c_double),
     )
 
 
@@ -81,29 +87,6 @@ def library() -> ctypes.CDLL:
                 raise UsageError(f"{SOURCE}: cc cannot compile it: {error.stderr}") from error
             made.replace(path)
     return ctypes.CDLL(str(path))
-
-
-@kernel
-def run_circuits(
-    circuits: Any,
-    io: tuple[Vector, Vector],
-    vectors: Vector,
-    native: tuple[int, int, int],
-    started: NDArray[np.int64],
-) -> None:
-    """Run all episodes with circuits; ``native`` has the addresses of step_episodes and of its arguments."""
-    program, lanes, potentials = circuits
-    step, episodes, began = native
-    while True:
-        call_with_thing(step, episodes, began)
-        if started[0] < 0:
-            return
-        for i in range(started[0]):
-            lane = started[1 + 2 * i]
-            fill_lane(program, lanes, lane, vectors[started[2 + 2 * i]])
-            for neuron in range(len(potentials)):
-                potentials[neuron, lane] = RESTING_MV
-        tick_lanes(program, lanes, potentials, io[0], io[1])
 
 
 class MujocoPool:
@@ -193,8 +176,7 @@ class Evaluator:
         self.task, self.agent, self.steps = task, agent, 0
         if isinstance(agent, Policy):
             inputs, outputs, own = len(agent.sensing.inputs), len(agent.motors.outputs), task.warm_up
-            program = make_program(agent)
-            self._circuits = program, allocate_lanes(program, agent, LANES), resting_potentials(agent, LANES)
+            self._circuits = make_circuits(agent, LANES)
         else:
             inputs, outputs, own = agent.inputs, agent.outputs, 0
             sizes = (agent.layout().size, agent.cells, agent.cells, agent.gates * agent.cells)
@@ -215,9 +197,18 @@ class Evaluator:
         rows, lanes = np.ascontiguousarray(vectors, np.float64), self.lanes
         results = lanes.queue(self.starts(seeds))
         if isinstance(self.agent, Policy):
-            step = ctypes.cast(library().step_episodes, c_void_p).value
-            native = (step, ctypes.addressof(lanes.episodes), lanes.started.ctypes.data)
-            run_circuits(self._circuits, (lanes.observations, lanes.commands), rows, native, lanes.started)
+            tick = bound_tick(self._circuits, lanes.observations, lanes.commands)
+            circuits = _Circuits(
+                ctypes.cast(required().rover_ncp_fill_lanes, c_void_p),
+                ctypes.cast(required().rover_ncp_tick_lanes, c_void_p),
+                *(structure.address for structure in tick.args),
+                rows.shape[1],
+                self.agent.circuit.size,
+                rows.ctypes.data,
+                self._circuits.potentials.ctypes.data,
+                RESTING_MV,
+            )
+            library().run_circuits(ctypes.byref(lanes.episodes), ctypes.byref(circuits))
         else:
             work = [array.ctypes.data for array in (rows, *self._work)]
             networks = _Networks(self.agent.gates, self.agent.cells, rows.shape[1], *work)

@@ -34,6 +34,20 @@ typedef struct {
     Mujoco mujoco;
 } Episodes;
 
+typedef struct { /* a C-contiguous array */
+    double *data;
+    int64_t rows, columns;
+} Rows;
+
+typedef struct { /* circuits; rover_ncp's native library has the functions, and reads the structures */
+    void (*fill)(const void *circuits, const Rows *vectors, int64_t first_lane);
+    void (*tick)(const void *circuits, const void *observations, const void *commands);
+    const void *circuits, *observations, *commands;
+    int64_t size, neurons;
+    double *vectors, *potentials; /* (episodes, size), (neurons, LANES) */
+    double rest;
+} Circuits;
+
 typedef struct { /* networks with a perceptron's one sum or an LSTM's four for each cell */
     int64_t gates, cells, size;
     double *vectors; /* (episodes, size): of each sum the weights of inputs, of an LSTM's cells, bias; then outputs */
@@ -268,6 +282,20 @@ tick_networks(const Networks *n, int64_t inputs, int64_t outputs, const double *
             for (int lane = 0; lane < LANES; lane++) z[lane] += weight[lane] * n->hidden[i * LANES + lane];
         for (int lane = 0; lane < LANES; lane++)
             commands[o * LANES + lane] = z[lane] < -1.0 ? -1.0 : z[lane] > 1.0 ? 1.0 : z[lane];
+    }
+}
+
+/* Run all episodes with circuits. */
+void run_circuits(Episodes *e, Circuits *c) {
+    int64_t started[1 + 2 * LANES];
+    for (step_episodes(e, started); started[0] >= 0; step_episodes(e, started)) {
+        for (int64_t s = 0; s < started[0]; s++) {
+            const int64_t lane = started[1 + 2 * s], episode = started[2 + 2 * s];
+            const Rows vector = {c->vectors + episode * c->size, 1, c->size};
+            c->fill(c->circuits, &vector, lane);
+            for (int64_t i = 0; i < c->neurons; i++) c->potentials[i * LANES + lane] = c->rest;
+        }
+        c->tick(c->circuits, c->observations, c->commands);
     }
 }
 

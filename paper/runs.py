@@ -360,7 +360,7 @@ def make_runs(
         raise UsageError("ppo and a2c need stable-baselines3: make paper-gradients installs it")
     library()
     count = min(processes or os.cpu_count() or 1, len(names))
-    # Spawned, never forked: numba does not survive a fork.
+    # Spawned, never forked: cffi does not survive a fork.
     with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), end_with_parent) as workers:
         try:
             for run in as_completed([workers.submit(train_run, name) for name in names]):

@@ -3,7 +3,7 @@
 import sys
 
 if not sys.flags.safe_path:
-    # The current folder, which may hold a sim/ or a numba.py of the user's own.
+    # The current folder, which may hold a sim/ or a scipy.py of the user's own.
     del sys.path[0]
 
 from rover_ncp.cli import main

@@ -37,7 +37,7 @@ EXIT_CODES = {
 
 # Which extra brings a library that a command found missing.
 _EXTRAS = {
-    **dict.fromkeys(("numba", "llvmlite", "filterpy", "scipy", "matplotlib", "cryptography"), "drive"),
+    **dict.fromkeys(("filterpy", "scipy", "matplotlib", "cryptography"), "drive"),
     **dict.fromkeys(
         ("jinja2", "markupsafe", "plotly", "anyio", "starlette", "uvicorn", "websockets"), "drive"
     ),
@@ -212,7 +212,7 @@ def _prefer_own_packages() -> list[str]:
 def main() -> int:
     """Run the command line of this process, and return its exit code."""
     # Python would put the current folder in front of all packages in each child, and a user's folder may hold
-    # a sim/ or a numba.py of its own.
+    # a sim/ or a scipy.py of its own.
     os.environ["PYTHONSAFEPATH"] = "1"
     # Read by numpy and scipy when they are loaded. For matrices as small as ours BLAS's threads only wait for
     # each other: on a busy machine planning a course took fifty times as long with two.

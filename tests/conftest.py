@@ -4,15 +4,22 @@ import json
 import logging
 import os
 import signal
+from pathlib import Path
 
 import pytest
 from hypothesis import Phase, settings
 
 from rover_ncp import cli
+from rover_ncp.native import core
 
 # Two processes test on two cores: threads for matrices as small as ours would only wait for each other, fifty
 # times as long as the work takes. Read by numpy and scipy when they are loaded, also by what the tests start.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# `make sanitize`: the native library in this folder, which has no variants for wider registers.
+if "SANITIZED" in os.environ:
+    core._FOLDER = Path(os.environ["SANITIZED"])
+    core.widest = lambda: 0
 
 # A shell that starts the tests in the background has them ignore Ctrl-C, nohup a hang-up, and so would every
 # process that they start and then interrupt.

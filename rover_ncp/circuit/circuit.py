@@ -1,6 +1,6 @@
 """A circuit of graded neurons and synapses, its parameters and the bounds they may take.
 
-The model is that of Hasani et al. (ICRA 2020), supplement eq. 1-6; ``solver.py`` computes its steps.
+The model is that of Hasani et al. (ICRA 2020), supplement eq. 1-6; ``reference.py`` computes its steps.
 Potentials are in mV, conductances in S, capacitances in F, sigma in 1/mV.
 
 A gap junction is a physical, symmetric connection in the paper. Here, as in the published code, one synapse

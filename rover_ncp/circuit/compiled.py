@@ -1,17 +1,15 @@
 """From a policy to what the solver runs: its structure once, its numbers once per lane.
 
-A user of many lanes makes the program, allocates lanes for the most it will ever run together, sets them
-to parameter vectors and ticks them, all of it from Python or from a kernel of its own:
+Many circuits of one wiring run side by side, each in a lane of its own:
 
-    program = make_program(policy)
-    lanes = allocate_lanes(program, policy, 16)
-    fill_lane(program, lanes, 3, vector)                              # (P,)
-    potentials = resting_potentials(policy, 16)                       # (n, 16)
-    tick_lanes(program, lanes, potentials, observations, commands)    # (inputs, 16), (outputs, 16)
+    circuits = make_circuits(policy, 16)
+    fill_lanes(circuits, vectors, first=3)                  # (k, P)
+    tick = bound_tick(circuits, observations, commands)     # (inputs, 16), (outputs, 16)
+    tick()
 """
 
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,33 +18,41 @@ from rover_ncp.circuit.circuit import RESTING_MV, Circuit, FloatArray, IntArray,
 from rover_ncp.circuit.motors import MotorMap
 from rover_ncp.circuit.policy import ParameterLayout, Policy
 from rover_ncp.circuit.sensing import SensorMap
-from rover_ncp.kernels.jit import kernel
-from rover_ncp.kernels.vectors import WIDTH, RowArray, aligned_zeros
+from rover_ncp.native.core import WIDTH, Axes, aligned_zeros, fill_lanes
 
 LOG2_E = 1.4426950408889634
+MAX_LANES = 4096
+"""Of one thread; more only fill the memory."""
 
 
 class Integrated(NamedTuple):
     """The d neurons that the solver integrates, all but sensory and held ones. ``*_at``: indices in the
     parameter vector."""
 
-    neuron: IntArray
-    leak_potential_at: IntArray
-    leak_at: IntArray
-    capacitance_at: IntArray
+    neuron: Annotated[IntArray, Axes("integrated", below="neurons")]
+    leak_potential_at: Annotated[IntArray, Axes("integrated", below="parameters")]
+    leak_at: Annotated[IntArray, Axes("integrated", below="parameters")]
+    capacitance_at: Annotated[IntArray, Axes("integrated", below="parameters")]
 
 
 class Synapses(NamedTuple):
-    """Chemical synapses or gap junctions by destination, the inhibitory ones of a neuron last."""
+    """Chemical synapses by destination, the inhibitory ones of a neuron last."""
 
-    source: IntArray
-    weight_at: IntArray
-    sigma_at: IntArray
-    """Of chemical ones; (0,) for gap junctions."""
-    first: RowArray
-    """(d + 1,) where the synapses of each integrated neuron begin; the next entry is where they end."""
-    first_inhibitory: RowArray
-    """(d,) where its inhibitory ones begin."""
+    source: Annotated[IntArray, Axes(".synapses", below="neurons")]
+    weight_at: Annotated[IntArray, Axes(".synapses", below="parameters")]
+    sigma_at: Annotated[IntArray, Axes(".synapses", below="parameters")]
+    first: Annotated[IntArray, Axes("integrated+1", below=".synapses+1")]
+    """Where the synapses of each integrated neuron begin; the next entry is where they end."""
+    first_inhibitory: Annotated[IntArray, Axes("integrated", below=".synapses+1")]
+    """Where its inhibitory ones begin."""
+
+
+class GapJunctions(NamedTuple):
+    """Gap junctions by destination."""
+
+    source: Annotated[IntArray, Axes(".junctions", below="neurons")]
+    weight_at: Annotated[IntArray, Axes(".junctions", below="parameters")]
+    first: Annotated[IntArray, Axes("integrated+1", below=".junctions+1")]
 
 
 class Program(NamedTuple):
@@ -61,52 +67,59 @@ class Program(NamedTuple):
     integrated: Integrated
     input_synapses: Synapses
     recurrent_synapses: Synapses
-    input_gaps: Synapses
-    recurrent_gaps: Synapses
+    input_gaps: GapJunctions
+    recurrent_gaps: GapJunctions
     motors: MotorMap
     motor_low: float
     motor_scale: float
     """1 / (high - low) of the motors, 1/mV."""
-    input_layer_at: IntArray
-    output_layer_at: IntArray
-    """(channels, inputs) and (outputs, channels): indices in the vector; without a layer of shape (0, 0)."""
-    input_range: FloatArray
-    """(inputs,) what a layer's inputs are divided by."""
-    output_limit: FloatArray
-    """(outputs,) what a layer's outputs are parts of; of shape (0,) without limits."""
+    input_layer_at: Annotated[IntArray, Axes("channels?", "inputs?", below="parameters")]
+    output_layer_at: Annotated[IntArray, Axes("outputs?", "motor_channels?", below="parameters")]
+    """Indices in the parameter vector; without a layer of shape (0, 0)."""
+    input_range: Annotated[FloatArray, Axes("inputs")]
+    """What a layer's inputs are divided by."""
+    output_limit: Annotated[FloatArray, Axes("outputs?")]
+    """What a layer's outputs are parts of; of shape (0,) without limits."""
 
 
 class LaneParameters(NamedTuple):
     """The numbers of all lanes, and work arrays: for one thread at a time.
 
-    B blocks of WIDTH lanes. The contents of spare lanes in the last block are not used.
+    Lanes are in blocks of ``WIDTH``. The contents of spare lanes in the last block are not used.
     """
 
-    input_weight: FloatArray
-    input_slope: FloatArray
-    recurrent_weight: FloatArray
-    recurrent_slope: FloatArray
-    """(B, synapses, WIDTH) each; a slope is -sigma log2 e."""
-    input_gap: FloatArray
-    recurrent_gap: FloatArray
-    """(B, junctions, WIDTH) each."""
-    rate: FloatArray
-    leak_current: FloatArray
-    conductance: FloatArray
-    """(B, d, WIDTH) each: C / dt; G E_L; and C / dt + G + the sum of gap junctions."""
-    input_layer: FloatArray
-    output_layer: FloatArray
-    """(B, channels * inputs, WIDTH) and (B, outputs * channels, WIDTH)."""
-    potential: FloatArray
-    """(1, n, WIDTH) the block at work, mV."""
-    current: FloatArray
-    total: FloatArray
-    next_potential: FloatArray
-    """(1, d, WIDTH) each: current and conductance that are constant over a tick, and the next potentials."""
-    divisor: FloatArray
-    """(1, recurrent synapses, WIDTH) what their weights are divided by."""
-    channel: FloatArray
-    """(1, sensory or motor channels, WIDTH)."""
+    input_weight: Annotated[FloatArray, Axes("blocks", "input_synapses.synapses", WIDTH)]
+    input_slope: Annotated[FloatArray, Axes("blocks", "input_synapses.synapses", WIDTH)]
+    recurrent_weight: Annotated[FloatArray, Axes("blocks", "recurrent_synapses.synapses", WIDTH)]
+    recurrent_slope: Annotated[FloatArray, Axes("blocks", "recurrent_synapses.synapses", WIDTH)]
+    """A slope is -sigma log2 e."""
+    input_gap: Annotated[FloatArray, Axes("blocks", "input_gaps.junctions", WIDTH)]
+    recurrent_gap: Annotated[FloatArray, Axes("blocks", "recurrent_gaps.junctions", WIDTH)]
+    rate: Annotated[FloatArray, Axes("blocks", "integrated", WIDTH)]
+    leak_current: Annotated[FloatArray, Axes("blocks", "integrated", WIDTH)]
+    conductance: Annotated[FloatArray, Axes("blocks", "integrated", WIDTH)]
+    """C / dt; G E_L; and C / dt + G + the sum of gap junctions."""
+    input_layer: Annotated[FloatArray, Axes("blocks", "channels*inputs", WIDTH)]
+    output_layer: Annotated[FloatArray, Axes("blocks", "outputs*motor_channels", WIDTH)]
+    """The entries of the layers, row by row; none without a layer."""
+    potential: Annotated[FloatArray, Axes(1, "neurons", WIDTH)]
+    """mV, of the block at work."""
+    current: Annotated[FloatArray, Axes(1, "integrated", WIDTH)]
+    total: Annotated[FloatArray, Axes(1, "integrated", WIDTH)]
+    next_potential: Annotated[FloatArray, Axes(1, "integrated", WIDTH)]
+    """Current and conductance that are constant over a tick, and the next potentials."""
+    divisor: Annotated[FloatArray, Axes(1, "recurrent_synapses.synapses", WIDTH)]
+    """What the weights of recurrent synapses are divided by."""
+    channel: Annotated[FloatArray, Axes(1, "motor_channels", WIDTH)]
+
+
+class Circuits(NamedTuple):
+    """Circuits of one wiring, one in each lane."""
+
+    program: Program
+    parameters: LaneParameters
+    potentials: Annotated[FloatArray, Axes("neurons", "lanes")]
+    """mV."""
 
 
 def make_program(policy: Policy) -> Program:
@@ -137,8 +150,8 @@ def make_program(policy: Policy) -> Program:
         ),
         input_synapses=_synapses(circuit, layout, integrated, live & chemical & from_sensory),
         recurrent_synapses=_synapses(circuit, layout, integrated, live & chemical & ~from_sensory),
-        input_gaps=_synapses(circuit, layout, integrated, live & ~chemical & from_sensory),
-        recurrent_gaps=_synapses(circuit, layout, integrated, live & ~chemical & ~from_sensory),
+        input_gaps=_gap_junctions(circuit, integrated, live & ~chemical & from_sensory),
+        recurrent_gaps=_gap_junctions(circuit, integrated, live & ~chemical & ~from_sensory),
         motors=policy.motors.map_from(circuit),
         motor_low=policy.motors.low_mV,
         motor_scale=1.0 / (policy.motors.high_mV - policy.motors.low_mV),
@@ -152,10 +165,12 @@ def make_program(policy: Policy) -> Program:
 def dead_parameters(policy: Policy) -> NDArray[np.bool_]:
     """Return which parameters (P,) have no effect on the outputs: those of sensory neurons, mostly."""
     program = make_program(policy)
-    groups = program.input_synapses, program.recurrent_synapses, program.input_gaps, program.recurrent_gaps
+    chemical = program.input_synapses, program.recurrent_synapses
     read = [
         *program.integrated[1:],
-        *(places for synapses in groups for places in (synapses.weight_at, synapses.sigma_at)),
+        *(places for synapses in chemical for places in (synapses.weight_at, synapses.sigma_at)),
+        program.input_gaps.weight_at,
+        program.recurrent_gaps.weight_at,
         program.input_layer_at.ravel(),
         program.output_layer_at.ravel(),
     ]
@@ -164,92 +179,44 @@ def dead_parameters(policy: Policy) -> NDArray[np.bool_]:
     return dead
 
 
-def allocate_lanes(program: Program, policy: Policy, count: int) -> LaneParameters:
-    """Return ``count`` lanes with the policy's own parameters, to be set to others by ``fill_lane``.
+def make_circuits(policy: Policy, count: int) -> Circuits:
+    """Return circuits in so many lanes with the policy's parameters, at rest; ``fill_lanes`` sets others.
 
-    The last block's spare lanes keep the policy's, so that they compute nothing but numbers.
+    The last block's spare lanes keep the policy's, so that they compute only numbers. Raises ValueError for
+    less than one lane, UsageError without the native library.
     """
-    blocks, count_integrated = -(-count // WIDTH), len(program.integrated.neuron)
+    if not 1 <= count <= MAX_LANES:
+        raise ValueError(f"{count} lanes, expected 1 to {MAX_LANES}")
+    program = make_program(policy)
+    blocks, integrated = -(-count // WIDTH), len(program.integrated.neuron)
 
     def rows(number: int, blocks: int = blocks) -> FloatArray:
         return aligned_zeros(blocks, number, WIDTH)
 
-    lanes = LaneParameters(
+    parameters = LaneParameters(
         input_weight=rows(len(program.input_synapses.source)),
         input_slope=rows(len(program.input_synapses.source)),
         recurrent_weight=rows(len(program.recurrent_synapses.source)),
         recurrent_slope=rows(len(program.recurrent_synapses.source)),
         input_gap=rows(len(program.input_gaps.source)),
         recurrent_gap=rows(len(program.recurrent_gaps.source)),
-        rate=rows(count_integrated),
-        leak_current=rows(count_integrated),
-        conductance=rows(count_integrated),
+        rate=rows(integrated),
+        leak_current=rows(integrated),
+        conductance=rows(integrated),
         input_layer=rows(program.input_layer_at.size),
         output_layer=rows(program.output_layer_at.size),
         potential=rows(policy.circuit.size, 1),
-        current=rows(count_integrated, 1),
-        total=rows(count_integrated, 1),
-        next_potential=rows(count_integrated, 1),
+        current=rows(integrated, 1),
+        total=rows(integrated, 1),
+        next_potential=rows(integrated, 1),
         divisor=rows(len(program.recurrent_synapses.source), 1),
         channel=rows(len(policy.motors.channels), 1),
     )
-    vector = policy.parameters()
-    for lane in range(blocks * WIDTH):
-        fill_lane(program, lanes, lane, vector)
-    return lanes
-
-
-def resting_potentials(policy: Policy, count: int) -> FloatArray:
-    """Return the potentials (n, count) in mV at the start of a run."""
     potentials = aligned_zeros(policy.circuit.size, count)
     potentials[:] = RESTING_MV
-    return potentials
-
-
-@kernel
-def fill_lane(program: Program, lanes: LaneParameters, lane: int, vector: FloatArray) -> None:
-    """Set the numbers of one lane from a parameter vector (P,), which must lie in bounds."""
-    block, place = lane // WIDTH, lane % WIDTH
-    fill_synapses(program.input_synapses, lanes.input_weight, lanes.input_slope, vector, lane)
-    fill_synapses(program.recurrent_synapses, lanes.recurrent_weight, lanes.recurrent_slope, vector, lane)
-    neurons, leak_potential_at, leak_at, capacitance_at = program.integrated
-    rates, leak_currents, conductances = lanes.rate, lanes.leak_current, lanes.conductance
-    for d in range(len(neurons)):
-        rate = vector[capacitance_at[d]] / program.dt_s
-        leak = vector[leak_at[d]]
-        rates[block, d, place] = rate
-        leak_currents[block, d, place] = leak * vector[leak_potential_at[d]]
-        conductances[block, d, place] = rate + leak
-    fill_gaps(program.input_gaps, lanes.input_gap, lanes.conductance, vector, lane)
-    fill_gaps(program.recurrent_gaps, lanes.recurrent_gap, lanes.conductance, vector, lane)
-    ranges = program.input_range
-    for i, at in enumerate(program.input_layer_at.flat):
-        lanes.input_layer[block, i, place] = vector[at] / ranges[i % len(ranges)]
-    for i, at in enumerate(program.output_layer_at.flat):
-        lanes.output_layer[block, i, place] = vector[at]
-
-
-@kernel
-def fill_synapses(
-    synapses: Synapses, weight: FloatArray, slope: FloatArray, vector: FloatArray, lane: int
-) -> None:
-    """Set one lane's chemical synapses."""
-    block, place = lane // WIDTH, lane % WIDTH
-    weight_at, sigma_at = synapses.weight_at, synapses.sigma_at
-    for s in range(len(weight_at)):
-        weight[block, s, place] = vector[weight_at[s]]
-        slope[block, s, place] = -LOG2_E * vector[sigma_at[s]]
-
-
-@kernel
-def fill_gaps(gaps: Synapses, weight: FloatArray, total: FloatArray, vector: FloatArray, lane: int) -> None:
-    """Set one lane's gap junctions, and add them to the conductances of their destinations."""
-    block, place = lane // WIDTH, lane % WIDTH
-    first, weight_at = gaps.first, gaps.weight_at
-    for d in range(len(first) - 1):
-        for s in range(first[d], first[d + 1]):
-            weight[block, s, place] = vector[weight_at[s]]
-            total[block, d, place] += vector[weight_at[s]]
+    circuits = Circuits(program, parameters, potentials)
+    fill_lanes(circuits, np.tile(policy.parameters(), (blocks * WIDTH, 1)))
+    return circuits
 
 
 def _with_held(sensors: SensorMap, circuit: Circuit) -> SensorMap:
@@ -268,20 +235,32 @@ def _synapses(
     inhibitory = circuit.kind[synapses] == SynapseKind.INHIBITORY
     order = np.lexsort((inhibitory, circuit.destination[synapses]))
     synapses, inhibitory = synapses[order], inhibitory[order]
-    begin = np.searchsorted(circuit.destination[synapses], integrated)
-    first = np.append(begin, len(synapses)).astype(np.uint64)
+    first = _first(circuit, integrated, synapses)
     others = [np.count_nonzero(~inhibitory[a:b]) for a, b in pairwise(first)]
-    chemical = synapses[circuit.chemical[synapses]]
-    sigma_at = np.cumsum(circuit.chemical)[chemical] - 1
-    if len(chemical):
+    sigma_at = np.cumsum(circuit.chemical)[synapses] - 1
+    if len(synapses):
         sigma_at += layout.block(ParameterKind.SIGMA).slice.start
     return Synapses(
         source=circuit.source[synapses],
         weight_at=synapses,
         sigma_at=sigma_at,
         first=first,
-        first_inhibitory=first[:-1] + np.array(others, np.uint64),
+        first_inhibitory=first[:-1] + np.array(others, np.int64),
     )
+
+
+def _gap_junctions(circuit: Circuit, integrated: IntArray, chosen: NDArray[np.bool_]) -> GapJunctions:
+    junctions = np.flatnonzero(chosen)
+    junctions = junctions[np.argsort(circuit.destination[junctions], kind="stable")]
+    return GapJunctions(
+        source=circuit.source[junctions], weight_at=junctions, first=_first(circuit, integrated, junctions)
+    )
+
+
+def _first(circuit: Circuit, integrated: IntArray, synapses: IntArray) -> IntArray:
+    """Return where synapses in the order of their destinations begin for each integrated neuron, and end."""
+    begin = np.searchsorted(circuit.destination[synapses], integrated)
+    return np.append(begin, len(synapses)).astype(np.int64)
 
 
 def _layer_at(policy: Policy, layout: ParameterLayout, kind: ParameterKind) -> IntArray:

@@ -15,14 +15,15 @@ from rover_ncp.circuit.circuit import Circuit
 from rover_ncp.circuit.sensing import Channel, require_distinct
 from rover_ncp.core.config import StrictModel
 from rover_ncp.course.reference import COMMAND_MAX
+from rover_ncp.native.core import Axes
 
 
 class MotorMap(NamedTuple):
     """Motor neurons as arrays (q,): channel += end * clip((potential - low) / (high - low), 0, 1)."""
 
-    neuron: NDArray[np.int64]
-    channel: NDArray[np.int64]
-    end: NDArray[np.float64]
+    neuron: Annotated[NDArray[np.int64], Axes("motors", below="neurons")]
+    channel: Annotated[NDArray[np.int64], Axes("motors", below="motor_channels")]
+    end: Annotated[NDArray[np.float64], Axes("motors")]
 
 
 class Motors(StrictModel):

@@ -1,4 +1,4 @@
-"""The connection of a policy to a rover: its signals, and its outputs v and omega; needs no numba."""
+"""The connection of a policy to a rover: its signals, and its outputs v and omega."""
 
 import math
 from collections.abc import Callable, Sequence

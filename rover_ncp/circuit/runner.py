@@ -1,15 +1,18 @@
-"""Runs one policy tick by tick; needs numba."""
+"""Runs one policy tick by tick, with the native library where it was built."""
 
 import math
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
+from functools import cache, partial
 
 import numpy as np
 
+from rover_ncp.circuit import reference
 from rover_ncp.circuit.circuit import RESTING_MV, FloatArray
-from rover_ncp.circuit.compiled import allocate_lanes, make_program
+from rover_ncp.circuit.compiled import make_circuits, make_program
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.solver import tick_lanes
 from rover_ncp.core.errors import UsageError
+from rover_ncp.native.core import bound_tick, library
 
 
 class Runner:
@@ -17,11 +20,26 @@ class Runner:
 
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
-        self._program = make_program(policy)
-        self._lanes = allocate_lanes(self._program, policy, 1)
-        self._potentials = np.full((policy.circuit.size, 1), RESTING_MV)
         self._observation = np.empty((len(policy.sensing.inputs), 1))
         self._command = np.empty((len(policy.motors.outputs), 1))
+        self._run: Callable[[], object]
+        if library() is None:
+            _warn_once()
+            program, self._potentials = make_program(policy), np.full((policy.circuit.size, 1), RESTING_MV)
+            state = self._potentials, self._observation, self._command
+            self._run = partial(reference.tick, program, policy.parameters(), *state)
+        else:
+            circuits = make_circuits(policy, 1)
+            self._potentials = circuits.potentials
+            self._run = bound_tick(circuits, self._observation, self._command)
+
+    def __getstate__(self) -> tuple[Policy, FloatArray]:
+        return self.policy, self.potentials
+
+    def __setstate__(self, state: tuple[Policy, FloatArray]) -> None:
+        # A copy has arrays of its own, to which its calls of the library must point.
+        self.__init__(state[0])  # type: ignore[misc]
+        self._potentials[:, 0] = state[1]
 
     @property
     def potentials(self) -> FloatArray:
@@ -46,5 +64,13 @@ class Runner:
             if not math.isfinite(value):
                 raise UsageError(f"the observation {name} is {value}, expected a finite number")
         self._observation[:, 0] = observation
-        tick_lanes(self._program, self._lanes, self._potentials, self._observation, self._command)
+        self._run()
         return tuple(self._command[:, 0].tolist())
+
+
+@cache
+def _warn_once() -> None:
+    print(
+        "warning: the native library was not built: circuits run in Python, fast enough to drive",
+        file=sys.stderr,
+    )

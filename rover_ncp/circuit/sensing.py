@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 
 from rover_ncp.circuit.circuit import Circuit
 from rover_ncp.core.config import StrictModel
+from rover_ncp.native.core import Axes
 
 LOW_MV = -70.0
 HIGH_MV = -20.0
@@ -58,12 +59,12 @@ class Channel(StrictModel):
 class SensorMap(NamedTuple):
     """Sensory neurons as arrays (s,): potential = clip(base + gain * channel, lower, upper), in mV."""
 
-    neuron: NDArray[np.int64]
-    channel: NDArray[np.int64]
-    base: NDArray[np.float64]
-    gain: NDArray[np.float64]
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
+    neuron: Annotated[NDArray[np.int64], Axes("sensors", below="neurons")]
+    channel: Annotated[NDArray[np.int64], Axes("sensors", below="channels|inputs")]
+    base: Annotated[NDArray[np.float64], Axes("sensors")]
+    gain: Annotated[NDArray[np.float64], Axes("sensors")]
+    lower: Annotated[NDArray[np.float64], Axes("sensors")]
+    upper: Annotated[NDArray[np.float64], Axes("sensors")]
 
 
 class Sensing(StrictModel):

@@ -1,7 +1,7 @@
 """The signals that a policy observes by name, the same numbers in the simulator and on the robot.
 
-A new signal is a row of ``TABLE`` and a value in ``signals``: the simulator's kernels compile this function,
-the exported C takes the expression of the row, and the reference page its meaning.
+A new signal is a row of ``TABLE`` and a value in ``signals``. ``episode.cpp`` of the native library repeats
+this function, the exported C takes the expression of the row, and the reference page its meaning.
 """
 
 import math

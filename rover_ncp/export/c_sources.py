@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from rover_ncp.circuit import solver
 from rover_ncp.circuit.circuit import MIDPOINT_MV, RESTING_MV, FloatArray
-from rover_ncp.circuit.compiled import Synapses, allocate_lanes, make_program
+from rover_ncp.circuit.compiled import GapJunctions, Synapses, make_circuits
 from rover_ncp.circuit.policy import Policy
+from rover_ncp.circuit.reference import EXP2, INHIBITORY_MV
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.geometry import Pose
 from rover_ncp.core.streams import Domain, random_stream
@@ -64,8 +64,8 @@ def c_files(policy: Policy, name: str, course: Course) -> dict[str, str]:
         "tick_s": TICK_S,
         "resting_mV": RESTING_MV,
         "midpoint_mV": MIDPOINT_MV,
-        "inhibitory_mV": solver.INHIBITORY_MV,
-        "exponential": [getattr(solver, f"_C{i}") for i in range(12)],
+        "inhibitory_mV": INHIBITORY_MV,
+        "exponential": list(EXP2),
         "float_terms": _FLOAT_TERMS,
         "course": _course(policy, course, reference) if drives else None,
         **_circuit(policy),
@@ -86,8 +86,7 @@ def _comment(names: tuple[str, ...]) -> str:
 
 
 def _circuit(policy: Policy) -> dict[str, Any]:
-    program = make_program(policy)
-    lane = allocate_lanes(program, policy, 1)
+    program, lane, _ = make_circuits(policy, 1)
     inputs = program.input_layer_at.shape[1]
     sensors = [
         {
@@ -134,14 +133,16 @@ def _rows(columns: tuple[Any, ...]) -> list[tuple[Any, ...]]:
     return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
-def _into(d: int, synapses: Synapses, weight: FloatArray, slope: FloatArray | None) -> list[Synapse]:
+def _into(
+    d: int, synapses: Synapses | GapJunctions, weight: FloatArray, slope: FloatArray | None
+) -> list[Synapse]:
     """Return the synapses into an integrated neuron, excitatory ones first as in the solver."""
     return [
         Synapse(
             source=int(synapses.source[s]),
             weight=weight[0, s, 0],
             slope=None if slope is None else slope[0, s, 0],
-            inhibitory=slope is not None and bool(s >= synapses.first_inhibitory[d]),
+            inhibitory=isinstance(synapses, Synapses) and bool(s >= synapses.first_inhibitory[d]),
         )
         for s in range(synapses.first[d], synapses.first[d + 1])
     ]

@@ -10,21 +10,19 @@ therefore be truncated without any effect on a comparison with that threshold.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rover_ncp.circuit.compiled import Circuits, make_circuits
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.hold import hold_from_s
 from rover_ncp.course.reference import Reference, plan_reference
 from rover_ncp.course.scoring import due_checkpoints
-from rover_ncp.course.signals import SIGNALS
-from rover_ncp.kernels.jit import bound
-from sim.learn.episode import enqueue, episode_kernel
-from sim.learn.lane_runner import circuit_lane_runner
+from rover_ncp.native.core import bound_episodes
 from sim.learn.lanes import IDLE, RESULTS, FloatArray, IntArray, Lanes, Queue, Tasks, Waiting
 from sim.learn.search.strategies import Batch, Scores
 from sim.world.described import default_rover
@@ -60,9 +58,9 @@ class Outcomes(NamedTuple):
 
 
 class _LaneSet(NamedTuple):
-    """Lanes, their rovers and their controllers, for one set of obstacles."""
+    """Lanes, their circuits and their rovers, for one set of obstacles."""
 
-    arrays: Any
+    circuits: Circuits
     lanes: Lanes
     fleet: Fleet
 
@@ -94,8 +92,7 @@ class Evaluator:
         self._ground = np.array([self._grounds.index(each.obstacles) for each in courses])
         if references is None and interface.needs_reference:
             references = [plan_reference(each) for each in courses]
-        self._lane_runner = circuit_lane_runner(policy)
-        self._kernel = episode_kernel(self._lane_runner.start_lane, self._lane_runner.tick_lanes)
+        self._policy = policy
         self._signal_at = np.array(interface.places)
         self._tasks = _tasks(courses, references, self.model)
         self._lane_sets: dict[tuple[int, int], _LaneSet] = {}
@@ -148,16 +145,14 @@ class Evaluator:
         """Return a stream for so many agents. Raises ValueError for several courses or trials."""
         if len(self.courses) > 1 or self._trials.size > 1:
             raise ValueError("a stream drives one trial on one course")
-        size, lane_set = self._lane_runner.size, self._build_lanes(STREAM_LANES, 0)
-
-        def bind(queue: Queue) -> Callable[[], None]:
-            return bound(self._kernel, *self._arguments(lane_set, queue))
-
-        return Stream(agents, size, self._tasks.checkpoints.shape[1], bind)
+        lane_set = self._build_lanes(STREAM_LANES, 0)
+        size, checkpoints = self._policy.layout().size, self._tasks.checkpoints.shape[1]
+        return Stream(agents, size, checkpoints, lambda queue: self._bind(lane_set, queue))
 
     def _drive(self, vectors: ArrayLike) -> tuple[IntArray, FloatArray]:
         """Return the courses (E,) and results (k, E, RESULTS) of vectors (k, P)."""
         rows = np.ascontiguousarray(np.atleast_2d(np.asarray(vectors, np.float64)))
+        _require_finite(rows)
         if self._nominal:
             tasks = np.arange(len(self.courses))
             trials = np.zeros(len(tasks), np.int64)
@@ -183,14 +178,26 @@ class Evaluator:
             width = _width(count)
             if (width, ground) not in self._lane_sets:
                 self._lane_sets[width, ground] = self._build_lanes(width, ground)
-            self._kernel(*self._arguments(self._lane_sets[width, ground], queue))
+            self._bind(self._lane_sets[width, ground], queue)()
             results[:, chosen] = queue.results.reshape(len(rows), len(chosen), RESULTS)
         return tasks, results
 
-    def _arguments(self, lane_set: _LaneSet, queue: Queue) -> tuple[Any, ...]:
-        """Return those of the kernel."""
-        arrays, lanes, fleet = lane_set
-        return arrays, self._signal_at, self._tasks, self._trials, lanes, fleet.arrays, queue
+    def _bind(self, lane_set: _LaneSet, queue: Queue) -> Callable[[], None]:
+        """Return what runs a queue; it keeps the rovers, of which the library has no more than addresses."""
+        run = bound_episodes(
+            self._signal_at,
+            circuits=lane_set.circuits,
+            tasks=self._tasks,
+            trials=self._trials,
+            lanes=lane_set.lanes,
+            fleet=lane_set.fleet.arrays,
+            queue=queue,
+        )
+
+        def run_queue(fleet: Fleet = lane_set.fleet) -> None:
+            run()
+
+        return run_queue
 
     def _build_lanes(self, width: int, ground: int) -> _LaneSet:
         lanes = Lanes(
@@ -205,25 +212,23 @@ class Evaluator:
             odometry=np.zeros((3, width)),
             earlier=np.zeros((3, width)),
             episode=np.full(width, IDLE),
-            task=np.zeros(width, np.uint64),
-            trial=np.zeros(width, np.uint64),
+            task=np.zeros(width, np.int64),
+            trial=np.zeros(width, np.int64),
             tick=np.zeros(width, np.int64),
             total=np.zeros(width),
             tail=np.zeros((width, int(self._tasks.still.max()) + 1, 3)),
-            latest=np.zeros(width, np.uint64),
+            latest=np.zeros(width, np.int64),
             tracking=np.zeros((2, width)),
-            signals=np.zeros(len(SIGNALS)),
             before=np.full(width, IDLE),
         )
         delay_v, delay_omega = self._delays
         slowest = self.model.model_copy(update={"delay_v_s": delay_v, "delay_omega_s": delay_omega})
-        return _LaneSet(
-            self._lane_runner.allocate(width), lanes, Fleet([slowest] * width, self._grounds[ground])
-        )
+        fleet = Fleet([slowest] * width, self._grounds[ground])
+        return _LaneSet(make_circuits(self._policy, width), lanes, fleet)
 
 
 class Stream:
-    """Episodes of many agents that share the lanes of one kernel without a pause.
+    """Episodes of many agents that share lanes without a pause.
 
     In batches, lanes would idle until the last episode of a batch ends. Here a free lane takes the next
     waiting episode of any agent, and an agent gets its answer as soon as its own episodes have ended. The
@@ -246,7 +251,6 @@ class Stream:
             residuals=np.zeros((episodes, checkpoints, 3)),
             waiting=Waiting(zeros.copy(), np.zeros(2, np.int64), np.zeros(agents, np.int64)),
         )
-        self._bind = bind  # it keeps the rovers, of which the arguments have no more than addresses
         self._run_queue = bind(self._queue)
         self._submitted = [0] * agents
 
@@ -255,8 +259,16 @@ class Stream:
         count, queue = len(batch.vectors), self._queue
         if self._submitted[agent] or not 0 < count <= self._room or len(batch.to_beat) != count:
             raise ValueError(f"agent {agent} cannot submit {count} candidates now")
-        enqueue(queue.vectors, queue.stop_below, queue.residuals, *queue.waiting, agent, *batch)
-        self._submitted[agent] = count
+        _require_finite(batch.vectors)
+        first, (episodes, ring, left) = agent * self._room, queue.waiting
+        queue.vectors[first : first + count] = batch.vectors
+        queue.stop_below[first : first + count] = batch.to_beat
+        queue.residuals[first : first + count] = 0.0
+        end = int(ring.sum())
+        for i in range(count):
+            episodes[(end + i) % len(episodes)] = first + i
+        ring[1] += count
+        left[agent] = self._submitted[agent] = count
 
     def collect(self) -> list[tuple[int, Scores]]:
         """Return each agent whose batch has ended, and its scores; none if no candidates wait.
@@ -273,6 +285,11 @@ class Stream:
             self._submitted[agent] = 0
             answers.append((agent, Scores(self._queue.results[own, 0], self._queue.residuals[own])))
         return answers
+
+
+def _require_finite(vectors: FloatArray) -> None:
+    if not np.isfinite(vectors).all():
+        raise ValueError("a parameter is not finite")
 
 
 def _tasks(courses: Sequence[Course], references: Sequence[Reference] | None, model: RoverModel) -> Tasks:

@@ -31,7 +31,7 @@ from sim.world.pymunk_rover import require_free_start
 from sim.world.randomization import Randomization
 from sim.world.rover import RoverModel
 
-_LIBRARIES = ("rover-ncp", "numpy", "scipy", "numba", "pymunk")
+_LIBRARIES = ("rover-ncp", "numpy", "scipy", "pymunk")
 _GIT_TIMEOUT_S = 5.0
 _FILES = {
     "course": "course",

@@ -1,6 +1,6 @@
 """Workers of a training: this process, processes on this machine, or a Dask cluster.
 
-Processes are spawned, never forked: numba and cffi do not survive a fork.
+Processes are spawned, never forked: cffi does not survive a fork.
 
 A cluster is trusted like this machine. Anyone who reaches a Dask scheduler can run code on its workers, and
 any worker can run code here: Dask unpickles its answers. Every worker must have the same versions of what

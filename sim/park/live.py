@@ -3,7 +3,6 @@
 Each process is the command that a user would type. Leaving the ``with`` block of a run ends all of them.
 """
 
-import functools
 import json
 import re
 import signal
@@ -52,20 +51,6 @@ def wait_for(find: Callable[[], Found | None], timeout_s: float = 8.0, what: str
             raise TimedOut(f"timed out after {timeout_s:g} s waiting for {what}")
         time.sleep(0.005)
     return found
-
-
-@functools.cache
-def compile_driver() -> None:
-    """Compile the driver's kernels if they are not on disk yet, before anything waits for a driver.
-
-    After an installation that takes 8 s of CPU time, and on a busy machine longer than any timeout here.
-    """
-    from deploy.drive.controller import Controller
-    from deploy.estimator.settings import EstimatorSettings
-    from rover_ncp.circuit.policy_file import load_policy
-    from rover_ncp.course.course import load_course
-
-    Controller(load_policy("parking"), load_course("parking"), EstimatorSettings())
 
 
 @contextmanager
@@ -127,7 +112,7 @@ class Process(ClosedAtExit):
         run = [module] if module.endswith(".py") else ["-m", module]
         with self._result.open("wb") as out, log.open("wb") as err:
             self._child = subprocess.Popen(
-                # -P: the user's folder may hold a sim/ or a numba.py of its own.
+                # -P: the user's folder may hold a sim/ or a scipy.py of its own.
                 [sys.executable, "-P", *run, command, *arguments, "--json"],
                 stdin=subprocess.PIPE if reads_lines else subprocess.DEVNULL,
                 stdout=out if output is None else output,
@@ -298,7 +283,6 @@ class LiveRun(ClosedAtExit):
 
     def deploy(self, *arguments: str, robot: str = "") -> Process:
         """Start a driver; ``robot`` replaces the bridge's address."""
-        compile_driver()
         self._deploys += 1
         # Several drivers may run at once, and each has its log.
         folder = self.folder / f"deploy-{self._deploys}" if self._deploys > 1 else self.folder

@@ -19,6 +19,7 @@ from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import resolve
 from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import TICK_S
+from rover_ncp.native.core import Axes
 from rover_ncp.robot.profile import RoverProfile
 from sim.world.bodies import PRESETS, Body
 from sim.world.rover import SUBSTEP_S, RoverModel
@@ -123,41 +124,39 @@ def _is_wide(value: float | tuple[float, float] | None) -> bool:
 
 
 class Trials(NamedTuple):
-    """N trials of up to T ticks as arrays for kernels."""
+    """N trials of up to T ticks as arrays."""
 
     exact: bool
     """Whether the policy observes the true pose, without odometry, noise and age."""
     sensors: tuple[bool, bool]
     """Whether sensors measure the true turn, and the true pose."""
-    start: FloatArray
-    """(N, 3) pose in the course's frame."""
-    acceleration: FloatArray
-    """(N, 4) factors on the limits accel, alpha, decel and alpha_decel."""
-    delay: IntArray
-    """(N, 2) substeps."""
-    gain: FloatArray
-    """(N, 2) of v and omega."""
-    odometry: FloatArray
-    """(N, 2) scales of distance and heading."""
-    wheel_mismatch: FloatArray
-    slip: FloatArray
-    drift: FloatArray
-    """(N,) each."""
-    turning: FloatArray
-    """(N, 2) turn gain, and the centre of rotation in m."""
-    bump: FloatArray
-    """(N, 4): the share of the drive's ticks after which it comes, then x, y, theta in m and rad."""
-    noise: FloatArray
-    """(N, T + 1, 3) what is added to the pose seen at the start of each tick."""
-    age: FloatArray
-    """(N, T + 1) share of a tick by which that pose is old."""
-    lost: NDArray[np.bool_]
-    """(N, T) whether the command of a tick is lost."""
-    step: FloatArray
-    """(2,) of v and omega; 0 for none."""
-    motors: FloatArray
-    """(N, 6) dead band of v and of omega, least wheel speed, speed of a slower wheel, half the track,
-    stiction."""
+    start: Annotated[FloatArray, Axes("trials", 3)]
+    """Pose in the course's frame."""
+    acceleration: Annotated[FloatArray, Axes("trials", 4)]
+    """Factors on the limits accel, alpha, decel and alpha_decel."""
+    delay: Annotated[IntArray, Axes("trials", 2, below="10*ticks_kept")]
+    """Substeps."""
+    gain: Annotated[FloatArray, Axes("trials", 2)]
+    """Of v and omega."""
+    odometry: Annotated[FloatArray, Axes("trials", 2)]
+    """Scales of distance and heading."""
+    wheel_mismatch: Annotated[FloatArray, Axes("trials")]
+    slip: Annotated[FloatArray, Axes("trials")]
+    drift: Annotated[FloatArray, Axes("trials")]
+    turning: Annotated[FloatArray, Axes("trials", 2)]
+    """Turn gain, and the centre of rotation in m."""
+    bump: Annotated[FloatArray, Axes("trials", 4)]
+    """The share of the drive's ticks after which it comes, then x, y, theta in m and rad."""
+    noise: Annotated[FloatArray, Axes("trials", "trial_ticks+1", 3)]
+    """What is added to the pose seen at the start of each tick."""
+    age: Annotated[FloatArray, Axes("trials", "trial_ticks+1")]
+    """Share of a tick by which that pose is old."""
+    lost: Annotated[NDArray[np.bool_], Axes("trials", "trial_ticks")]
+    """Whether the command of a tick is lost."""
+    step: Annotated[FloatArray, Axes(2)]
+    """Of v and omega; 0 for none."""
+    motors: Annotated[FloatArray, Axes("trials", 6)]
+    """Dead band of v and of omega, least wheel speed, speed of a slower wheel, half the track, stiction."""
 
     @property
     def size(self) -> int:

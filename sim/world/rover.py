@@ -195,7 +195,7 @@ class Rover(ABC):
         """Whether the last substep found the rover touching something."""
 
 
-# Compiled into the fleet's kernels as they are, except `toward`, which works on vectors there.
+# Repeated in `rover_ncp/native/fleet.cpp`, with the same bits.
 
 
 def toward(speed: float, target: float, rise: float, fall: float) -> float:

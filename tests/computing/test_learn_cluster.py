@@ -39,7 +39,6 @@ def test_without_scheduler_or_workers_it_says_so(cluster, tmp_path, monkeypatch,
 def test_a_cluster_gives_the_bytes_of_one_machine_though_a_worker_is_killed(cluster, tmp_path):
     here, there = tmp_path / "here", tmp_path / "there"
     iterations = ["--iterations", "1000"]
-    # First here, so that the workers find all kernels compiled.
     assert run([*TRAIN, *iterations, "--out", str(here), "--processes", "1"]) == 0
     for _ in range(2):
         victim = cluster.add_worker()

@@ -35,7 +35,7 @@ from faults.row import CIRCUIT, Row
 from faults.table import MATRIX
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.streams import Domain, random_stream
-from sim.park.live import compile_driver, wait_for
+from sim.park.live import wait_for
 
 OUT = Path("runs/soak")
 """Logs; those of an earlier soak are deleted."""
@@ -96,7 +96,6 @@ def soak(
 
     Raises RoverNcpError when the processes do not start or the rover cannot be driven at the end.
     """
-    compile_driver()  # else the compilation would delay the first round
     order, moments = (random_stream(seed, domain) for domain in (Domain.SOAK_ORDER, Domain.SOAK_MOMENTS))
     began_s = time.monotonic()
     rows = [row for row in rows if row.act and row.layer != "clock" and row is not SILENT_CLOSE_ROW]

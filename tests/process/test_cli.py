@@ -13,7 +13,7 @@ from rover_ncp.core.errors import NoBridge, SafetyStop, UsageError
 
 MODULES = {point.name: point.module for point in entry_points(group=cli.GROUP)}
 NO_BRIDGE = "--robot tcp/127.0.0.1:1"
-HEAVY = ["numba", "pymunk", "filterpy", "gymnasium", "matplotlib", "plotly", "zenoh", "rosbags", "scipy"]
+HEAVY = ["pymunk", "filterpy", "gymnasium", "matplotlib", "plotly", "zenoh", "rosbags", "scipy"]
 
 
 # Prints, for each command, the exit code of its help, the help, and the modules that are loaded by then.
@@ -139,8 +139,8 @@ class Missing(MetaPathFinder):
 
 zenoh.CLIENT["connect/timeout_ms"] = 100
 for missing, lines in json.loads(sys.argv[1]):
-    if "numba" not in missing:
-        import filterpy.kalman, numba, scipy.optimize, scipy.stats  # the extra "drive", once for all forks
+    if "filterpy" not in missing:
+        import filterpy.kalman, scipy.optimize, scipy.stats  # the extra "drive", once for all forks
     if not (child := os.fork()):
         sys.meta_path.insert(0, Missing())
         for line in lines:

@@ -24,7 +24,7 @@ from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import BOOL, LASER_SCAN, laser_scan, odometry, text, twist_stamped
 from rover_ncp.wire.protocol import CommandTag, GateStatus, dump_json
 from rover_ncp.wire.zenoh import client_config
-from sim.park.live import ROS2DDS, LiveRun, compile_driver
+from sim.park.live import ROS2DDS, LiveRun
 
 MOCK = "name: mine\nbased_on: turtlebot4\ntopics: {scan: null}\n"
 ROBOT = "name: mine\nbased_on: turtlebot4\ntopics: {stop: {topic: stop, latched: true}}\n"
@@ -133,7 +133,6 @@ class Robot(LiveRun):
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory):
-    compile_driver()
     with Robot(tmp_path_factory.mktemp("robot")) as robot:
         yield robot
 

@@ -10,7 +10,7 @@ import zipfile
 import pytest
 from kit.paths import ROOT
 
-COLD = pytest.mark.timeout(600)  # downloads, and commands with cold kernels
+COLD = pytest.mark.timeout(600)  # downloads
 # What each set of extras makes possible, as command lines and their exit codes.
 WORKS = {
     "": [("--version", 0), ("bridge --base tcp/127.0.0.1:1", 3)],
@@ -85,7 +85,7 @@ def check_install(python, extras, archive, folder):
     (folder / "moment.yaml").write_text(COURSE)
     for name in ("sim", "bridge", "deploy"):
         (folder / name).mkdir()
-    for name in ("sim/__init__", "bridge/__init__", "deploy/__init__", "numba", "yaml", "pickle"):
+    for name in ("sim/__init__", "bridge/__init__", "deploy/__init__", "scipy", "yaml", "pickle"):
         (folder / f"{name}.py").write_text("open('imported', 'a').write(__name__)\nraise SystemExit(99)\n")
     command = str(folder / "env" / "bin" / "rover-ncp")
     assert run([command, "--version"], folder).stdout.startswith("rover-ncp ")

@@ -79,10 +79,10 @@ def test_a_setting_that_does_not_exist_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("line", "heavy"),
     [
-        ("import rover_ncp", "sim numpy pydantic numba scipy pymunk gymnasium matplotlib zenoh rosbags"),
+        ("import rover_ncp", "sim numpy pydantic scipy pymunk gymnasium matplotlib zenoh rosbags"),
         (
             "import rover_ncp; rover_ncp.load_policy('course')",
-            "numba scipy zenoh rosbags mcap pymunk gymnasium matplotlib sim",
+            "scipy zenoh rosbags mcap pymunk gymnasium matplotlib sim",
         ),
     ],
 )

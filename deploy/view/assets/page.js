@@ -8,7 +8,7 @@ function reset() {
   model.drive = Object.fromEntries(STREAMS.map((name) => [name, { t: [], x: [], y: [], theta: [], v: [], omega: [] }]));
   model.events = [];
   model.phases = [];
-  if (!data.updates) $("events").replaceChildren();
+  for (const id of ["phases", "events"]) if (!data.updates) $(id).replaceChildren();
 }
 
 function append(columns, more) {

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.kernels.jit import kernel
+from rover_ncp.native.core import call
 from sim.learn.search.least_squares import correct_slopes, damped_steps, measure_slopes
 from sim.learn.search.unit_box import Vector
 
@@ -106,9 +106,6 @@ class GaussNewtonConstants:
 
 CONSTANTS = GaussNewtonConstants()
 
-# The exponential of less underflows, and all weights would be 0.
-_MIN_EXPONENT = -690.0
-
 
 @dataclass
 class Outcome:
@@ -119,53 +116,37 @@ class Outcome:
     residuals: Vector
 
 
-@kernel
 def survival(residuals: Vector, lifetime: float) -> float:
     """Return how far along an episode of ``residuals`` (C, 3) stays on course: C if there is no error.
 
     The sum over checkpoints of exp(-L / lifetime), L being the loss up to that checkpoint.
     """
-    loss, survived = 0.0, 0.0
-    for checkpoint in range(len(residuals)):
-        loss += (residuals[checkpoint] ** 2).sum()
-        survived += math.exp(max(-loss / lifetime, _MIN_EXPONENT))
+    checkpoints = len(residuals)
+    survived: float = call("rover_ncp_survival", checkpoints, (residuals, (checkpoints, 3)), float(lifetime))
     return survived
 
 
-@kernel
 def survival_weights(residuals: Vector, lifetime: float) -> Vector:
     """Return the weights (3 C,) under which least squares climb ``survival``; their mean square is 1.
 
     A squared residual at a checkpoint lowers the terms of this checkpoint and of all later ones: the weight
     of the squares is the sum of these terms, that of the residuals its root.
     """
-    loss, later = 0.0, 0.0
-    terms = np.empty(len(residuals))
-    for checkpoint in range(len(residuals)):
-        loss += (residuals[checkpoint] ** 2).sum()
-        terms[checkpoint] = math.exp(max(-loss / lifetime, _MIN_EXPONENT))
-    squares = np.empty(residuals.size)
-    for checkpoint in range(len(residuals) - 1, -1, -1):
-        later += terms[checkpoint]
-        squares[3 * checkpoint : 3 * checkpoint + 3] = later
-    weights: Vector = np.sqrt(squares / squares.mean())
+    checkpoints, weights = len(residuals), np.empty(residuals.size)
+    arguments = (residuals, (checkpoints, 3)), float(lifetime), (weights, weights.shape)
+    call("rover_ncp_survival_weights", checkpoints, *arguments)
     return weights
 
 
-@kernel
 def known_checkpoints(residuals: Vector, to_beat: float) -> int:
     """Return after how many checkpoints the return of ``residuals`` (C, 3) is below ``to_beat``, C if never.
 
-    An episode may be truncated there; the residuals behind it are not to be looked at. The sum is that of the
-    episode kernel, to the last bit.
+    An episode may be truncated there; the residuals behind it are not to be looked at. The sum is that of
+    an episode, to the last bit.
     """
-    total = 0.0
-    for checkpoint in range(len(residuals)):
-        dx, dy, dtheta = residuals[checkpoint]
-        total -= dx * dx + dy * dy + dtheta * dtheta
-        if total < to_beat:
-            return checkpoint + 1
-    return len(residuals)
+    squares = residuals * residuals
+    below = -np.cumsum(squares[:, 0] + squares[:, 1] + squares[:, 2]) < to_beat
+    return int(below.argmax()) + 1 if below.any() else len(residuals)
 
 
 @dataclass
@@ -195,7 +176,7 @@ class Descent:
 
     def score(self, outcome: Outcome) -> float:
         """Return what is climbed."""
-        return float(survival(outcome.residuals, CONSTANTS.lifetime)) if self.survives else outcome.value
+        return survival(outcome.residuals, CONSTANTS.lifetime) if self.survives else outcome.value
 
     def targets(self) -> Vector:
         """Return where the n steps of a batch lead, and the point that they start from: (n + 1, D)."""

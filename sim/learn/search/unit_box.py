@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout
-from rover_ncp.kernels.jit import kernel
 
 FACTORS = (ParameterKind.LEAK, ParameterKind.CAPACITANCE)
 """The kinds that go by their logarithm."""
@@ -67,7 +66,8 @@ class UnitBox:
         values += self._first
         for run in self._logarithmic:
             np.exp(values[:, run], out=values[:, run])
-        vectors: Vector = _placed(values, self._lower, self._upper, self.free, self.defaults)
+        vectors = np.tile(self.defaults, (len(points), 1))
+        vectors[:, self.free] = np.minimum(np.maximum(values, self._lower), self._upper)
         return vectors
 
     def _scaled(self, values: Vector) -> Vector:
@@ -75,19 +75,6 @@ class UnitBox:
         for run in self._logarithmic:
             np.log(scaled[run], out=scaled[run])
         return scaled
-
-
-@kernel
-def _placed(
-    values: Vector, lower: Vector, upper: Vector, free: NDArray[np.int64], defaults: Vector
-) -> Vector:
-    """Return the defaults (n, P) with values (n, D), within bounds, in the free places (D,)."""
-    placed = np.empty((len(values), len(defaults)))
-    for row in range(len(values)):
-        placed[row] = defaults
-        for d in range(len(free)):
-            placed[row, free[d]] = min(max(values[row, d], lower[d]), upper[d])
-    return placed
 
 
 def _runs(marked: BoolArray) -> list[slice]:

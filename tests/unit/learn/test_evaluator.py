@@ -1,11 +1,14 @@
-"""The engine against the plain rollout and the Gymnasium environment, to the last bit."""
+"""Episodes of the native library against the plain rollout and the Gymnasium environment, to the last bit."""
 
 from typing import get_args
 
 import gymnasium
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from kit.toy_search import POLICY, candidates
+from kit.wirings import in_bounds
 
 from rover_ncp.circuit.policy import course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
@@ -15,9 +18,7 @@ from rover_ncp.core.geometry import wrap_angle
 from rover_ncp.course.course import Obstacle, load_course
 from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.scoring import due_checkpoints
-from sim.learn.episode import episode_kernel
 from sim.learn.evaluator import Evaluator
-from sim.learn.lane_runner import start_circuit, tick_circuits
 from sim.learn.rollout import rollout
 from sim.learn.search.strategies import Batch
 from sim.world.described import default_rover
@@ -218,6 +219,34 @@ def test_courses_with_and_without_obstacles_are_driven_together():
     assert nominal.T.tolist() == [Evaluator(POLICY, course).returns(vectors).tolist() for course in courses]
 
 
+@pytest.mark.long
+@settings(max_examples=100)
+@given(
+    seed=st.integers(0, 10**6),
+    level=st.sampled_from(["none", "mild", "full", "skid"]),
+    policy=st.sampled_from([POLICY, TRACKER]),
+    fenced=st.booleans(),
+)
+def test_any_policy_on_any_course_in_any_trial_ends_as_a_rover_alone_does(seed, level, policy, fenced):
+    course, reference = random_course(seed, 0)
+    if fenced:
+        course = course.model_copy(update={"obstacles": FENCED.obstacles})
+    model = default_rover()
+    trials = draw_trials(load_randomization(level), model, seed, count=3, ticks=course.ticks)
+    try:
+        evaluator = Evaluator(policy, course, model, trials, [reference])
+    except ConfigError:
+        assume(False)
+    rng = np.random.default_rng(seed)
+    vectors = in_bounds(policy, rng.random((2, policy.layout().size)))
+    found = evaluator.outcomes(vectors)
+    for i, vector in enumerate(vectors):
+        for row in range(trials.size):
+            drive = {"trials": trials, "row": row, "reference": reference}
+            run = rollout(policy.with_parameters(vector), course, model, **drive)
+            assert (found.total[i, row], found.touched[i, row]) == (run.total, run.touched)
+
+
 def test_blocked_start_of_a_later_course_is_rejected():
     blocked = COURSE.model_copy(update={"obstacles": (Obstacle(x=0.2, y=0.0, length=0.2, width=0.2),)})
     with pytest.raises(ConfigError, match="an obstacle stands where the rover starts"):
@@ -254,9 +283,3 @@ def test_a_policy_that_cannot_drive_is_refused():
             slow = parking_policy(load_circuit("parking"))
             object.__setattr__(slow, "substeps", 20)
             build(slow, COURSE)
-
-
-def test_machine_code_of_the_engine_is_kept_for_other_processes():
-    Evaluator(POLICY, COURSE).returns(POLICY.parameters())
-    engine = episode_kernel(start_circuit, tick_circuits)
-    assert all(engine._cache.path(types).is_file() for types in engine.signatures)

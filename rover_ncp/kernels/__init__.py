@@ -1,1 +1,0 @@
-"""Compiled kernels: the compiler and vector instructions."""

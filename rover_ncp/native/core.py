@@ -1,0 +1,308 @@
+"""The native library: loads it, checks what it is given, and alone calls it.
+
+A C++ structure has the fields of a named tuple in the same order: an array as its address and shape, a number
+as 8 bytes, a named tuple as its own fields. `structures` writes them so. It refuses arrays of another type,
+order or shape than their `Axes` say, and indices that point nowhere: the library checks nothing.
+"""
+
+import ctypes
+import hashlib
+import math
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_ncp.core.errors import UsageError
+
+FloatArray = NDArray[np.float64]
+
+WIDTH = 8
+"""Lanes that are stored side by side, as in arrays.h."""
+_SOURCES = _FOLDER = Path(__file__).parent
+VARIANTS = ("", "-avx2", "-avx512")
+"""Builds by their suffixes, for wider and wider registers; only x86-64 has more than the first."""
+_TICKS_OF_A_CALL = 1000
+"""Control ticks of all lanes, at most 0.1 s: Ctrl-C is noticed between two calls."""
+
+
+def load(width: int) -> ctypes.CDLL:
+    """Load the build for registers of a width, an index of ``VARIANTS``. Raises OSError."""
+    loaded = ctypes.CDLL(str(_FOLDER / f"librover_ncp{VARIANTS[width]}.so"))
+    loaded.rover_ncp_run_episodes.restype = ctypes.c_int64
+    loaded.rover_ncp_damped_steps.restype = ctypes.c_int64
+    loaded.rover_ncp_survival.restype = ctypes.c_double
+    return loaded
+
+
+@cache
+def widest() -> int:
+    """Return the widest build that this processor runs. Raises OSError where none was built."""
+    return int(load(0).rover_ncp_widest())
+
+
+@cache
+def library() -> ctypes.CDLL | None:
+    """Return the library for this processor's widest registers; None where it was not built.
+
+    Raises UsageError for a library of other sources than those beside it.
+    """
+    try:
+        loaded = load(widest())
+    except OSError:
+        return None
+    loaded.rover_ncp_sources.restype = ctypes.c_char_p
+    sources = sorted([*_SOURCES.glob("*.cpp"), *_SOURCES.glob("*.h")])
+    digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:16]
+    if loaded.rover_ncp_sources().decode() != digest:
+        raise UsageError(
+            f"the native library is not that of its sources in {_SOURCES}: run python hatch_build.py, or "
+            "install rover-ncp again"
+        )
+    return loaded
+
+
+def required() -> ctypes.CDLL:
+    """Return the library. Raises UsageError where it was not built."""
+    if (loaded := library()) is None:
+        raise UsageError(
+            "this needs the native library, which was not built: install a C++ compiler (g++ or clang) or "
+            "the Python package ziglang, then install rover-ncp again"
+        )
+    return loaded
+
+
+class Axes:
+    """The axes of an array: those of one name have one length in all arguments of a call.
+
+    A number is the length itself; ``name+1`` is one more than another axis, ``a*b`` the product of two, 0
+    where no argument has them; ``a|b`` is ``b`` where none has ``a``; ``.name`` is of the array's tuple.
+    An empty array fits where all names end in ``?``. The numbers are indices if ``below`` names the axis that
+    they point into: from ``lowest`` on.
+    """
+
+    def __init__(self, *names: str | int, below: str | None = None, lowest: int = 0) -> None:
+        self.names, self.below, self.lowest = [str(name) for name in names], below, lowest
+
+
+class Structure:
+    """A named tuple or an array as the library reads it. It keeps the arrays whose addresses it has."""
+
+    def __init__(self, value: Any, words: list[int]) -> None:
+        self._value, self._words = value, np.array(words, np.uint64)
+        self._as_parameter_ = ctypes.c_void_p(self._words.ctypes.data)
+
+    @property
+    def address(self) -> int:
+        """Where it is."""
+        return int(self._words.ctypes.data)
+
+
+def structures(**arguments: Any) -> list[Structure]:
+    """Return the structures of named tuples, and of arrays, each given as (array, type, axes).
+
+    Raises TypeError for an array of another type or order, ValueError for another shape or an index that is
+    out of range.
+    """
+    lengths = _Lengths()
+    found = []
+    for name, value in arguments.items():
+        is_array = not hasattr(value, "_fields")
+        words = _array(lengths, name, *value) if is_array else _pack(lengths, name, value)
+        found.append(Structure(value[0] if is_array else value, words))
+    lengths.check_indices()
+    return found
+
+
+def _pack(lengths: "_Lengths", path: str, value: Any) -> list[int]:
+    """Return the words of a named tuple."""
+    words: list[int] = []
+    kind_of_tuple: Any = type(value)
+    for (kind, axes), name, part in zip(_fields(kind_of_tuple), value._fields, value, strict=True):
+        where = f"{path}.{name}"
+        if axes is not None:
+            words += _array(lengths, where, part, kind, axes)
+        elif hasattr(part, "_fields"):
+            words += _pack(lengths, where, part)
+        elif isinstance(part, tuple):
+            words += [int(number) for number in part]
+        elif isinstance(part, float):
+            words.append(int(np.float64(part).view(np.uint64)))
+        else:
+            words.append(int(part))
+    return words
+
+
+def _array(lengths: "_Lengths", path: str, array: Any, kind: Any, axes: Axes) -> list[int]:
+    """Return the words of an array."""
+    if not isinstance(array, np.ndarray) or array.dtype != kind or not array.flags.c_contiguous:
+        found = (
+            f"{array.dtype} with strides {array.strides}" if isinstance(array, np.ndarray) else repr(array)
+        )
+        raise TypeError(f"{path} is {found}, expected a C-contiguous array of {np.dtype(kind)}")
+    if array.ndim != len(axes.names):
+        raise ValueError(f"{path} has the shape {array.shape}, expected the axes {', '.join(axes.names)}")
+    if any(array.shape) or not all(name.endswith("?") for name in axes.names):
+        for name, length in zip(axes.names, array.shape, strict=True):
+            lengths.compare(path, name.rstrip("?"), length)
+    if axes.below is not None:
+        lengths.indices.append((path, array, axes))
+    return [array.ctypes.data, *array.shape]
+
+
+class _Lengths:
+    """The lengths of axes by name, and the indices that point into them."""
+
+    def __init__(self) -> None:
+        self.indices: list[tuple[str, NDArray[Any], Axes]] = []
+        self._known: dict[str, int] = {}
+
+    def find(self, path: str, name: str) -> int | None:
+        """Return the length of an axis named by the array at ``path``, None if no array has it."""
+        if "*" in name:
+            return math.prod(self.find(path, factor) or 0 for factor in name.split("*"))
+        for choice in name.split("|"):
+            base, _, more = choice.partition("+")
+            if base.isdecimal():
+                return int(base)
+            if (length := self._known.get(_whole(path, base))) is not None:
+                return length + int(more or 0)
+        return None
+
+    def compare(self, path: str, name: str, length: int) -> None:
+        """Compare an axis with the others of its name."""
+        if (expected := self.find(path, name)) is None:
+            base, _, more = name.partition("+")
+            self._known[_whole(path, base)] = length - int(more or 0)
+        elif length != expected:
+            raise ValueError(f"{path} has {length} {name}, expected {expected}")
+
+    def check_indices(self) -> None:
+        """Raise ValueError for an index that is out of range, and for lanes without a block."""
+        lanes, blocks = self._known.get("lanes"), self._known.get("blocks")
+        if lanes is not None and blocks is not None and blocks != -(-lanes // WIDTH):
+            raise ValueError(f"{lanes} lanes in {blocks} blocks of {WIDTH}")
+        for path, array, axes in self.indices:
+            end = self.find(path, axes.below or "")
+            if end is not None and array.size and not (axes.lowest <= array.min() and array.max() < end):
+                raise ValueError(
+                    f"{path} points to {array.min()} to {array.max()}, expected {axes.lowest} to {end - 1}"
+                )
+
+
+def _whole(path: str, name: str) -> str:
+    return path.split(".")[-2] + name if name.startswith(".") else name
+
+
+@cache
+def _fields(kind: Any) -> list[tuple[Any, Axes | None]]:
+    """Return the types and axes of a named tuple's arrays; None for its other fields."""
+    fields: list[tuple[Any, Axes | None]] = []
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        axes = next((extra for extra in get_args(hint) if isinstance(extra, Axes)), None)
+        if axes is None and get_origin(hint) is np.ndarray:
+            raise TypeError(f"{kind.__name__}.{name} has no axes")
+        fields.append((get_args(get_args(get_args(hint)[0])[1])[0], axes) if axes else (None, None))
+    return fields
+
+
+def aligned_zeros(*shape: int) -> FloatArray:
+    """Return zeros that begin where a cache line may: registers across two of them take longer to load."""
+    size = math.prod(shape)
+    room = np.zeros(size + WIDTH)
+    first = -(room.ctypes.data // room.itemsize) % WIDTH
+    return room[first : first + size].reshape(shape)
+
+
+def bound_tick(circuits: Any, observations: FloatArray, commands: FloatArray) -> "partial[object]":
+    """Return what advances ``Circuits`` by a control tick.
+
+    It reads observations (inputs, L), which must be finite, and writes commands (outputs, L).
+    """
+    arguments = structures(
+        circuits=circuits,
+        observations=(observations, np.float64, Axes("inputs", "lanes")),
+        commands=(commands, np.float64, Axes("outputs|motor_channels", "lanes")),
+    )
+    return partial(required().rover_ncp_tick_lanes, *arguments)
+
+
+def fill_lanes(circuits: Any, vectors: FloatArray, first: int = 0) -> None:
+    """Set lanes of ``Circuits`` from ``first`` on to parameter vectors (k, P), which must lie in bounds."""
+    room = len(circuits.parameters.rate) * WIDTH
+    if not 0 <= first <= room - len(vectors):
+        raise ValueError(f"{len(vectors)} vectors from lane {first} on do not fit into {room} lanes")
+    arguments = structures(circuits=circuits, vectors=(vectors, np.float64, Axes("vectors", "parameters")))
+    required().rover_ncp_fill_lanes(*arguments, ctypes.c_int64(first))
+
+
+def bound_episodes(signal_at: NDArray[np.int64], **tuples: Any) -> Callable[[], None]:
+    """Return what runs episodes until a group has ended and a lane is free, or until none is left.
+
+    ``signal_at`` (inputs,) gives the signal of each input, a row of ``signals.TABLE``. The others are the
+    named tuples of ``rover_ncp_run_episodes``, in its order.
+    """
+    circuits, *others = structures(
+        circuits=tuples.pop("circuits"),
+        signal_at=(signal_at, np.int64, Axes("inputs", below=str(required().rover_ncp_signals()))),
+        **tuples,
+    )
+    ended = ctypes.c_int64()
+    run = partial(
+        required().rover_ncp_run_episodes,
+        circuits,
+        *others,
+        ctypes.byref(ended),
+        ctypes.c_int64(_TICKS_OF_A_CALL),
+    )
+
+    def run_all() -> None:
+        ended.value = 0
+        while not run():
+            pass
+
+    return run_all
+
+
+def call(name: str, *arguments: float | tuple[FloatArray, tuple[int, ...]]) -> Any:
+    """Call a function of numbers and of arrays, each given with the shape that it must have.
+
+    For arrays that are new at each call: this takes a tenth of the time of ``structures``.
+    """
+    values: list[Any] = []
+    for argument in arguments:
+        if isinstance(argument, int):
+            values.append(ctypes.c_int64(argument))
+        elif isinstance(argument, float):
+            values.append(ctypes.c_double(argument))
+        else:
+            array, shape = argument
+            if array.shape != shape or array.dtype != np.float64 or not array.flags.c_contiguous:
+                raise ValueError(
+                    f"{name}: {array.dtype} of {array.shape}, expected C-contiguous doubles of {shape}"
+                )
+            values.append(ctypes.c_void_p(array.ctypes.data))
+    return getattr(required(), name)(*values)
+
+
+@cache
+def linear_algebra() -> int:
+    """Return the address of ``Routines`` of least_squares.cpp: functions of scipy's BLAS and LAPACK."""
+    from scipy.linalg import cython_blas, cython_lapack
+
+    get_pointer = ctypes.pythonapi.PyCapsule_GetPointer
+    get_pointer.restype, get_pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
+    get_name = ctypes.pythonapi.PyCapsule_GetName
+    get_name.restype, get_name.argtypes = ctypes.c_char_p, [ctypes.py_object]
+    capsules = [
+        *(cython_blas.__pyx_capi__[name] for name in ("dsyrk", "dgemv", "ddot")),
+        cython_lapack.__pyx_capi__["dpotrf"],
+    ]
+    _ROUTINES[:] = [get_pointer(capsule, get_name(capsule)) for capsule in capsules]
+    return int(_ROUTINES.ctypes.data)
+
+
+_ROUTINES = np.zeros(4, np.uint64)

@@ -1,0 +1,157 @@
+"""What the native library is given: anything that it could not work on is an exception in Python."""
+
+import numpy as np
+import pytest
+from kit.toy_search import POLICY, candidates
+
+from rover_ncp.circuit.compiled import MAX_LANES, make_circuits
+from rover_ncp.circuit.runner import Runner
+from rover_ncp.core.errors import UsageError
+from rover_ncp.course.course import load_course
+from rover_ncp.course.signals import SIGNALS
+from rover_ncp.native import core
+from rover_ncp.native.core import bound_tick, fill_lanes, structures
+from sim.learn.evaluator import Evaluator
+from sim.learn.search.least_squares import damped_steps
+from sim.learn.search.strategies import Batch
+
+COURSE = load_course("parking")
+
+
+def arrays(value, path=()):
+    """Yield the path and the value of each array of a named tuple."""
+    for name, part in zip(value._fields, value, strict=True):
+        if hasattr(part, "_fields"):
+            yield from arrays(part, (*path, name))
+        elif isinstance(part, np.ndarray):
+            yield (*path, name), part
+
+
+def replaced(value, path, array):
+    name, *rest = path
+    return value._replace(**{name: replaced(getattr(value, name), rest, array) if rest else array})
+
+
+def wrong(array):
+    """Yield what an array must not be."""
+    yield array.astype(np.float32 if array.dtype == np.float64 else np.int32)
+    yield array.tolist()
+    yield np.repeat(array, 2, axis=0) if len(array) else np.zeros((1, *array.shape[1:]), array.dtype)
+    yield array[None]
+    if array.size > 1:
+        yield np.zeros((*array.shape, 2), array.dtype)[..., 0]  # with gaps between its numbers
+    if len(array):
+        yield array[:-1]
+
+
+@pytest.fixture
+def everything():
+    """All that episodes are run with."""
+    evaluator = Evaluator(POLICY, COURSE)
+    found = {}
+
+    def keep(signal_at, **tuples):
+        found.update(signal_at=signal_at, **tuples)
+        return lambda: None
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sim.learn.evaluator.bound_episodes", keep)
+        evaluator.stream(2)
+    found["evaluator"] = evaluator
+    return found
+
+
+def test_no_array_of_episodes_can_be_of_another_type_order_or_shape(everything):
+    everything.pop("evaluator")
+    signal_at = everything.pop("signal_at")
+    core.bound_episodes(signal_at, **everything)
+    tried, taken = 0, set()
+    for name, value in everything.items():
+        for path, array in arrays(value):
+            for other in wrong(array):
+                tried += 1
+                try:
+                    core.bound_episodes(signal_at, **everything | {name: replaced(value, path, other)})
+                except (TypeError, ValueError):
+                    continue
+                taken.add((name, *path))
+    assert tried > 300
+    # Their length is their own; limits are not read without an output layer.
+    assert taken == {
+        ("circuits", "program", "output_limit"),
+        ("fleet", "due"),
+        ("queue", "vectors"),
+        ("queue", "waiting", "left"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "path", "index"),
+    [
+        ("queue", ("vector",), 10**6),
+        ("queue", ("task",), 1),
+        ("queue", ("trial",), -1),
+        ("queue", ("waiting", "episodes"), -1),
+        ("lanes", ("latest",), 10**6),
+        ("tasks", ("due",), 10**3),
+        ("tasks", ("ticks",), 10**6),
+        ("trials", ("delay",), 10**6),
+        ("fleet", ("waits",), -1),
+        ("circuits", ("program", "sensors", "neuron"), 12),
+        ("circuits", ("program", "integrated", "leak_at"), 10**4),
+        ("circuits", ("program", "recurrent_synapses", "first"), 100),
+        ("circuits", ("program", "recurrent_synapses", "source"), -1),
+    ],
+)
+def test_no_index_points_elsewhere(name, path, index, everything):
+    everything.pop("evaluator")
+    value = everything[name]
+    array = dict(arrays(value))[path].copy()
+    array.flat[-1] = index
+    with pytest.raises(ValueError, match="points to"):
+        core.bound_episodes(**everything | {name: replaced(value, path, array)})
+
+
+def test_the_library_has_the_signals_of_the_table():
+    assert core.required().rover_ncp_signals() == len(SIGNALS)
+
+
+def test_lanes_are_counted():
+    for count in (0, -1, MAX_LANES + 1, 10_000):
+        with pytest.raises(ValueError, match="lanes"):
+            make_circuits(POLICY, count)
+    circuits = make_circuits(POLICY, 9)
+    vectors = candidates(2, seed=1)
+    for first in (-1, 15, 16):
+        with pytest.raises(ValueError, match="do not fit"):
+            fill_lanes(circuits, vectors, first)
+    with pytest.raises(ValueError, match="points to"):
+        fill_lanes(circuits, vectors[:, :-1].copy())
+    for observations, commands in (((4, 8), (2, 9)), ((3, 9), (2, 9)), ((4, 9), (3, 9)), ((4, 9), (9, 2))):
+        with pytest.raises(ValueError, match="expected"):
+            bound_tick(circuits, np.zeros(observations), np.zeros(commands))
+
+
+def test_numbers_that_are_none_are_refused():
+    evaluator = Evaluator(POLICY, COURSE)
+    vectors = candidates(3, seed=1)
+    vectors[1, 5] = np.nan
+    with pytest.raises(ValueError, match="not finite"):
+        evaluator.returns(vectors)
+    with pytest.raises(ValueError, match="not finite"):
+        evaluator.stream(1).submit(0, Batch(vectors, np.zeros(3)))
+    with pytest.raises(UsageError, match="finite"):
+        Runner(POLICY).tick([np.nan, 0.0, 0.0, 0.0])
+    with pytest.raises(ValueError, match="expected C-contiguous"):
+        damped_steps(np.ones((6, 5)).T, np.ones(6), np.ones(6), np.ones(5), np.ones(1))
+
+
+def test_a_structure_keeps_its_arrays():
+    [structure] = structures(numbers=(np.arange(3.0), np.float64, core.Axes("numbers")))
+    assert structure._value.tolist() == [0.0, 1.0, 2.0]
+
+
+def test_without_the_library_training_says_what_it_needs(monkeypatch):
+    monkeypatch.setattr(core, "library", lambda: None)
+    with pytest.raises(UsageError, match="native library, which was not built"):
+        Evaluator(POLICY, COURSE).returns(POLICY.parameters())

@@ -19,7 +19,7 @@ from bridge.base import Base
 from bridge.gate.limits import Limits
 from bridge.inbox import Inbox
 from bridge.pioneer.base import ArcosBase
-from bridge.pioneer.base_connection import first_connection
+from bridge.pioneer.base_connection import BaseConnection
 from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
@@ -127,12 +127,10 @@ def open_base(
     link: ZenohLink,
     *,
     no_base_watchdog: bool,
-    interrupted: Callable[[], bool],
-    say: Callable[[str], None],
 ) -> tuple[Base, str]:
     """Open the line to the base; also return what a user has to know of it.
 
-    Raises UsageError, FileError, ConfigError, NoRobot, and KeyboardInterrupt while it waits for a Pioneer.
+    Raises UsageError, FileError, ConfigError and NoRobot.
     """
     if chosen.entry_point is not None:
         assert chosen.description is not None  # choose_base checks it
@@ -150,8 +148,7 @@ def open_base(
         return base, ""
     if chosen.ros2 is None:
         session = Session(chosen.description, MotionLimits(v=limits.v_max, omega=limits.omega_max))
-        connection = first_connection(chosen.address, inbox, interrupted, say)
-        return ArcosBase(connection, session), ""
+        return ArcosBase(BaseConnection(chosen.address, inbox), session), ""
     ros2, line = open_ros2_base(chosen, inbox, unsafe=no_base_watchdog)
     link.watch_robot_side(f"{LOOP_KEY}/{line.nonce}", lambda there: inbox.put(LoopSeen(there)))
     return ros2, ros2.note

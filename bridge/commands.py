@@ -92,9 +92,9 @@ def bridge(
 ) -> int:
     """Connect a Pioneer or a ROS 2 robot to Zenoh: one driver at a time drives it, within limits.
 
-    Without certificates it listens on this machine only, unless --insecure is given. A Pioneer that refuses
-    connections is tried for 5 s. A ROS 2 robot is driven only if its description has the
-    measured_base_timeout_s that --measure-timeout prints, or with --no-base-watchdog.
+    Without certificates it listens on this machine only, unless --insecure is given. A ROS 2 robot is
+    driven only if its description has the measured_base_timeout_s that --measure-timeout prints, or with
+    --no-base-watchdog.
 
     Publishes odometry, transforms, battery, sonar, bumpers and diagnostics as ROS 2 messages, and passes
     commands on through a gate. Only the holder of the lease drives; the rover stops when no valid command
@@ -144,8 +144,6 @@ def bridge(
             inbox,
             link,
             no_base_watchdog=no_base_watchdog,
-            interrupted=lambda: interrupts.raised,
-            say=output.say,
         )
 
         def ready() -> None:

@@ -19,10 +19,6 @@ RETRY_S, MAX_RETRY_S = 0.1, 0.5
 """Wait before opening a line again. It doubles with each line on which nothing arrives, up to the maximum."""
 
 
-FIRST_TRIES = 50
-"""Attempts at the first connection, `RETRY_S` apart: a base that is still starting refuses it."""
-
-
 @dataclass(frozen=True)
 class Opened:
     """A line is open; ``use`` it. ``baudrate`` is None for a line without a rate."""
@@ -42,27 +38,6 @@ class Broken:
     """The line, or the attempt to open it, failed; ``drop`` it."""
 
     error: NoRobot
-
-
-def first_connection(
-    endpoint: str, inbox: Inbox, interrupted: Callable[[], bool], say: Callable[[str], None]
-) -> "BaseConnection":
-    """Connect to a base, also to one that refuses connections for some seconds.
-
-    Raises UsageError, NoRobot or KeyboardInterrupt.
-    """
-    for left in range(FIRST_TRIES - 1, -1, -1):
-        try:
-            return BaseConnection(endpoint, inbox)
-        except NoRobot as error:
-            if not (left and isinstance(error.__cause__, ConnectionRefusedError)):
-                raise
-            if left == FIRST_TRIES - 1:
-                say(f"{error}; trying again for {FIRST_TRIES * RETRY_S:g} s")
-        if interrupted():
-            raise KeyboardInterrupt
-        threading.Event().wait(RETRY_S)
-    raise AssertionError("the last attempt returns or raises")
 
 
 class BaseConnection:

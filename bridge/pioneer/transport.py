@@ -15,7 +15,6 @@ import termios
 import time
 from abc import ABC, abstractmethod
 from contextlib import suppress
-from pathlib import Path
 
 import serial
 
@@ -183,7 +182,8 @@ class SerialTransport(Transport):
         try:
             self._port = serial.Serial(port, baudrate=baudrate, timeout=0.0, exclusive=True)
         except _ERRORS as error:
-            raise self._gone(_other_user(port, error) or _reason(error)) from error
+            locked = getattr(_cause(error), "errno", None) in {errno.EAGAIN, errno.EBUSY}
+            raise self._gone("another process uses it" if locked else _reason(error)) from error
         self.baudrate = baudrate
 
     def set_baudrate(self, baudrate: int) -> None:
@@ -217,19 +217,6 @@ def _reason(error: Exception) -> str:
 
 def _cause(error: Exception) -> BaseException:
     return error.__context__ if isinstance(error.__context__, OSError) else error
-
-
-def _other_user(port: str, error: Exception) -> str:
-    """Return which process uses a locked port, as far as the system shows it; "" if it is not locked."""
-    if getattr(_cause(error), "errno", None) not in {errno.EAGAIN, errno.EBUSY}:
-        return ""
-    device, users = Path(port).resolve(), set()
-    for link in Path("/proc").glob("[0-9]*/fd/*"):
-        with suppress(OSError):
-            process = link.parent.parent
-            if link.readlink() == device and process.name != str(os.getpid()):
-                users.add(f"{(process / 'comm').read_text().strip()}, process {process.name}")
-    return f"another process uses it: {' and '.join(sorted(users)) or 'one of another user'}"
 
 
 def open_transport(endpoint: str) -> Transport:

@@ -10,7 +10,7 @@ import pytest
 from bridge.inbox import MAX_MESSAGES, CommandMessage, Inbox, Query, RobotMessage
 from bridge.pioneer import base_connection as line_module
 from bridge.pioneer import transport
-from bridge.pioneer.base_connection import BaseConnection, Broken, Opened, Received, first_connection
+from bridge.pioneer.base_connection import BaseConnection, Broken, Opened, Received
 from bridge.pioneer.transport import TcpTransport
 from sim.park.live import wait_for
 
@@ -136,28 +136,3 @@ def test_flood_of_one_origin_drops_no_messages_of_others():
     assert inbox.flooded == len(floods)
     inbox.put(floods[0])
     assert [arrival for _, arrival in inbox.take(0.0)] == floods[:1]
-
-
-@pytest.fixture
-def endpoint(monkeypatch):
-    """An endpoint where nothing listens yet."""
-    monkeypatch.setattr(line_module, "RETRY_S", 0.05)
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = server.getsockname()[1]
-    return f"tcp/127.0.0.1:{port}"
-
-
-def test_the_first_connection_waits_for_a_base_that_is_still_starting(endpoint):
-    said, asked, servers = [], [], []
-
-    def interrupted():
-        asked.append(True)
-        if len(asked) == 4:
-            servers.append(socket.create_server(("127.0.0.1", int(endpoint.rpartition(":")[2]))))
-        return False
-
-    line = first_connection(endpoint, Inbox(), interrupted, said.append)
-    line.close()
-    servers[0].close()
-    assert len(asked) == 4
-    assert said == [f"{endpoint}: connection refused: nothing listens there; trying again for 2.5 s"]

@@ -9,7 +9,6 @@ import pytest
 from kit.bridge_bench import MACHINE_S, STOP_S, Driver, braking_s, wait_for
 from kit.true_motion import stood_after
 
-from bridge.pioneer import base_connection
 from rover_ncp import cli
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.wire.key_table import spec
@@ -21,9 +20,8 @@ FORGED = "ready zenoh=tcp/192.0.2.1:7447 base=tcp/192.0.2.1:8101"
 
 
 @pytest.fixture
-def fails(capsys, monkeypatch):
+def fails(capsys):
     """Run a bridge that cannot start, in this process; return its exit code and its one line."""
-    monkeypatch.setattr(base_connection, "FIRST_TRIES", 1)
 
     def run(base, *arguments):
         code = cli.run(["bridge", "--base", base, "--listen", "tcp/127.0.0.1:0", *arguments, "--json"])

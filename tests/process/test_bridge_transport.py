@@ -154,14 +154,14 @@ def test_the_last_command_arrives_although_sips_lie_unread():
         assert far.recv(100) == encode_command(Command.CLOSE)
 
 
-def test_port_that_another_process_has_locked_is_named_with_that_process():
+def test_port_that_another_process_has_locked_is_named():
     far, near = pty.openpty()
     name = os.ttyname(near)
     lock = "import fcntl, sys; port = open(sys.argv[1]); fcntl.flock(port, 2); print(flush=True); input()"
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     with subprocess.Popen([sys.executable, "-c", lock, name], **pipes) as other:
         other.stdout.readline()
-        with pytest.raises(NoRobot, match=rf"another process uses it: python\S*, process {other.pid}"):
+        with pytest.raises(NoRobot, match="another process uses it"):
             open_transport(f"serial/{name}")
         other.communicate(b"\n")
     open_transport(f"serial/{name}").close()

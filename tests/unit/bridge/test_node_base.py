@@ -170,7 +170,7 @@ def test_base_of_another_package_is_opened_by_its_entry_point(monkeypatch):
     monkeypatch.setattr(
         "bridge.bases.entry_points", lambda group, name: [EntryPoint(name, known[name], group)]
     )
-    rest = {"no_base_watchdog": False, "interrupted": lambda: False, "say": print}
+    rest = {"no_base_watchdog": False}
     base, _ = open_base(choose_base("mine/10.0.0.1:9", "turtlebot4"), Limits(), Inbox(), None, **rest)
     assert isinstance(base, FailingBase)
     assert opened[0][:2] == ("10.0.0.1:9", load_description("turtlebot4"))

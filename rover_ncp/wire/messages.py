@@ -6,7 +6,7 @@ counter-clockwise (REP-103). Stamps are ns since the epoch. `rover_ncp.wire.key_
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -105,15 +105,6 @@ class Transform(NamedTuple):
     y: float
     z: float
     yaw: float
-
-
-class Diagnostic(NamedTuple):
-    """One line of diagnostics; level 0 ok, 1 warning, 2 error, 3 stale."""
-
-    name: str
-    level: int
-    message: str
-    values: Mapping[str, str]
 
 
 def odometry(
@@ -345,22 +336,6 @@ def read_bumpers(data: bytes) -> tuple[bool, bool]:
     """Return whether the front bumper is pressed, and the rear one. Raises FormatError."""
     pressed = decode(_BYTES, data).data > 0
     return bool(pressed[:1].any()), bool(pressed[1:].any())
-
-
-def diagnostics(items: Sequence[Diagnostic], stamp_ns: int, hardware_id: str = "") -> bytes:
-    """Return a DiagnosticArray."""
-    status = [
-        {
-            "level": item.level,
-            "name": item.name,
-            "message": item.message,
-            "hardware_id": hardware_id,
-            "values": [{"key": name, "value": value} for name, value in item.values.items()],
-        }
-        for item in items
-    ]
-    head = header_of(stamp_ns, BASE_FRAME)
-    return encode("diagnostic_msgs/msg/DiagnosticArray", header=head, status=status)
 
 
 def neurons(potentials: Sequence[float] | FloatArray, names: Sequence[str]) -> bytes:

@@ -72,7 +72,6 @@ def test_ros_lists_the_topics_of_the_bridge_before_any_subscription(pioneer):
     wanted = {
         "/odom": "nav_msgs/msg/Odometry",
         "/battery_state": "sensor_msgs/msg/BatteryState",
-        "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
         "/rover/gate": "std_msgs/msg/String",
         "/rover/cmd_out": TWIST_STAMPED,
     }

@@ -146,7 +146,7 @@ def test_a_bad_stamp_costs_one_message(ready):
     ready.run(0.02)
     ready.clock_s -= 5.0
     assert gaps_s(ready, 3.0) < 0.12
-    assert (len(ready.events), ready.base.health().counters["stale"]) == (1, 1)
+    assert len(ready.events) == 1
     assert ready.stamp_s == pytest.approx(ready.clock_s + ready.now, abs=0.06)
 
 
@@ -160,7 +160,6 @@ def test_a_link_that_became_slow_stays_lost(ready):
 
     ready.run(20.0, odom=False, each=send_late)
     assert [type(event) for event in ready.events] == [Ready, Lost]
-    assert ready.base.health().counters["stale"] > 1000
 
 
 @pytest.fixture

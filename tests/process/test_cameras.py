@@ -96,10 +96,6 @@ def part(level, stamp=None):
     return f"{header}\r\n".encode() + data + b"\r\n"
 
 
-DAMAGED = part(50)[:-30]
-STATUS = b"--b\r\nContent-Type: text/plain\r\n\r\nbattery 80 %\r\n"
-
-
 def levels_of(address, count=1):
     """Return the grey levels of the camera's first pictures."""
     with HttpCamera(address, Counter()) as camera:
@@ -122,17 +118,6 @@ def test_stream_gives_the_newest_picture_with_its_moment(serve):
     assert second.wall_ns - first.wall_ns == pytest.approx(0.5e9, abs=0.15e9)
 
 
-def test_damaged_picture_is_left_out_and_counted(serve, caplog):
-    # A busy machine must look at each picture before the next one takes its place.
-    parts, left_out = (part(50), 0.6, DAMAGED, 0.6, DAMAGED, STATUS, 0.6, part(90), 0.6), Counter()
-    host = serve(stream_of(*parts))
-    with HttpCamera(f"http://{host}/", left_out) as camera:
-        levels = [int(each.grey[0, 0]) for each in itertools.islice(iter(camera), 2)]
-    assert levels == [50, 90]
-    assert left_out == {"a picture is damaged": 2}
-    assert caplog.text.count("left out: a picture is damaged") == 1
-
-
 def chunked(request):
     """Answer with a chunked stream without a type."""
     request.protocol_version = "HTTP/1.1"
@@ -152,16 +137,6 @@ def chunked(request):
 def test_camera_is_read_as_a_browser_does(serve, answer, monkeypatch):
     monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")  # a camera is not read through a proxy
     assert levels_of(f"http://{serve(answer)}/") == [50]
-
-
-def test_picture_that_is_not_a_stream_is_asked_for_again(serve):
-    levels = itertools.count(50, 10)
-
-    def answer(request):
-        stream_of(jpeg(next(levels)), content="image/jpeg")(request)
-
-    host = serve(answer)
-    assert levels_of(f"http://{host}/capture", 3) == [50, 60, 70]
 
 
 SECRET = "p@ss:w%2Frd"

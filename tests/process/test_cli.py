@@ -1,6 +1,5 @@
 import json
 import os
-import re
 import subprocess
 import sys
 from importlib.metadata import entry_points, version
@@ -12,7 +11,6 @@ from rover_ncp import cli
 from rover_ncp.core.errors import NoBridge, SafetyStop, UsageError
 
 MODULES = {point.name: point.module for point in entry_points(group=cli.GROUP)}
-NO_BRIDGE = "--robot tcp/127.0.0.1:1"
 HEAVY = ["pymunk", "filterpy", "gymnasium", "matplotlib", "plotly", "zenoh", "rosbags", "scipy"]
 
 
@@ -87,6 +85,7 @@ def run_command(monkeypatch):
         (SafetyStop("bumper", "front"), 4),
         (KeyboardInterrupt(), 130),
         (typer.Abort(), 130),
+        (ModuleNotFoundError("no", name="plotly.graph_objects"), 2),
     ],
 )
 def test_errors_become_one_line_an_exit_code_and_one_json_object(raised, code, capsys, run_command):
@@ -110,61 +109,3 @@ def test_a_bug_is_a_traceback_not_a_user_error(bug, run_command):
 
     with pytest.raises(bug):
         run_command(fail)
-
-
-NEEDS = {
-    "": ["bridge --base tcp/127.0.0.1:1 --limits no.yaml", f"check --on-blocks {NO_BRIDGE}"],
-    "drive": [
-        f"deploy {NO_BRIDGE} --policy parking",
-        "export parking --to c --out exported",
-        f"watch {NO_BRIDGE} --port 0 --policy parking",
-        "keys --out keys",
-    ],
-    "train": ["train --course no.yaml", "eval parking", "mock --listen nowhere"],
-}
-"""Command lines that end at once, by the extra they need."""
-BROUGHT = {"": {""}, "drive": {"drive"}, "train": {"drive", "train"}}
-"""By the extra that a user installs, all that it brings."""
-WITHOUT = """
-import json, os, sys
-from importlib.abc import MetaPathFinder
-import typer._adapters, typer.rich_utils
-from rover_ncp import cli
-from rover_ncp.wire import zenoh
-
-class Missing(MetaPathFinder):
-    def find_spec(self, name, path, target=None):
-        if name.split(".")[0] in missing:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-zenoh.CLIENT["connect/timeout_ms"] = 100
-for missing, lines in json.loads(sys.argv[1]):
-    if "filterpy" not in missing:
-        import filterpy.kalman, scipy.optimize, scipy.stats  # the extra "drive", once for all forks
-    if not (child := os.fork()):
-        sys.meta_path.insert(0, Missing())
-        for line in lines:
-            print("$", line, file=sys.stderr)
-            cli.run(line.split())
-        sys.stderr.flush()
-        os._exit(0)
-    os.waitpid(child, 0)
-    print("#", file=sys.stderr, flush=True)
-"""
-
-
-def test_a_missing_library_names_an_extra_of_the_command_in_one_line_and_that_is_enough(tmp_path):
-    tasks = [(list(cli._EXTRAS), [line for extra, lines in NEEDS.items() if extra for line in lines])]
-    for extra, lines in NEEDS.items():
-        missing = [library for library, its in cli._EXTRAS.items() if its not in BROUGHT[extra]]
-        tasks.append((missing, lines))
-    done = python(["-c", WITHOUT, json.dumps(tasks)], cwd=tmp_path, stdin=subprocess.DEVNULL)
-    answers = done.stderr.split("#\n")[:-1]
-    without, *found = [dict(part.split("\n", 1) for part in answer.split("$ ")[1:]) for answer in answers]
-    assert [list(each) for each in (without, *found)] == [lines for _, lines in tasks]
-    for extra, answers in zip(NEEDS, found, strict=True):
-        expected = "|".join(BROUGHT[extra])
-        for line, words in answers.items():
-            pattern = rf"rover-ncp: \w+ is not installed: .* the extra ({expected}), as .*\n"
-            assert not extra or re.fullmatch(pattern, without[line]), line
-            assert "is not installed" not in words, line

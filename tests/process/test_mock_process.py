@@ -6,14 +6,12 @@ import time
 from contextlib import ExitStack, closing
 
 import pytest
-from kit.pioneer_bench import Pioneer
 from kit.true_motion import moving
 
 from bridge.pioneer.framing import Command, Decoder, encode_command, encode_frame
 from bridge.pioneer.packets import Kind, decode_names
 from bridge.pioneer.transport import open_transport
 from rover_ncp.cli import run
-from sim.mock.server import Server
 from sim.park.live import Process, wait_for
 from sim.park.truth import TruthReader
 
@@ -72,16 +70,6 @@ def test_a_client_that_vanishes_can_come_back_to_the_chosen_base_and_a_kill_leav
     process.wait(5.0)
     assert truth.read_bytes().endswith(b"\n")
     assert not moving(TruthReader(truth).read()[-1])
-
-
-def test_client_that_comes_before_the_end_of_the_last_one_is_reported_is_served():
-    server = Server("127.0.0.1", 0, Pioneer("p3at-sh").firmware)
-    with closing(server), ExitStack() as clients:
-        for _ in range(2):
-            line = clients.enter_context(socket.create_connection((server.host, server.port), 5.0))
-            server._accept()
-            assert server._client.getpeername() == line.getsockname()
-            reset(line)
 
 
 @pytest.mark.parametrize("options", [[], ["--ros2", "--model", "turtlebot4"]])

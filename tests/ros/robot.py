@@ -1,8 +1,7 @@
 """A robot with differential drive as a ROS 2 node: real rclpy on DDS, or a foreign rmw_zenoh in Python.
 
 It has odometry with covariance, a gyro, a battery, limits of acceleration, a delay, and a timeout of its own.
-Each 0.1 s it prints its true state as JSON. Lines of its input change it: ``clock 0.5`` sets its clock
-forward, ``rate 1`` is its odometry's new rate in Hz.
+Each 0.1 s it prints its true state as JSON. A line of its input such as ``clock 0.5`` sets its clock forward.
 """
 
 import argparse
@@ -54,7 +53,7 @@ class Robot:
     """The body and its topics."""
 
     def __init__(self, arguments):
-        self.arguments, self.clock_s, self.rate_hz = arguments, arguments.clock, arguments.rate
+        self.arguments, self.clock_s = arguments, arguments.clock
         self.since_s = time.time() - time.monotonic()
         self.body = Body(arguments.accel, arguments.alpha, 0.08, arguments.timeout)
         self.body.x, self.body.y, self.body.theta = arguments.start
@@ -64,19 +63,17 @@ class Robot:
         self.publishers = {
             name: self.wire.publisher(topic, ros_type, reliable and name != "imu")
             for name, topic, ros_type in [
-                ("odom", arguments.odom, arguments.odom_type),
+                ("odom", arguments.odom, ODOMETRY),
                 ("imu", arguments.imu, IMU),
                 ("battery", arguments.battery, BATTERY),
             ]
         }
         if arguments.stop:
             self.publishers["stop"] = self.wire.publisher(arguments.stop, BOOL, reliable)
-        command = "Twist" if arguments.twist else "TwistStamped"
-        self.wire.subscribe(arguments.cmd_vel, f"geometry_msgs/msg/{command}", self.receive)
+        self.wire.subscribe(arguments.cmd_vel, "geometry_msgs/msg/TwistStamped", self.receive)
 
     def receive(self, message):
-        twist = message if self.arguments.twist else message.twist
-        self.body.command(twist.linear.x, twist.angular.z)
+        self.body.command(message.twist.linear.x, message.twist.angular.z)
 
     def run(self):
         now = time.monotonic()
@@ -86,8 +83,8 @@ class Robot:
             self.wire.spin(max(0.0, min(due.values()) - time.monotonic()))
             self.body.advance(now := time.monotonic())
             periods = {
-                "odom": 1 / self.rate_hz,
-                "imu": 1 / self.arguments.imu_rate,
+                "odom": 1 / self.arguments.rate,
+                "imu": 1 / 20.0,
                 "battery": 1.0,
                 "stop": 0.1,
             }
@@ -103,28 +100,22 @@ class Robot:
 
     def change(self, lines):
         for line in lines:
-            name, value = line.split()
-            if name == "clock":
-                self.clock_s += float(value)
-            else:
-                self.rate_hz = float(value)
+            self.clock_s += float(line.removeprefix("clock "))
 
     def header(self, frame):
         # The moment of the state: what takes long to publish is no newer for it.
         return header(self.body.now + self.since_s + self.clock_s, frame)
 
     def odom(self):
-        body, (frame, child) = self.body, self.arguments.frames
-        if self.arguments.odom_type != ODOMETRY:
-            return {"header": self.header(frame)}
+        body = self.body
         turn = {"z": math.sin(body.theta / 2), "w": math.cos(body.theta / 2)}
         spread = [0.0] * 36
         spread[0], spread[7], spread[14], spread[21], spread[28], spread[35] = 1e-4, 1e-4, 1e6, 1e6, 1e6, 1e-3
         pose = {"position": {"x": body.x, "y": body.y}, "orientation": turn}
         twist = {"linear": {"x": body.v}, "angular": {"z": body.omega}}
         return {
-            "header": self.header(frame),
-            "child_frame_id": child,
+            "header": self.header("odom"),
+            "child_frame_id": "base_link",
             "pose": {"pose": pose, "covariance": spread},
             "twist": {"twist": twist, "covariance": spread},
         }
@@ -151,21 +142,17 @@ def main():
     add("--name", default="robot")
     add("--namespace", default="")
     add("--odom", default="odom")
-    add("--odom-type", default=ODOMETRY)
     add("--imu", default="imu")
     add("--battery", default="battery_state")
     add("--cmd-vel", default="cmd_vel")
-    add("--twist", action="store_true", help="take Twist, not TwistStamped")
     add("--stop", default="", help="the topic of its stop button, if it has one")
     add("--best-effort", action="store_true")
     add("--rate", type=float, default=20.0)
-    add("--imu-rate", type=float, default=20.0)
     add("--clock", type=float, default=0.0, help="its clock minus this machine's, s")
     add("--timeout", type=float, default=0.5)
     add("--accel", type=float, default=0.9)
     add("--alpha", type=float, default=7.7)
     add("--volts", type=float, default=14.4)
-    add("--frames", nargs=2, default=("odom", "base_link"))
     add("--start", nargs=3, type=float, default=(0.0, 0.0, 0.0))
     Robot(parser.parse_args()).run()
 

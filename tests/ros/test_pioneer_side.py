@@ -7,9 +7,7 @@ import pytest
 from kit.bridge_bench import Driver, wait_for
 from ros.rig import RunWithRos, free_address
 
-from deploy.place.place import load_place
-from rover_ncp import cli
-from rover_ncp.wire.messages import POSE_STAMPED, POSE_WITH_COVARIANCE, TWIST, TWIST_STAMPED
+from rover_ncp.wire.messages import TWIST, TWIST_STAMPED
 from sim.park.live import Process
 
 # teleop_twist_keyboard's first message of its key i: speed 0.5, turn 1.0, and no frame.
@@ -78,26 +76,3 @@ def test_ros_lists_the_topics_of_the_bridge_before_any_subscription(pioneer):
     with pioneer.topic("list") as node:
         wait_for(lambda: wanted.items() <= {name: kind for name, (kind, *_) in node.last.items()}.items())
         assert "/cmd_vel" not in node.last
-
-
-@pytest.mark.parametrize(
-    ("ros_type", "fields", "options"),
-    [
-        # AMCL's publisher is transient local.
-        (POSE_WITH_COVARIANCE, {"pose": {"pose": None, "covariance": [1e-4] * 36}}, ["--latched"]),
-        # What Nav2's docking server reads on detected_dock_pose.
-        # By rmw_zenoh: a relay may still hold the route of this name with AMCL's type.
-        (POSE_STAMPED, {"pose": None}, ["--by", "zenoh-ros2-sdk"]),
-    ],
-    ids=["AMCL", "dock pose"],
-)
-def test_poses_of_ros_nodes_become_a_place(ros_type, fields, options, pioneer, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    pose = {"position": {"x": 2.0, "y": 1.0}, "orientation": {"z": 1.0, "w": 0.0}}
-    inner = fields["pose"] | {"pose": pose} if fields["pose"] else pose
-    message = {"header": {"frame_id": "map"}, "pose": inner}
-    with pioneer.topic("pub", "pose", ros_type, json.dumps(message), *options):
-        assert cli.run(["place", "set", "charger", "--robot", pioneer.robot, "--seconds", "8"]) == 0
-    place = load_place("charger")
-    assert place.frame == "map"
-    assert (place.goal.x, place.goal.y, abs(place.goal.theta)) == pytest.approx((2.0, 1.0, 3.14159), abs=1e-4)

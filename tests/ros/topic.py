@@ -19,15 +19,14 @@ def main():
     add("--router", default="")
     add("--name", default="tester")
     add("--rate", type=float, default=10.0)
-    add("--latched", action="store_true")
     given = parser.parse_args()
     wire = WIRES[given.by](given.name, "", given.router)
     publish = None
     if given.what == "pub":
-        publish = wire.publisher(given.topic, given.type, latched=given.latched)
+        publish = wire.publisher(given.topic, given.type)
     elif given.what == "echo":
         show = lambda message: print(json.dumps(values(message)), flush=True)  # noqa: E731
-        wire.subscribe(given.topic, given.type, show, latched=given.latched)
+        wire.subscribe(given.topic, given.type, show)
     while input_lines() is not None:
         if publish is not None:
             if "header" in given.fields:

@@ -64,15 +64,15 @@ class Rclpy:
         rclpy.init()
         self.node = rclpy.create_node(name, namespace=namespace or None)
 
-    def publisher(self, topic, ros_type, reliable=True, latched=False):
+    def publisher(self, topic, ros_type, reliable=True):
         """Return a function that publishes a message of these fields."""
         kind = message_class(ros_type)
-        publisher = self.node.create_publisher(kind, topic, profile(reliable, latched))
+        publisher = self.node.create_publisher(kind, topic, profile(reliable))
         return lambda fields: publisher.publish(fill(kind(), fields))
 
-    def subscribe(self, topic, ros_type, receive, reliable=True, latched=False):
+    def subscribe(self, topic, ros_type, receive, reliable=True):
         """Call ``receive`` with each message while the node spins."""
-        self.node.create_subscription(message_class(ros_type), topic, receive, profile(reliable, latched))
+        self.node.create_subscription(message_class(ros_type), topic, receive, profile(reliable))
 
     def spin(self, seconds):
         """Wait for a message so long, and handle it."""
@@ -118,7 +118,7 @@ class Sdk(OnZenoh):
         self.session = ZenohSession.get_instance(host, int(port))
         get_registry(str(Path(sys.prefix) / "share"))
 
-    def publisher(self, topic, ros_type, reliable=True, latched=False):
+    def publisher(self, topic, ros_type, reliable=True):
         from zenoh_ros2_sdk import ROS2Publisher
 
         publisher = ROS2Publisher(self.path(topic), ros_type, node_name=self.name)
@@ -131,7 +131,7 @@ class Sdk(OnZenoh):
 
         return publish
 
-    def subscribe(self, topic, ros_type, receive, reliable=True, latched=False):
+    def subscribe(self, topic, ros_type, receive, reliable=True):
         from zenoh_ros2_sdk import ROS2Subscriber
 
         def put(message):
@@ -162,14 +162,14 @@ class Pyzeros(OnZenoh):
 
         return getattr(all_msgs, ros_type.rpartition("/")[2])
 
-    def publisher(self, topic, ros_type, reliable=True, latched=False):
+    def publisher(self, topic, ros_type, reliable=True):
         import pyzeros
 
         publisher = pyzeros.Pub(self.type(ros_type), topic, session=self.node, scope=None)
         kind = message_class(ros_type)
         return lambda fields: publisher.publish(serialize_message(fill(kind(), fields)))
 
-    def subscribe(self, topic, ros_type, receive, reliable=True, latched=False):
+    def subscribe(self, topic, ros_type, receive, reliable=True):
         from pyzeros.sub import RawSub
 
         kind = message_class(ros_type)

@@ -1,11 +1,10 @@
 """The codec, on bytes of third parties first: recorded clients, recorded robots, examples in manuals."""
 
-import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from kit.arcos_captures import CAPTURES, VECTORS
 
-from bridge.pioneer.framing import Command, Decoder, Packet, checksum, encode_command, encode_frame
+from bridge.pioneer.framing import Decoder, Packet, checksum, encode_frame
 
 CLEAN = [capture for capture in CAPTURES if not capture.name.startswith("fault")]
 PACKETS = st.builds(Packet, st.integers(0, 255), st.binary(max_size=249))
@@ -37,14 +36,6 @@ def test_every_third_party_frame_is_decoded_and_encodes_back_to_itself():
         (packet,) = decoder.feed(frame)
         assert encode_frame(*packet) == frame
         assert (decoder.bad_checksums, decoder.skipped_bytes) == (0, 0)
-
-
-def test_encoder_rejects_values_that_do_not_fit():
-    with pytest.raises(ValueError, match="32767"):
-        encode_command(Command.VEL, 32768)
-    with pytest.raises(ValueError, match="249"):
-        encode_frame(1, bytes(250))
-    assert len(Decoder().feed(encode_frame(1, bytes(249)))) == 1
 
 
 def test_the_damaged_recording_loses_damaged_packets_only():
@@ -83,22 +74,6 @@ def test_garbage_gives_packets_with_good_checksums_or_is_counted(pieces, step):
     decoder.drop()
     assert decoder.skipped_bytes == fed - received
     assert decoder.feed(encode_frame(7, b"ok"), now) == [Packet(7, b"ok")]
-
-
-@pytest.mark.parametrize(
-    ("packet", "pause_s"),
-    [
-        # The inner frame is seen before the outer is full; without a pause there is no reason to doubt COUNT.
-        (Packet(0xB0, b"<" + encode_frame(0) + b">"), 0.04),
-        (Packet(0x32, bytes(38)), 0.1),
-    ],
-    ids=["frame inside a payload", "with pauses"],
-)
-def test_a_frame_may_come_byte_by_byte(packet, pause_s):
-    decoder, frame = Decoder(), encode_frame(*packet)
-    packets = [decoder.feed(frame[k : k + 1], k * pause_s) for k in range(len(frame))]
-    assert packets == [[]] * (len(frame) - 1) + [[packet]]
-    assert decoder.skipped_bytes == 0
 
 
 PAUSE_S, MORE_BYTES = 0.05, 255

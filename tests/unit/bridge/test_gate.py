@@ -1,6 +1,5 @@
 """The gate: words, limits, signatures, and the memory of delays."""
 
-import math
 from dataclasses import replace
 
 import pytest
@@ -32,11 +31,9 @@ def test_words_for_the_end_of_a_lease_last_until_the_next_lease():
         (Reason.STOPPED, GateState(stop_reason=""), "a client that gave no name"),
         (Reason.STOPPED, GateState(), "a stop was requested, and is not released"),
         (Reason.NO_BASE, GateState(lost="x" * 300), ("the base is not connected: " + "x" * 300)[:200]),
-        (Reason.NO_BASE, GateState(), "the base is not connected"),
         (Reason.BUMPER, GateState(lost="x", stop_reason="Anna"), "a bumper is pressed"),
         (Reason.ANOTHER_DRIVER, GateState(), "another driver holds the lease"),
         (Reason.ANOTHER_DRIVER, Gate().driving().state, "deploy holds the lease"),
-        (Reason.SPEED, GateState(), ""),
         (
             Reason.HAZARD_UNKNOWN,
             GateState(base=BaseReport(hazard_unknown="stop: silent")),
@@ -48,7 +45,6 @@ def test_words_for_the_end_of_a_lease_last_until_the_next_lease():
             f"{REASONS['sonar']}: {'y' * 300}"[:200],
         ),
         (Reason.SONAR, GateState(base=BaseReport(hazard_unknown="stop: silent")), REASONS["sonar"]),
-        (Reason.HAZARD_UNKNOWN, GateState(), REASONS["hazard-unknown"]),
     ],
 )
 def test_words_of_a_reason_name_who_and_what(reason, state, words):
@@ -75,16 +71,6 @@ def test_a_robots_own_limits_count_where_they_are_tighter_or_nothing_else_is_set
     husky = load_description("husky-a200")
     means = [Limits(speed_mean_s=mean_s).within(husky).speed_mean_s for mean_s in (0.5, 1.0, 5.0)]
     assert means == [0.5, 1.0, 1.0]  # a longer mean would excuse frozen odometry for longer
-
-
-@pytest.mark.parametrize("unknown", [0.0, math.nan])
-def test_a_low_battery_that_is_not_known_in_between_is_low_still(unknown):
-    gate = Gate()
-    for tick in range(40):
-        gate.at(0.1 * tick, BaseReport(battery_v=unknown if tick % 2 else 9.0))
-    assert gate.enable(4.0).refusal is Reason.LOW_BATTERY
-    gate.at(4.1, BaseReport(battery_v=12.5))
-    assert gate.enable(4.1).refusal is None
 
 
 def test_the_key_is_in_no_text_about_the_gate():
@@ -122,11 +108,3 @@ def test_renewal_permits_no_new_contact():
     gate.state = replace(gate.state, base=BaseReport(bumpers=(2, 0)))
     assert gate.renew(9.0, secret=bytes(32)).refusal is Reason.BUMPER
     assert gate.state.lease is None
-
-
-def test_one_minimum_is_kept_for_each_second_of_a_minute():
-    gate = Gate().driving()
-    for k in range(3200):
-        gate.at(0.05 * k, BaseReport())
-        gate.drive(0.05 * k)
-        assert len(gate.state.minima) <= min(k // 20 + 2, 62)

@@ -84,31 +84,6 @@ def test_freed_rover_drives_toward_the_contact_only_after_another_command(bumper
     assert gate.report(10.1, bumpers=bumpers).lease is None
 
 
-def test_released_segment_lifts_the_limits_and_is_guarded_again():
-    gate = touching(bumpers=(3, 0))
-    gate.drive(9.2, Velocity(-0.2, 0.3))
-    gate.keep(9.35, bumpers=(2, 0))
-    assert gate.drive(9.4, Velocity(-0.2, 0.3)).held is None
-    before = gate.state
-    assert gate.report(9.5, bumpers=(3, 0)).held is Reason.BUMPER
-    gate.state = before
-    gate.keep(9.55)
-    for now in steps(9.55, 9.85, 0.05):
-        verdict = gate.drive(now, Velocity(-0.2, 0.3))
-    assert verdict.velocity == (-0.2, 0.3)
-    assert gate.report(9.9, bumpers=(2, 0)).held is Reason.BUMPER
-
-
-def test_renewal_keeps_the_contact_of_the_lease():
-    gate = touching(bumpers=(2, 0))
-    gate.drive(9.2, Velocity(-0.2, 0.3))
-    assert gate.renew(9.35).refusal is None
-    assert gate.drive(9.4, Velocity(0.1, 0.0)).held is Reason.BUMPER
-    for now in steps(9.45, 9.75, 0.05):
-        verdict = gate.drive(now, Velocity(-0.2, 0.3))
-    assert verdict.velocity == (-0.1, 0.0)
-
-
 @pytest.mark.parametrize(
     ("commanded", "reported", "free"),
     [
@@ -150,15 +125,6 @@ def test_stalled_rover_may_drive_back_from_where_it_was_moving_if_that_is_known(
         assert (verdict.velocity, verdict.held) == (STANDSTILL, Reason.STALL)
 
 
-def test_stall_is_on_the_side_of_the_newest_command():
-    gate = Gate().driving(9.0)
-    gate.drive(9.02, Velocity(-0.1, 0.0))
-    gate.report(9.1, stalled=(True, True))
-    gate.enable(9.1)
-    assert gate.drive(9.12, Velocity(-0.1, 0.0)).held is Reason.STALL
-    assert gate.drive(9.14, Velocity(0.1, 0.0)).held is None
-
-
 def test_stall_of_a_rover_that_was_not_seen_to_move_refuses_the_lease():
     gate = Gate()
     gate.report(0.0, stalled=(True, True))
@@ -190,13 +156,3 @@ def test_stall_that_ends_and_begins_again_ends_the_lease():
     gate.keep(9.92, v=-0.1)
     assert gate.drive(9.92, Velocity(-0.2, 0.3)).held is None
     assert gate.report(9.95, stalled=(True, False)).held is Reason.STALL
-
-
-def test_bumper_and_stall_of_one_push_leave_the_way_back():
-    gate = touching(bumpers=(2, 0), stalled=(True, True))
-    assert gate.drive(9.2, Velocity(0.1, 0.0)).held is Reason.BUMPER
-    for now in steps(9.25, 10.7, 0.05):
-        if now > 9.75:
-            gate.keep(now, bumpers=(2, 0))
-        verdict = gate.drive(now, Velocity(-0.2, 0.3))
-    assert verdict.velocity == (-0.1, 0.0)

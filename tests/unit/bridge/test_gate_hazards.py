@@ -28,14 +28,6 @@ def test_nothing_moves_without_base_lease_and_motors():
     assert gate.drive(0.6).velocity != STANDSTILL
 
 
-def test_stale_odometry_refuses_the_lease():
-    gate = Gate()
-    gate.report(0.0)
-    assert gate.enable(0.5).refusal is Reason.ODOMETRY
-    gate.report(0.6)
-    assert gate.enable(0.7).refusal is None
-
-
 def test_command_in_force_stays_and_counts():
     gate = Gate().driving()
     assert gate.tick(0.2).velocity == SLOW
@@ -103,33 +95,6 @@ def test_fence_holds_motion_outward_and_lets_the_rover_move_inside_and_back(base
     assert held is None or verdict.velocity == STANDSTILL
     assert held is None or gate.state.stops == {held: 1}
     assert gate.drive(0.15, STANDSTILL).held is None
-
-
-def test_age_of_a_report_and_the_speed_limit_count_for_the_fence():
-    gate = Gate(limits(fence=BOX)).driving()
-    gate.place(0.0, BaseReport(x=1.945))
-    assert gate.drive(0.0, Velocity(0.1, 0.0)).held is None
-    assert gate.drive(0.2, Velocity(0.1, 0.0)).held is Reason.GEOFENCE
-    gate = Gate(limits(fence=BOX)).driving()
-    gate.place(0.1, BaseReport(x=1.7))
-    assert gate.drive(0.1, Velocity(50.0, 0.0)).held is None
-
-
-@pytest.mark.parametrize("omega", [-0.6, -0.2, 0.0])
-def test_rover_drives_on_along_the_fence_and_away_from_it(omega):
-    gate = Gate(limits(fence=BOX)).driving()
-    gate.place(0.1, BaseReport(y=0.97, v=0.3, omega=omega))
-    assert gate.drive(0.1, Velocity(0.3, omega)).held is None
-
-
-@pytest.mark.parametrize("omega", [-0.3, 0.0, 0.3])
-@pytest.mark.parametrize(("theta", "v"), [(0.5, -0.1), (-0.5, -0.1), (math.pi - 0.5, 0.1), (math.pi, 0.1)])
-def test_rover_outside_the_fence_may_drive_back_and_turn(theta, v, omega):
-    gate = Gate(limits(fence=BOX)).driving()
-    gate.place(0.1, BaseReport(x=2.2, theta=theta, v=0.04, omega=omega))
-    assert gate.drive(0.1, Velocity(v, omega)).held is None
-    assert gate.drive(0.1, Velocity(0.0, omega)).held is None
-    assert gate.drive(0.1, Velocity(-v, omega)).held is Reason.GEOFENCE
 
 
 @pytest.mark.parametrize(
@@ -201,21 +166,6 @@ def test_every_contact_ends_the_lease_and_brakes_harder(contact, reason):
     assert (verdict.held, verdict.emergency, gate.state.lease_over) == (reason, True, reason)
 
 
-@pytest.mark.parametrize("bumpers", [(1, 0), (0, 2)])
-def test_bumper_without_a_lease_holds_and_is_not_the_reason_of_a_release_before(bumpers):
-    gate = Gate().driving()
-    assert gate.release(0.05).held is Reason.NO_LEASE
-    assert gate.report(0.1, bumpers=bumpers).held is Reason.BUMPER
-    assert (gate.state.lease_over, gate.state.stops) == (None, {})
-
-
-def test_neither_silence_nor_a_release_brakes_harder():
-    gate = Gate().driving()
-    gate.report(0.35)
-    assert (gate.tick(0.35).held, gate.tick(0.35).emergency) == (Reason.SILENCE, False)
-    assert not gate.release(0.4).emergency
-
-
 def test_low_battery_is_a_hazard_only_when_it_lasts():
     gate = Gate().driving()
     for now in [*steps(0.0, 1.8, 0.1), 1.9, *steps(2.0, 3.9, 0.1)]:
@@ -282,9 +232,3 @@ def test_motors_of_a_rover_that_moves_go_off_after_exactly_two_seconds(field, sp
     gate.release(1.0)
     assert gate.tick(math.nextafter(3.0, 0.0)).motors
     assert not gate.tick(3.0).motors
-
-
-def test_motors_go_off_below_exactly_this_speed():
-    gate = Gate().driving(1.0)
-    gate.report(1.0, v=math.nextafter(0.01, 0.0), omega=-math.nextafter(0.01, 0.0))
-    assert not gate.release(1.0).motors

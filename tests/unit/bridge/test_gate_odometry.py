@@ -65,17 +65,6 @@ def test_noisy_odometry_may_repeat_a_pose_once(motion):
     assert gate.report(0.29, x=1.01, **motion).held is Reason.FROZEN
 
 
-@pytest.mark.parametrize("motion", [{"v": 0.05}, {"omega": 0.1}])
-def test_reconnected_base_has_no_frozen_odometry(motion):
-    gate = Gate()
-    for now in (0.0, 0.1, 0.2, 0.25):
-        verdict = gate.report(now, x=1.0, **motion)
-    assert verdict.held is Reason.FROZEN
-    gate.lost(0.3)
-    for now in (0.4, 0.5):
-        assert gate.report(now, x=1.0, **motion).held is Reason.NO_LEASE
-
-
 @pytest.mark.parametrize("name", ["v", "omega"])
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_frozen_distance_uses_the_slower_of_two_reported_speeds(name, direction):
@@ -83,14 +72,6 @@ def test_frozen_distance_uses_the_slower_of_two_reported_speeds(name, direction)
     for now, speed in ((0.05, 0.19), (0.15, 0.011), (0.25, 0.19), (0.35, 0.011), (0.45, 0.19)):
         verdict = gate.report(now, x=1.0, **{name: direction * speed})
     assert verdict.lease is not None
-
-
-@pytest.mark.parametrize(("pose", "count"), [("x", 0.001), ("y", 0.001), ("theta", 0.0015)])
-def test_one_changed_count_in_every_second_report_is_no_frozen_odometry(pose, count):
-    gate = Gate().driving()
-    for now in steps(0.1, 3.9, 0.1):
-        gate.report(now, v=0.09, omega=0.19, **{pose: count * (round(10 * now) // 2)})
-        assert gate.drive(now).held is None
 
 
 def means(gate, pose, speed, first, last, velocity=SLOW):
@@ -138,17 +119,6 @@ def test_mean_speeds_are_frozen_odometry_where_the_rover_was_driven_on_after_a_h
     held += means(gate, pose, speed, on, frozen - 0.125)
     assert set(held) == {None}
     assert set(means(gate, pose, speed, frozen, 3.625)) == {Reason.FROZEN}
-
-
-@MOTIONS
-def test_mean_speeds_are_frozen_odometry_at_once_soon_after_a_start_from_rest(pose, speed):
-    gate = Gate(limits(speed_mean_s=1.0)).driving()
-    for now in steps(0.125, 1.75, 0.125):
-        gate.report(now)
-        assert gate.drive(now, STANDSTILL if now < 1.75 else SLOW).held is None
-    assert set(means(gate, pose, speed, 1.875, 2.125)) == {None}
-    assert set(means(gate, pose, speed, 2.25, 3.625)) == {Reason.FROZEN}
-    assert gate.enable(3.75).refusal is Reason.FROZEN
 
 
 @pytest.mark.parametrize(

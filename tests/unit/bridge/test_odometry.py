@@ -92,19 +92,6 @@ def test_the_pose_is_the_sum_of_the_steps_wherever_the_counters_started(steps, s
         assert state.x == pytest.approx(ahead, abs=1e-9)
 
 
-def test_a_reset_zeroes_the_pose_when_the_base_has_done_it_not_before(odometer):
-    odometer.update(Sip(x=20000, y=300, theta=1000), 0.0)
-    odometer.update(Sip(x=21000, y=300, theta=1500), 0.1)
-    odometer.reset_pending = True
-    before = odometer.update(Sip(x=21010, y=300, theta=1500), 0.2)
-    assert math.hypot(before.x, before.y) == pytest.approx(1.010)
-    assert odometer.reset_pending
-    after = odometer.update(Sip(x=3, y=0, theta=1), 0.3)
-    assert not odometer.reset_pending
-    assert (after.x, after.y) == (0.003, 0.0)
-    assert after.theta == pytest.approx(math.tau / 4096)
-
-
 def test_bumper_bits_count_only_when_the_base_is_known_to_have_bumpers(odometer):
     """A real Pioneer 2 without any sends all of them set (vectors.json, real_P2_SIP)."""
     pressed = Sip(stall_left=0xFE, stall_right=0xFE | 1)

@@ -47,16 +47,6 @@ def test_odometry_is_base_link_in_odom():
     assert all(message.pose.covariance[7 * k] > 0.0 for k in range(6))
 
 
-def test_the_transform_says_the_same_as_the_odometry():
-    messages = sent(STATE)
-    (transform,) = messages["tf"].transforms
-    assert (transform.header.frame_id, transform.child_frame_id) == ("odom", "base_link")
-    position, rotation = messages["odom"].pose.pose.position, messages["odom"].pose.pose.orientation
-    moved, turned = transform.transform.translation, transform.transform.rotation
-    assert (moved.x, moved.y, moved.z) == (position.x, position.y, 0.0)
-    assert (turned.z, turned.w) == (rotation.z, rotation.w)
-
-
 def test_echoes_lie_where_the_sonars_look():
     assert "sonar" not in sent(STATE)
     # Sonar 0 sits left and looks left, sonar 11 sits at the back and looks almost straight back.

@@ -57,14 +57,6 @@ def test_a_robot_that_is_not_still_has_no_timeout(reported, moves):
     assert measured(reported, moves=moves).phase is Phase.DRIVES_ON
 
 
-def test_wheels_that_do_not_turn_measure_nothing():
-    found = TimeoutMeasurement(0.0)
-    for k in range(200):
-        found.take(BaseReport(), 0.02 * k)
-        found.tick(0.02 * k, 0.02 * k)
-    assert found.phase is Phase.NO_MOTION
-
-
 class Robot:
     """A simulated robot behind a base on a virtual clock, which nothing but the measurement drives."""
 

@@ -45,15 +45,6 @@ def test_keys_of_another_namespace_are_refused(keys, made, asked):
         configured(None, keys(made), False, asked)
 
 
-@pytest.mark.parametrize("key_exprs", [["**"], ["*/cmd_vel", "x"]])
-def test_own_access_rules_that_include_the_commands_are_accepted(tmp_path, key_exprs):
-    rule = {"id": "a", "permission": "allow", "flows": ["ingress"], "messages": ["put"]}
-    access = {"enabled": True, "default_permission": "deny", "rules": [rule | {"key_exprs": key_exprs}]}
-    access |= {"policies": [{"rules": ["a"], "subjects": ["all"]}], "subjects": [{"id": "all"}]}
-    (tmp_path / "own.json5").write_text(json.dumps({"access_control": access}))
-    configured("tcp/127.0.0.1:0", tmp_path / "own.json5", False, "bot1/cmd_vel")
-
-
 def test_keys_are_refused_while_the_clock_is_wrong(keys, monkeypatch):
     never_set = SimpleNamespace(now=lambda zone: datetime.fromtimestamp(0, zone))
     monkeypatch.setattr("bridge.zenoh.config.datetime", never_set)

@@ -97,7 +97,7 @@ class TopicTeleop:
             self._go_on()
         except SafetyStop as stop:
             self._release()
-            self._name(f"the rover is not driven: {stop}")
+            self._name(f"the rover is not driven: {stop}", stop.rule)
 
     def _take(self, command: RosCommand) -> None:
         now = self._clock.monotonic()
@@ -110,7 +110,7 @@ class TopicTeleop:
             if not asks or not self._request(command.source):
                 return
         if command.source != self._source:
-            self._name("another node publishes commands on the topic too: they are not passed on")
+            self._name("another node publishes commands on the topic too: they are not passed on", "two")
         elif velocity is None:
             self._send(STANDSTILL)
         else:
@@ -123,19 +123,19 @@ class TopicTeleop:
         try:
             velocity, stamp_ns = read_twist(command.data)
         except FormatError as error:
-            self._name(f"a command cannot be read: {error}")
+            self._name(f"a command cannot be read: {error}", "unreadable")
             return None, age_s
         sent_ns = command.stamp_ns if stamp_ns is None else stamp_ns
         stamped_s = 0.0 if sent_ns is None else (self._clock.time_ns() - sent_ns) * 1e-9
         age_s = max(age_s, stamped_s)
         if stamped_s < -MAX_AGE_S:
-            self._name(f"a command is stamped {-stamped_s:.1f} s after its arrival: synchronise the clocks")
+            words = f"a command is stamped {-stamped_s:.1f} s after its arrival: synchronise the clocks"
+            self._name(words, "early")
         elif age_s > MAX_AGE_S:
-            self._name(
-                f"a command is {age_s:.1f} s old: the link is slow, or the clocks are not synchronised"
-            )
+            words = f"a command is {age_s:.1f} s old: the link is slow, or the clocks are not synchronised"
+            self._name(words, "stale")
         elif not all(map(math.isfinite, velocity)):
-            self._name("a command is not finite")
+            self._name("a command is not finite", "not-finite")
         else:
             return velocity, age_s
         return None, age_s
@@ -149,7 +149,7 @@ class TopicTeleop:
         try:
             self._link.request_motors("teleop")
         except AnotherDriver as error:
-            self._name(str(error))
+            self._name(str(error), "another-driver")
             return False
         monitor.granted()
         if self._granted_s == -math.inf:
@@ -182,8 +182,8 @@ class TopicTeleop:
     def _new_monitor(self) -> SafetyMonitor:
         return SafetyMonitor(self._link, self._measurements, self._interrupted, clock=self._clock)
 
-    def _name(self, words: str) -> None:
-        """Log a line once for each lease."""
-        if words not in self._named:
+    def _name(self, words: str, kind: str) -> None:
+        """Log a line once for each lease and kind."""
+        if kind not in self._named:
             _LOGGER.info(words)
-            self._named = {*list(self._named)[-7:], words}
+            self._named.add(kind)

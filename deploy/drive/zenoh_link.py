@@ -28,6 +28,7 @@ from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, Role, spec, topic_key
 from rover_ncp.wire.messages import twist_stamped
 from rover_ncp.wire.protocol import (
+    TAG_BYTES,
     BaseReply,
     BaseRequest,
     MotorsReply,
@@ -214,14 +215,14 @@ class ZenohLink(Link, ZenohClient):
     def subscribe_commands(self, topic: str, receive: Callable[[RosCommand], None]) -> str:
         """Call ``receive`` with each command of a ROS node on a topic, and return its full name.
 
-        Both Zenoh integrations of ROS are received. Messages with an attachment on the plain key are those of
-        drivers with a lease, such as our own. Raises UsageError for a name that is none of a topic.
+        Both Zenoh integrations of ROS are received. Messages with a `CommandTag` on the plain key are
+        those of drivers with a lease, such as our own. Raises UsageError for a name that is none of a topic.
         """
         where = topic_key(self.address.namespace, topic)
 
         def take(sample: zenoh.Sample, plain: bool) -> None:
-            stamp = sample.timestamp
-            if plain and sample.attachment is not None:
+            stamp, tag = sample.timestamp, sample.attachment
+            if plain and tag is not None and len(tag.to_bytes()) == TAG_BYTES:
                 return
             stamp_ns = None if stamp is None else round(stamp.get_time().timestamp() * 1e9)
             data = sample.payload.to_bytes()[: spec("cmd_vel").max_bytes + 1]

@@ -19,7 +19,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import relative
 from rover_ncp.course.course import Course
-from rover_ncp.course.scoring import Parked, Verdict
+from rover_ncp.course.scoring import Failure, Parked, Verdict
 from rover_ncp.course.shapes import OUTLINE, FloatArray, outline_of
 from rover_ncp.recording.recorded import steady
 from rover_ncp.recording.recording import read_recording
@@ -138,8 +138,8 @@ def _headline(verdicts: Mapping[str, Verdict], status: DriverStatus) -> tuple[Pa
     if by == "estimated" and parked is Parked.YES:
         parked = VERDICTS[status.state]
         reason = status.reason
-    if parked is Parked.UNCERTAIN:
-        reason = status.reason
+    if parked is Parked.UNCERTAIN or verdict.failure is Failure.EARLY:
+        reason = status.reason or reason
     if by == "true" and parked is Parked.YES and status.state == Parked.UNCERTAIN:
         reason = "the driver's own verdict is uncertain"
     words = parked.capitalize() + (" (true pose)" if by == "true" else "")

@@ -23,12 +23,13 @@ from rover_ncp.course.scoring import Parked, Verdict, judge
 from rover_ncp.neurons.trace import FloatArray, Trace, motor_outputs
 from rover_ncp.recording.recorded import TICKS_TOPIC
 from rover_ncp.recording.recording import Recorded
-from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.messages import (
+    read_battery,
     read_bumpers,
     read_neurons,
     read_odometry,
     read_pose,
+    read_pose_stamped,
     read_text,
     read_twist,
 )
@@ -255,10 +256,9 @@ class Timeline:
         self.odometry.append(Moved(message.log_ns, sample.pose, sample.velocity))
 
     def _read_truth(self, message: Recorded) -> None:
-        pose = decode(message.type, message.data).pose
-        _require_sane([pose.position.x, pose.position.y, pose.orientation.z, pose.orientation.w])
-        yaw = 2.0 * np.arctan2(pose.orientation.z, pose.orientation.w)
-        self.truth.append(Moved(message.log_ns, Pose(pose.position.x, pose.position.y, float(yaw))))
+        pose = read_pose_stamped(message.data)
+        _require_sane(pose)
+        self.truth.append(Moved(message.log_ns, pose))
 
     def _read_status(self, message: Recorded) -> None:
         before, self.status = self.status, parse_json(DriverStatus, read_text(message.data))
@@ -280,7 +280,7 @@ class Timeline:
             self.touched |= any(read_bumpers(message.data))
 
     def _read_battery(self, message: Recorded) -> None:
-        if math.isfinite(volts := float(decode(message.type, message.data).voltage)):
+        if math.isfinite(volts := read_battery(message.data).voltage):
             self.voltages.append(volts)
 
     def _read_dock(self, message: Recorded) -> None:

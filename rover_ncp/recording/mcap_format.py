@@ -23,9 +23,9 @@ from rover_ncp.core.errors import FileError
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_LIMIT = 64 << 20
 """Largest record, and largest unpacked chunk, in bytes. Chunks of common writers have at most 4 MiB."""
-UNPACKED_LIMIT, MAX_RATIO = 1 << 30, 100
-"""Limits of a whole file: unpacked bytes, or for long files the ratio of unpacked to packed bytes. Recordings
-of robots have a ratio of 3 to 20."""
+MAX_RATIO = 100
+"""Largest ratio of unpacked to packed bytes of a file that unpacks to more than `RECORD_LIMIT`. Recordings of
+robots have a ratio of 2 to 20."""
 _DAMAGE = (McapError, ZstdError, struct.error, KeyError, ValueError, RuntimeError, OverflowError)
 
 
@@ -70,7 +70,7 @@ def read_records(path: Path, file: IO[bytes]) -> Iterator[McapRecord]:
     reader = StreamReader(
         cast(IO[bytes], source), emit_chunks=True, validate_crcs=True, record_size_limit=RECORD_LIMIT
     )
-    limit, unpacked = max(UNPACKED_LIMIT, MAX_RATIO * size), 0
+    limit, unpacked = max(RECORD_LIMIT, MAX_RATIO * size), 0
     try:
         for record in reader.records:
             if isinstance(record, Attachment) and source.newest not in {bytes(4), _checksum(record)}:

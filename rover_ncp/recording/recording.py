@@ -44,6 +44,8 @@ _log = logging.getLogger(__name__)
 CHUNK_BYTES = 256 * 1024
 _MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json"}
 MAX_TIME_NS = (1 << 64) - 1
+MAX_NAME = 1000
+"""Characters of the name of a topic or type; ROS has 255 at most."""
 MEMORY_LIMIT, MESSAGE_BYTES = 1 << 30, 250
 """Limit of what `read_recording` keeps, and memory of a message beside its data, in bytes. Five hours of what
 a report reads come to the limit."""
@@ -206,10 +208,10 @@ def _contents(path: Path) -> Iterator[Content]:
                     times = record.log_time, record.publish_time
                     yield Recorded(*channels[record.channel_id], record.data, *times, record.sequence)
                 elif isinstance(record, Schema):
-                    schemas[record.id] = record.name
+                    schemas[record.id] = _short(record.name)
                 elif isinstance(record, Channel):
                     is_cdr = record.message_encoding == "cdr" and record.schema_id in schemas
-                    channels[record.id] = (record.topic, schemas[record.schema_id] if is_cdr else "")
+                    channels[record.id] = (_short(record.topic), schemas[record.schema_id] if is_cdr else "")
                 elif isinstance(record, Attachment | Metadata):
                     yield record
     except Damaged as damage:
@@ -219,6 +221,13 @@ def _contents(path: Path) -> Iterator[Content]:
         raise
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def _short(name: str) -> str:
+    """Return the name of a topic or type. Raises Damaged for one that no message could show."""
+    if len(name) > MAX_NAME:
+        raise Damaged(f"damaged: a name of {len(name)} characters, expected {MAX_NAME} at most")
+    return name
 
 
 def read_recording(
@@ -245,9 +254,10 @@ def read_recording(
                 kept += len(item.data) + MESSAGE_BYTES
             elif isinstance(item, Attachment):
                 attachments[item.name] = item.data
-                kept += len(item.data)
+                kept += len(item.data) + MESSAGE_BYTES
             else:
                 metadata[item.name] = item.metadata
+                kept += (1 + len(item.metadata)) * MESSAGE_BYTES
             if kept > MEMORY_LIMIT:
                 raise FileError(f"{path}: holds more than the limit of {MEMORY_LIMIT >> 20} MiB of messages")
     except Damaged as error:

@@ -6,7 +6,7 @@ import pytest
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
-from mcap.records import Chunk
+from mcap.records import Chunk, Metadata
 from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
@@ -207,14 +207,27 @@ def chunked(path, *chunks):
 def test_unpacked_size_has_a_limit_that_is_named(tmp_path, compression, pack):
     bomb = pack(bytes(RECORD_LIMIT + 1))
     assert len(bomb) < RECORD_LIMIT / 100
-    path = chunked(tmp_path / "bomb.mcap", (RECORD_LIMIT + 1, compression, bomb))
-    for read in (read_recording, lambda path: recover(path, tmp_path / "out.mcap")):
-        with pytest.raises(FileError, match=rf"bomb\.mcap: .*at most {RECORD_LIMIT} bytes are read"):
-            read(path)
-    assert not (tmp_path / "out.mcap").exists()
+    other = RecordBuilder()
+    Metadata("x", {"x": " " * (RECORD_LIMIT // 3)}).write(other)
+    half = other.end()
+    for chunks in ([(RECORD_LIMIT + 1, compression, bomb)], [(len(half), compression, pack(half))] * 3):
+        path = chunked(tmp_path / "bomb.mcap", *chunks)
+        for read in (read_recording, lambda path: recover(path, tmp_path / "out.mcap")):
+            with pytest.raises(FileError, match=rf"bomb\.mcap: .*at most {RECORD_LIMIT} bytes are read"):
+                read(path)
+        assert not (tmp_path / "out.mcap").exists()
     part = read_recording(chunked(path, (1000, compression, bomb)))  # it names another size
     assert [message.data for message in part.messages] == [b"first"]
     assert "size of a chunk differs" in part.damage
+
+
+def test_name_of_a_stranger_is_bounded(tmp_path):
+    with (tmp_path / "x.mcap").open("wb") as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start()
+        writer.register_channel("a" * 2000, "", 0)
+        writer.finish()
+    assert "a name of 2000 characters" in read_recording(tmp_path / "x.mcap").damage
 
 
 def test_late_listeners_of_a_replayed_recording_receive_latched_topics(tmp_path):

@@ -88,7 +88,13 @@ def test_start_signal_and_predicted_ticks_are_events(short):
     assert not any(event.kind == "start" for event in timeline_of(short, short.messages[:20]).events)
 
 
-@pytest.mark.parametrize("topic", ["odom", "rover/neurons", "rover/estimate", "cmd_vel", "rover/gate"])
+@pytest.mark.parametrize(
+    "topic",
+    [
+        *("odom", "rover/neurons", "rover/estimate", "cmd_vel", "rover/gate"),
+        *("battery_state", "truth/pose"),
+    ],
+)
 def test_unreadable_messages_are_counted_and_skipped(short, topic):
     require_skipped(short, topic, b"\x00\x01garbage")
 
@@ -100,7 +106,7 @@ def test_unreadable_json_is_counted_and_skipped(short, text):
 
 
 def require_skipped(short, topic, data):
-    garbage = Recorded(topic, STRING, data, BEGAN_NS, BEGAN_NS)
+    garbage = Recorded(topic, "", data, BEGAN_NS, BEGAN_NS)
     timeline = timeline_of(short, [garbage, *short.messages])
     assert timeline.unreadable == {topic: 1}
     assert len(timeline.ticks) == short.course.ticks

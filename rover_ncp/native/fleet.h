@@ -37,7 +37,11 @@ struct Chipmunk {
     double (*angular_velocity)(const void *body);
     void (*set_angular_velocity)(void *body, double omega);
     void (*each_arbiter)(void *body, void (*call)(void *body, void *arbiter, void *data), void *data);
+    void (*set_velocity_function)(void *body, void (*update)(void *body, Point gravity, double damping, double dt_s));
 };
+
+// Chipmunk's own function computes the same velocity again: there is neither gravity nor damping nor a force.
+inline void keep_velocity(void *, Point, double, double) {}
 
 // The fields of FleetArrays in sim/world/fleet.py; L rovers, as many lanes.
 struct Fleet {
@@ -63,6 +67,7 @@ struct Fleet {
         // A shape taken out and put in again has left its contacts behind, and the hints that collision detection
         // keeps for its next search; with them the last bits of a path would depend on the rover's past.
         if (has_shape) chipmunk.remove_shape(space, shapes(lane));
+        chipmunk.set_velocity_function(body, keep_velocity);
         chipmunk.set_position(body, {x, y});
         chipmunk.set_angle(body, theta);
         chipmunk.set_velocity(body, {0.0, 0.0});

@@ -265,8 +265,7 @@ class Stream:
         queue.stop_below[first : first + count] = batch.to_beat
         queue.residuals[first : first + count] = 0.0
         end = int(ring.sum())
-        for i in range(count):
-            episodes[(end + i) % len(episodes)] = first + i
+        episodes[np.arange(end, end + count) % len(episodes)] = np.arange(first, first + count)
         ring[1] += count
         left[agent] = self._submitted[agent] = count
 

@@ -1,15 +1,17 @@
 """The only module that reaches Chipmunk below pymunk's public interface: addresses for the native library.
 
 One pymunk rover stepped from Python costs some 6 µs a substep, nearly all of it Python; Chipmunk's own work
-is 0.07 µs. So the library calls Chipmunk's public functions by the addresses that pymunk's cffi module has.
+is 0.07 µs. So the library calls Chipmunk's public functions by their addresses in pymunk's cffi module.
 
 The holder of an address must keep the pymunk object alive: dropping it frees the memory.
 """
 
+import ctypes
 from typing import NamedTuple
 
 import pymunk
-from pymunk._chipmunk_cffi import ffi, lib
+from pymunk import _chipmunk
+from pymunk._chipmunk_cffi import ffi
 
 from rover_ncp.core.errors import RoverNcpError
 
@@ -30,13 +32,15 @@ class Functions(NamedTuple):
     body_get_angular_velocity: int
     body_set_angular_velocity: int
     body_each_arbiter: int
+    body_set_velocity_update_func: int
 
 
 def find_functions() -> Functions:
     """Return the addresses. Raises RoverNcpError when this pymunk lacks a function."""
     names = ("cp" + "".join(word.title() for word in field.split("_")) for field in Functions._fields)
+    library = ctypes.CDLL(_chipmunk.__file__)
     try:
-        return Functions(*(int(ffi.cast("uintptr_t", ffi.addressof(lib, name))) for name in names))
+        return Functions(*(ctypes.cast(library[name], ctypes.c_void_p).value or 0 for name in names))
     except AttributeError as error:
         raise RoverNcpError(
             f"pymunk {pymunk.version} lacks a function ({error}): install that of constraints.txt"

@@ -145,8 +145,9 @@ def known_checkpoints(residuals: Vector, to_beat: float) -> int:
     an episode, to the last bit.
     """
     squares = residuals * residuals
-    below = -np.cumsum(squares[:, 0] + squares[:, 1] + squares[:, 2]) < to_beat
-    return int(below.argmax()) + 1 if below.any() else len(residuals)
+    losses = np.cumsum(squares[:, 0] + squares[:, 1] + squares[:, 2])
+    # Losses only grow, so that those above are the last ones.
+    return min(int(np.searchsorted(losses, -to_beat, "right")) + 1, len(residuals))
 
 
 @dataclass

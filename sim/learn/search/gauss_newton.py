@@ -81,11 +81,12 @@ class _Tried:
 
     def evaluate(self, points: Vector, to_beat: Vector | float = -math.inf) -> _Part[list[Outcome]]:
         """Return the outcomes of points (n, D); those whose return is below ``to_beat`` may be truncated."""
-        thresholds = np.broadcast_to(np.asarray(to_beat, np.float64), len(points))
+        thresholds = np.empty(len(points))
+        thresholds[:] = to_beat
         scores = yield Batch(self._box.vectors(points), thresholds)
         # A copy, because an evaluator may use its array again.
         found = list(map(Outcome, points, scores.returns.tolist(), scores.residuals.copy()))
-        if any(math.isnan(outcome.value) for outcome in found):
+        if np.isnan(scores.returns).any():
             raise ValueError("a return is not a number")
         self.count += len(points)
         highest = _highest(found)

@@ -4,6 +4,8 @@ Shapes: R residuals of D parameters, three residuals for each of C checkpoints; 
 derivatives, a row for each parameter. The native library computes what is called for each batch.
 """
 
+from functools import cache
+
 import numpy as np
 
 from rover_ncp.native.core import call, linear_algebra
@@ -24,7 +26,7 @@ def damped_steps(
     Raises LinAlgError where there is no solution.
     """
     size, count = slopes.shape
-    targets, work = np.empty((len(dampings) + 1, size)), np.empty((size + 2 * count + 2, count))
+    targets, (step, work) = np.empty((len(dampings) + 1, size)), _scratch(size, count)
     failure = call(
         "rover_ncp_damped_steps",
         *(linear_algebra(), size, count, len(dampings)),
@@ -34,12 +36,18 @@ def damped_steps(
         (point, (size,)),
         (dampings, (len(dampings),)),
         (targets, targets.shape),
-        (np.empty(size), (size,)),
-        (work, work.shape),
+        (step, (size,)),
+        (work, (size + 2 * count + 2, count)),
     )
     if failure:
         raise np.linalg.LinAlgError(_FAILURES[failure])
     return targets
+
+
+@cache
+def _scratch(size: int, count: int) -> tuple[Vector, Vector]:
+    """Return arrays for one thread that need not be allocated at each step."""
+    return np.empty(size), np.empty((size + 2 * count + 2, count))
 
 
 def measure_slopes(slopes: Vector, point: Vector, residuals: Vector, there: Vector, found: Vector) -> None:
@@ -58,7 +66,7 @@ def correct_slopes(slopes: Vector, point: Vector, residuals: Vector, there: Vect
     ``found`` the first r of those at the other. The slopes of the others stay.
     """
     size, count = slopes.shape
-    known = found.size
+    known, (step, work) = found.size, _scratch(size, count)
     call(
         "rover_ncp_correct_slopes",
         *(linear_algebra(), size, count, known),
@@ -67,6 +75,6 @@ def correct_slopes(slopes: Vector, point: Vector, residuals: Vector, there: Vect
         (residuals.ravel(), (count,)),
         (there, (size,)),
         (found.ravel()[:count], (known,)),
-        (np.empty(size), (size,)),
-        (np.empty(count), (count,)),
+        (step, (size,)),
+        (work[0], (count,)),
     )

@@ -66,7 +66,8 @@ class UnitBox:
         values += self._first
         for run in self._logarithmic:
             np.exp(values[:, run], out=values[:, run])
-        vectors = np.tile(self.defaults, (len(points), 1))
+        vectors = np.empty((len(points), len(self.defaults)))
+        vectors[:] = self.defaults
         vectors[:, self.free] = np.minimum(np.maximum(values, self._lower), self._upper)
         return vectors
 

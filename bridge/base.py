@@ -23,7 +23,7 @@ class Setpoint(NamedTuple):
 
 @dataclass(frozen=True)
 class BaseReport:
-    """One report of the base, in SI units. The pose is in odom: where the base was at connect or reset."""
+    """One report of the base, in SI units. The pose is in odom: where the base was at connect."""
 
     x: float = 0.0
     y: float = 0.0

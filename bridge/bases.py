@@ -28,11 +28,10 @@ from bridge.ros2.base import Ros2Base
 from bridge.ros2.connection import LOOP_KEY, RosConnection
 from bridge.ros2.discovery import LoopSeen
 from bridge.zenoh.link import ZenohLink
-from rover_ncp.core.config import load_yaml, validated
+from rover_ncp.core.config import load_yaml
 from rover_ncp.core.errors import NoRobot, RoverNcpError, UsageError
 from rover_ncp.core.files import shipped_names
 from rover_ncp.robot.description import RobotDescription, load_description
-from rover_ncp.robot.topics import Topics
 from rover_ncp.wire.address import ROS2
 
 BASES = "rover_ncp.bases"
@@ -80,9 +79,7 @@ def choose_base(address: str, model: str, zenoh_config: Path | None = None) -> C
         return ChosenBase(address, description)
     if description.topics is None:
         raise UsageError(f"--model {model}: the description has no topics, which a ROS 2 robot needs")
-    changed = {name: value or None for name, value in ros2.topics.items()}
-    topics = validated(description.topics.model_dump() | changed, Topics, f"base {address}")
-    return ChosenBase(address, description.model_copy(update={"topics": topics}), ros2)
+    return ChosenBase(address, description, ros2)
 
 
 def gate_limits(file: Path | None, description: RobotDescription | None) -> Limits:

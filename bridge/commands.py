@@ -27,8 +27,8 @@ def bridge(
         str,
         typer.Option(
             help="The robot: tcp/HOST[:8101], serial//dev/ttyUSB0 (#baudrate=... if not 9600) or "
-            "ros2/tcp/HOST[:7447], a ROS 2 robot's Zenoh router (#rmw=zenoh&domain=N for rmw_zenoh, "
-            "&odom=TOPIC for topics of its own); or NAME/... of another installed base."
+            "ros2/tcp/HOST[:7447], a ROS 2 robot's Zenoh router (#rmw=zenoh&domain=N for rmw_zenoh); or "
+            "NAME/... of another installed base."
         ),
     ],
     listen: Annotated[

@@ -1,7 +1,7 @@
 """From a base's packets to its reports in SI units: counters that wrap, flags, bumpers, sonars.
 
 Position counters have 15 bits (ARCOS, ARIA) or 16 (AMRISim), headings 12: only their modular differences
-count. A pose is that of the base since it was connected or reset; its heading is not wrapped.
+count. A pose is that of the base since it was connected; its heading is not wrapped.
 
 A report's clearance is the shortest recent range of the sonars ahead and behind. The base fires one sonar of
 each array at a time, so a SIP holds two or three ranges; a round of an array takes about a third of a second.
@@ -22,8 +22,6 @@ HEADING_RAD = math.tau / 4096
 """Radians per unit of THPOS, for every client."""
 WHEEL_SPEED_M_S = 0.001
 """Metres per second per unit of wheel speed."""
-_RESET_NEAR_M, _RESET_NEAR_RAD = 0.1, 0.2
-"""A requested reset has happened when the counters are this near to zero."""
 _RANGE_VALID_S = 1.0
 """A sonar range expires after this time: three rounds."""
 _AHEAD_RAD = math.radians(45.0)
@@ -50,10 +48,8 @@ class Odometer:
         self.robot = robot
         self._distance_m, self._half_track_m = robot.arcos.distance_mm / 1000, robot.half_track_m
         self.config: ConfigPac | None = None
-        self.reset_pending = False
-        """Whether a reset was requested and no SIP has shown it yet."""
         self._last: Sip | None = None
-        # Where the base is and where it was at connect or reset, both in the base's own odometry frame.
+        # Where the base is and where it was at connect, both in the base's own odometry frame.
         self._pose = self._origin = ORIGIN
         headings = [abs(sonar.theta) for sonar in robot.sonar_poses]
         self._ahead = [k for k, heading in enumerate(headings) if heading <= _AHEAD_RAD]
@@ -95,12 +91,7 @@ class Odometer:
         x = counter_difference(sip.x, 0, COUNTER_BITS) * distance
         y = counter_difference(sip.y, 0, COUNTER_BITS) * distance
         theta = counter_difference(sip.theta, 0, HEADING_BITS) * HEADING_RAD
-        near_zero = math.hypot(x, y) < _RESET_NEAR_M and abs(theta) < _RESET_NEAR_RAD
-        if self.reset_pending and near_zero:
-            # If these are still the old counters, near zero by chance, the jump that follows is as small and
-            # counts as motion: the pose is right again after it.
-            self._pose, self._origin, self.reset_pending = Pose(x, y, theta), ORIGIN, False
-        elif self._last is None:
+        if self._last is None:
             self._pose = self._origin = Pose(x, y, theta)
         else:
             last, pose = self._last, self._pose

@@ -113,7 +113,7 @@ class Session:
         if now >= self._deadline:
             self._dispatch(Input.EXPIRED)
         if self.state is SessionState.READY:
-            self._setpoints.tick(self._report, self._odometer.reset_pending, now)
+            self._setpoints.tick(self._report, now)
             if self._odometer.config is None and now - self._asked_s >= states.CONFIG_S:
                 self._ask_for_config()
         return self._drain()

@@ -1,9 +1,9 @@
-"""Requests to a ready base: speeds, motors, limits, odometry reset, keep-alives.
+"""Requests to a ready base: speeds, motors, limits, keep-alives.
 
 The base acknowledges nothing, and links lose packets. So setpoints are repeated while they are in force, and
-requests whose effect the SIPs show (motors, reset counters) are repeated until they show it. Motors that were
-on and went off by themselves (stop button, stall) are not switched on again: the driver must request that.
-Speeds other than zero are sent only while the SIPs say that the motors are on.
+the request for the motors is repeated until the SIPs show its effect. Motors that were on and went off by
+themselves (stop button, stall) are not switched on again: the driver must request that. Speeds other than
+zero are sent only while the SIPs say that the motors are on.
 """
 
 import math
@@ -84,7 +84,7 @@ class Setpoints:
         self._quantiser = Quantiser()
         self._velocity = STANDSTILL
         self._sent = (0, 0)
-        self._sent_s = self._motors_s = self._reset_s = -math.inf
+        self._sent_s = self._motors_s = -math.inf
         self._wanted = False
         self._enable_tries = 0
 
@@ -124,21 +124,14 @@ class Setpoints:
         self._wanted = False
         self._clear_motion()
 
-    def reset_odometry(self, now: float) -> None:
-        """Request a reset of the counters."""
-        self._send(Command.SETO, None)
-        self._reset_s = now
-
-    def tick(self, report: BaseReport | None, reset_pending: bool, now: float) -> None:
-        """Send what is due. ``report`` is the newest; a reset is pending until the counters show it."""
+    def tick(self, report: BaseReport | None, now: float) -> None:
+        """Send what is due. ``report`` is the newest."""
         if report is not None and now - self._motors_s >= VERIFY_S:
             if report.motors_on and self._wanted:
                 self._enable_tries = ENABLE_TRIES
             elif report.motors_on or (self._wanted and self._enable_tries < ENABLE_TRIES):
                 self.zero(now)
                 self._send_enable(now)
-        if reset_pending and now - self._reset_s >= VERIFY_S:
-            self.reset_odometry(now)
         if report is None or not report.motors_on:
             self._clear_motion()
         speeds = self._quantiser.step(self._velocity, now)

@@ -1,6 +1,6 @@
 """The address of a ROS 2 robot: where its Zenoh router is, and in which form its topics are there."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from bridge.ros2.discovery import Convention
@@ -25,7 +25,7 @@ from rover_ncp.wire.zenoh import PORT
 
 _FORM = (
     "expected ros2/tcp/HOST[:PORT], then #rmw=zenoh&domain=N for rmw_zenoh (&distro=humble for Humble's), "
-    "&namespace=NAME for a namespace, and &odom=, &cmd_vel=, &cmd_vel_type= ... for a description's topics"
+    "&namespace=NAME for a namespace"
 )
 
 
@@ -33,8 +33,7 @@ _FORM = (
 class RosAddress:
     """``endpoint`` is a Zenoh endpoint; ``namespace`` is put before all topics.
 
-    ``hashed`` is whether keys of rmw_zenoh have type hashes: Humble's have none. ``topics`` are fields of a
-    description's topics that the address replaces; "" stands for none.
+    ``hashed`` is whether keys of rmw_zenoh have type hashes: Humble's have none.
     """
 
     endpoint: str
@@ -42,17 +41,15 @@ class RosAddress:
     domain: int = 0
     namespace: str = ""
     hashed: bool = True
-    topics: dict[str, str] = field(default_factory=dict, hash=False)
     zenoh_config: Path | None = None
 
 
 def parse_ros_address(text: str, zenoh_config: Path | None = None) -> RosAddress:
-    """Read ``ros2/tcp/HOST[:PORT][#rmw=zenoh&domain=N&namespace=NAME&odom=TOPIC...]``. Raises UsageError."""
+    """Read ``ros2/tcp/HOST[:PORT][#rmw=zenoh&domain=N&namespace=NAME]``. Raises UsageError."""
     where = parse_ros_endpoint(text, PORT)
     settings = {} if where is None else dict(where.settings)
     distro = settings.pop("distro", "jazzy")
-    topics = {name: value.strip("/") for name, value in settings.items()}
-    if where is None or distro not in {"jazzy", "humble"} or not topics.keys() <= Topics.model_fields.keys():
+    if where is None or distro not in {"jazzy", "humble"} or settings:
         raise UsageError(f"base {printable(text)}: {_FORM}")
     return RosAddress(
         where.endpoint,
@@ -60,7 +57,6 @@ def parse_ros_address(text: str, zenoh_config: Path | None = None) -> RosAddress
         where.domain,
         where.namespace,
         hashed=distro != "humble",
-        topics=topics,
         zenoh_config=zenoh_config,
     )
 

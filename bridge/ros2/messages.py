@@ -1,6 +1,6 @@
 """Base reports as ROS messages: frames of REP-105, axes and units of REP-103. Pure functions.
 
-``odom`` is where the base was when it was connected or its odometry was reset; ``base_link`` is its centre of
+``odom`` is where the base was when it was connected; ``base_link`` is its centre of
 rotation, on the ground. Sonar echoes are points in ``base_link``; where each sonar sits is in ``tf_static``.
 """
 

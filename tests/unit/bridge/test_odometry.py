@@ -16,8 +16,8 @@ SPOKEN = [c for c in CAPTURES if c.said(ARIA_LINE) or c.said(PLAYER_LINE)]
 
 
 def states_of(capture):
-    """Decode the robot's side, with the resets that the client asked for."""
-    odometer = Odometer(ROBOTS[capture.model])
+    """Decode the robot's side; odometry begins anew where the counters show a reset by the client."""
+    odometer, reset = Odometer(ROBOTS[capture.model]), False
     from_client, from_robot = Decoder(), Decoder()
     both = [(t, "c2r", data) for t, data in capture.chunks("c2r")]
     both += [(t, "r2c", data) for t, data in capture.chunks("r2c")]
@@ -25,10 +25,13 @@ def states_of(capture):
     for t, direction, data in sorted(both):
         if direction == "c2r":
             kinds = {packet.kind for packet in from_client.feed(data, t)}
-            odometer.reset_pending |= bool(kinds & {Command.SETO, MockCommand.SIM_RESET})
+            reset |= bool(kinds & {Command.SETO, MockCommand.SIM_RESET})
             continue
         sips = [packet for packet in from_robot.feed(data, t) if packet.kind in SIP_KINDS]
-        states += [odometer.update(Sip.decode(packet), t) for packet in sips]
+        for sip in map(Sip.decode, sips):
+            if reset and (sip.x, sip.y, sip.theta) == (0, 0, 0):
+                odometer, reset = Odometer(ROBOTS[capture.model]), False
+            states.append(odometer.update(sip, t))
     return states
 
 

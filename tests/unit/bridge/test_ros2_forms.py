@@ -5,11 +5,10 @@ import struct
 import pytest
 import zenoh.ext
 
-from bridge.bases import choose_base
 from bridge.ros2.address import RosAddress, parse_ros_address
 from bridge.ros2.discovery import Announced, bridge_token, read_topic_token, topic_token
 from bridge.ros2.rmw import Attachment, Graph, Topic, domain_id, gid, read_token
-from rover_ncp.core.errors import ConfigError, UsageError
+from rover_ncp.core.errors import UsageError
 
 # Type hashes as ROS 2 Jazzy's own packages carry them.
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
@@ -105,18 +104,9 @@ def test_addresses():
     "text",
     [
         *("ros2/", "ros2/udp/x", "ros2/tcp/x:0", "ros2/tcp/x#rmw=dds"),
-        *("ros2/tcp/x#domain=233", "ros2/tcp/x#speed=9"),
+        *("ros2/tcp/x#domain=233", "ros2/tcp/x#odom=o"),
     ],
 )
 def test_bad_addresses_are_refused(text):
     with pytest.raises(UsageError, match="expected ros2/tcp/HOST"):
         parse_ros_address(text)
-
-
-def test_an_address_names_topics_of_its_own():
-    found = choose_base("ros2/tcp/robot#odom=/wheels/odom&imu=&cmd_vel_type=Twist", "turtlebot3-burger")
-    topics = found.description.topics
-    assert (topics.odom, topics.imu, topics.cmd_vel_type) == ("wheels/odom", None, "Twist")
-    assert topics.battery_state == "battery_state"  # as it is described
-    with pytest.raises(ConfigError, match=r"\$.cmd_vel_type"):
-        choose_base("ros2/tcp/robot#cmd_vel_type=Pose", "turtlebot3-burger")

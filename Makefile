@@ -20,6 +20,8 @@ MAKE_VENV := $(if $(UV),$(UV) venv --quiet --seed --allow-existing --python $(PY
 unexport PYTHONDONTWRITEBYTECODE
 INSTALL := $(if $(UV),$(UV) pip install --quiet --compile-bytecode --python $(BIN)/python,$(BIN)/python -m pip install --quiet) --constraint constraints.txt
 DEV := --editable '.[research,tag]' --group dev
+# park and dock install what they need, unless there is an environment for development.
+USER_STAMP = $(if $(wildcard $(STAMP)),$(STAMP),$(VENV)/.$(1))
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 
 .PHONY: help
@@ -27,11 +29,11 @@ help: ## Print this list.
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-16s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 .PHONY: park
-park: $(STAMP) ## Train a circuit (our search; the paper's is train --search published) and park a simulated robot.
+park: $(call USER_STAMP,train) ## Train a circuit (our search; the paper's is train --search published) and park a simulated robot.
 	$(BIN)/rover-ncp park --out runs/park --overwrite
 
 .PHONY: dock
-dock: $(STAMP) ## Dock a simulated robot at a place, by a camera and tags.
+dock: $(call USER_STAMP,tag) ## Dock a simulated robot at a place, by a camera and tags.
 	$(BIN)/rover-ncp park --dock --out runs/dock --overwrite
 
 .PHONY: test
@@ -214,10 +216,23 @@ nightly-cpu:
 	nice -n 19 $(MAKE) mutate
 	nice -n 19 $(MAKE) fuzz
 
-$(STAMP): pyproject.toml constraints.txt hatch_build.py $(wildcard rover_ncp/native/*.cpp rover_ncp/native/*.h)
+SOURCES := pyproject.toml constraints.txt hatch_build.py $(wildcard rover_ncp/native/*.cpp rover_ncp/native/*.h)
+
+$(VENV)/.made:
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "rover-ncp needs Python 3.11 to 3.13, found %d.%d; run make PYTHON=..." % v)'
 	$(MAKE_VENV) $(VENV)
+	touch $@
+
+$(STAMP): $(SOURCES) | $(VENV)/.made
 	$(INSTALL) $(DEV)
+	touch $@
+
+$(VENV)/.train: $(SOURCES) | $(VENV)/.made
+	$(INSTALL) --editable '.[train]'
+	touch $@
+
+$(VENV)/.tag: $(SOURCES) | $(VENV)/.made
+	$(INSTALL) --editable '.[train,tag]'
 	touch $@
 
 $(BROWSER_STAMP): $(STAMP)

@@ -7,17 +7,16 @@ from itertools import cycle, pairwise
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.arcos_bench import BYTES, CONFIG, ECHO0, ECHO1, NAMES, STRANGER, Bench, frame, sip
+from kit.arcos_bench import BYTES, CONFIG, NAMES, Bench, frame, sip
 from kit.arcos_captures import CAPTURES
 
 from bridge.base import BaseReport, Failed, Lost, Notice, Ready, Recovered
 from bridge.pioneer.framing import Command, encode_frame
-from bridge.pioneer.packets import ConfigPac, Flag, GyroPac, Kind
+from bridge.pioneer.packets import ConfigPac, Flag, GyroPac
 from bridge.pioneer.session import BaudChanged, Session
 from bridge.pioneer.setpoints import MotionLimits
-from bridge.pioneer.states import CONFIG_S, PATIENCE_S, TABLE, Input, SessionState
+from bridge.pioneer.states import CONFIG_S, TABLE, Input, SessionState
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.robot.description import load_description
 
 INVALID = b"\x80\xfe\x00\xfa\xfbz"
 
@@ -39,14 +38,6 @@ def test_base_that_never_completes_the_handshake_is_given_up(stream, period_s, r
         bench.hear(next(pieces))
     (failed,) = bench.events
     assert re.search(reason, failed.reason)
-
-
-def test_a_late_second_echo_does_not_start_over():
-    bench = Bench().go_to(SessionState.SYNC0)
-    bench.wait(PATIENCE_S[SessionState.SYNC0])
-    bench.wait(PATIENCE_S[SessionState.LISTENING])
-    bench.hear(ECHO0 + ECHO0 + ECHO1 + ECHO1 + NAMES)
-    assert bench.session.state is SessionState.CONFIGURING
 
 
 def test_a_configpac_that_was_lost_is_asked_for_until_it_comes_and_then_the_bumpers_count(opened):
@@ -83,23 +74,6 @@ def test_a_base_with_a_gyro_for_its_client_is_asked_to_send_it():
     assert turned.rate == pytest.approx(math.radians(11 * 5 / 1023 * 120 * 1.626))
 
 
-@pytest.mark.parametrize("has_gyro", [0, 1, 2])
-def test_a_gyro_that_the_configuration_promises_is_silent_until_its_first_packet(has_gyro):
-    bench = Bench().go_to(SessionState.CONFIGURING)
-    assert (bench.session.gyro_silent, bench.session.watchdog_s) == (False, None)
-    bench.hear(frame(ConfigPac(has_gyro=has_gyro, watchdog=1500).encode()) + sip())
-    assert bench.session.gyro_silent is (has_gyro == 1)
-    assert bench.session.watchdog_s == 1.5
-    bench.hear(frame(GyroPac(((502, 30),)).encode()))
-    assert not bench.session.gyro_silent
-
-
-def test_chosen_model_has_precedence_over_the_reported_one():
-    bench = Bench("p3dx").go_to(SessionState.SYNC2)
-    bench.hear(STRANGER + CONFIG + sip())
-    assert bench.events[-1].robot.name == "p3dx"
-
-
 @pytest.mark.parametrize(
     ("model", "ready"), [("p3at-sh", True), ("p3dx-sh", False), ("p3at", False), ("p3dx", False)]
 )
@@ -110,13 +84,6 @@ def test_a_base_that_calls_itself_another_model_than_the_chosen_one_is_not_drive
     if not ready:
         remedy = f"leave out --model {model}, or describe the robot in a file"
         assert bench.events[-1].reason == f"the base calls itself 'P3AT-SH'; {remedy}"
-
-
-def test_a_description_of_ones_own_has_precedence_over_the_reported_model():
-    bench = Bench()
-    bench.session = Session(load_description("p3at").model_copy(update={"name": "mine"}))
-    bench.go_to(SessionState.SYNC2).hear(NAMES + CONFIG + sip())
-    assert bench.session.state is SessionState.READY
 
 
 def test_limits_are_sent_in_the_bases_units():
@@ -161,12 +128,6 @@ def driving():
     bench.turns(1)
     bench.events.clear()
     return bench
-
-
-def test_a_report_behind_a_false_header_is_read_when_silence_follows(bench):
-    bench.hear(b"\xfa\xfb" + sip())
-    bench.wait(0.06)
-    assert [type(event) for event in bench.events] == [BaseReport]
 
 
 def test_no_tick_no_keep_alive(driving):
@@ -227,11 +188,6 @@ def test_motors_that_are_on_without_a_request_are_switched_off():  # as AMRISim'
     assert (Command.ENABLE, 0) in Bench().go_to(SessionState.READY).turns(1, sip(flags=Flag.MOTORS), 0.35)
 
 
-def test_repeated_request_for_motors_is_sent_although_the_last_report_shows_them_on(driving):
-    driving.session.enable(True)
-    assert driving.sent()[-3:] == [(Command.VEL, 0), (Command.RVEL, 0), (Command.ENABLE, 1)]
-
-
 def test_emergency_stop_goes_out_at_once(driving):
     driving.session.emergency_stop()
     assert driving.sent() == [(Command.E_STOP, None), (Command.VEL, 0), (Command.RVEL, 0)]
@@ -271,12 +227,6 @@ def test_no_speed_is_sent_unless_motors_were_requested_and_run(ready, story):
                 assert bench.session.state is SessionState.READY
                 assert asked
                 assert on
-
-
-@pytest.mark.parametrize("kind", [Kind.RESET_FE, Kind.RESET_FF])
-def test_reset_notices_of_both_kinds_are_understood(driving, kind):
-    driving.hear(encode_frame(kind))
-    assert [type(event) for event in driving.events] == [Lost]
 
 
 @pytest.mark.parametrize("capture", CAPTURES, ids=lambda c: c.name)
@@ -337,12 +287,6 @@ def test_base_that_is_ready_again_gets_zeros_and_its_motors_stay_off(state, what
     last = bench.sent()[-3:]
     assert [command for command, _ in last] == [Command.VEL, Command.RVEL, Command.ENABLE]
     assert [argument for _, argument in last] == [0, 0, 0]
-
-
-def test_refusal_of_a_base_that_calls_itself_unknown_says_to_give_its_model():
-    bench = Bench().go_to(SessionState.SYNC2)
-    bench.hear(STRANGER)
-    assert "give its model with --model" in bench.events[-1].reason
 
 
 def test_every_action_of_the_table_exists():

@@ -31,6 +31,7 @@ _FUNCTIONS: dict[str, list[Any]] = {
     "rover_ncp_sources": [ctypes.c_char_p],
     "rover_ncp_widest": [_LONG],
     "rover_ncp_signals": [_LONG],
+    "rover_ncp_sizes": [None, _POINTER],
     "rover_ncp_fill_lanes": [None, _POINTER, _POINTER, _LONG],
     "rover_ncp_tick_lanes": [None, *[_POINTER] * 3],
     "rover_ncp_run_episodes": [_LONG, *[_POINTER] * 8, _LONG],
@@ -108,6 +109,11 @@ class Structure:
     def __init__(self, value: Any, words: list[int]) -> None:
         self._value, self._words = value, np.array(words, np.uint64)
         self._as_parameter_ = ctypes.c_void_p(self._words.ctypes.data)
+
+    @property
+    def size(self) -> int:
+        """Its bytes."""
+        return self._words.nbytes
 
     @property
     def address(self) -> int:
@@ -264,6 +270,10 @@ def bound_episodes(signal_at: NDArray[np.int64], **tuples: Any) -> Callable[[], 
         signal_at=(signal_at, np.int64, Axes("inputs", below=str(required().rover_ncp_signals()))),
         **tuples,
     )
+    sizes = (ctypes.c_int64 * len(packed))()
+    required().rover_ncp_sizes(sizes)
+    if [structure.size for structure in packed] != list(sizes):
+        raise TypeError("a named tuple has other fields than its structure in episode.cpp")
     ended = ctypes.c_int64()
     run = partial(
         required().rover_ncp_run_episodes,

@@ -84,8 +84,8 @@ struct Queue {
 };
 
 constexpr double RESTING_MV = -70.0;  // rover_ncp/circuit/circuit.py
-constexpr Velocity HOLD = {0.004, 0.017453292519943295};        // deploy/drive/hold.py
-constexpr Velocity SPEED_STEP = {0.001, 0.017453292519943295};  // deploy/drive/dead_zone.py, as all of Pulse
+constexpr Velocity HOLD = {0.004, 0.017453292519943295};        // rover_ncp/course/hold.py
+constexpr Velocity SPEED_STEP = {0.001, 0.017453292519943295};  // rover_ncp/robot/dead_zone.py, as all of Pulse
 constexpr double PULSE_MARGIN = 0.1;
 constexpr int64_t PULSE_TICKS = 3;
 
@@ -403,6 +403,13 @@ extern "C" {
 #pragma GCC visibility push(default)
 
 int64_t rover_ncp_signals() { return SIGNALS; }
+
+// The bytes of the structures that rover_ncp_run_episodes takes: core.py compares its own with them.
+void rover_ncp_sizes(int64_t *sizes) {
+    const int64_t found[] = {sizeof(Circuits), sizeof(Indices), sizeof(Tasks), sizeof(Trials),
+                             sizeof(Lanes),    sizeof(Fleet),   sizeof(Queue)};
+    for (int i = 0; i < 7; i++) sizes[i] = found[i];
+}
 
 int64_t rover_ncp_run_episodes(const Circuits *circuits, const Indices *signal_at, const Tasks *tasks,
                                const Trials *trials, const Lanes *lanes, const Fleet *fleet, const Queue *queue,

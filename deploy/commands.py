@@ -221,11 +221,12 @@ def watch(
 ) -> int:
     """Show a robot's drive live on a page of this machine, with a Stop button.
 
-    The page is that of 'rover-ncp report', updated ten times a second: path, circuit, commands, events. It
-    judges and explains a drive only if the driver names the same policy and course, and no docking. Its
-    Stop button stops the rover until released. The page shows whether this user may stop the rover. Only
-    this machine can open the page; the page shows the SSH command by which another device opens it. It is
-    ready when it prints "watching at ADDRESS". Ctrl-C ends it and does not affect the rover.
+    The page is that of 'rover-ncp report', updated ten times a second: path, circuit, commands, events and
+    the driver's own verdict. It draws currents only if the driver names the same policy and course, and no
+    docking; 'report' judges and explains a recorded drive. Its Stop button stops the rover until released.
+    The page shows whether this user may stop the rover. Only this machine can open the page; the page shows
+    the SSH command by which another device opens it. It is ready when it prints "watching at ADDRESS". Ctrl-C
+    ends it and does not affect the rover.
 
         rover-ncp watch --robot tcp/192.168.1.20
     """

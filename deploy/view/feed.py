@@ -1,9 +1,8 @@
 """Updates of a running drive: the changes since a viewer's last request, ready for its page.
 
 One feed serves any number of viewers, each with its own `Cursor`. A new viewer, and every viewer after a
-new drive has begun, gets everything. Messages come from one thread, requests of viewers from others. Only
-what is short holds the lock that messages need: rows of a drive are only ever appended, so columns are made,
-and the drive is explained, outside it.
+new drive has begun, gets everything. Messages come from one thread, requests of viewers from others. Rows of
+a drive are only ever appended, so columns are made outside the lock that messages need.
 """
 
 import threading
@@ -14,15 +13,14 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from deploy.view.page import fragment, phases_data
+from deploy.view.page import fragment
 from deploy.view.page_data import columns, event_rows
 from deploy.view.recorded_drive import KINDS, facts
 from deploy.view.timeline import STAGES, Timeline
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import FormatError
 from rover_ncp.course.course import Course
-from rover_ncp.course.scoring import Parked, Verdict
-from rover_ncp.neurons.findings import analyse
+from rover_ncp.course.scoring import Parked
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.key_table import TAG_VIEW
@@ -47,7 +45,6 @@ class Cursor:
     """The id of the drive; None before the first updates."""
     rows: Counter[str] = field(default_factory=Counter)
     html: dict[str, Markup] = field(default_factory=dict)
-    phases: list[dict[str, Any]] | None = None
     view: str = ""
     """The picture of tags, as base64."""
 
@@ -63,10 +60,6 @@ class Feed:
         self._view = ""
         """The newest picture of tags, a JPEG as base64; it belongs to no drive."""
         self._timeline: Timeline
-        self._verdicts: dict[str, Verdict] | None
-        """Those of the ended drive, judged once, and again if the gate reports a contact then."""
-        self._judged: bool | None
-        """Whether the verdicts count a contact; None before there are any."""
         self._begin("")
 
     def take(self, message: Recorded) -> None:
@@ -80,12 +73,6 @@ class Feed:
             if self._belongs_to_no_drive(message):
                 return
             self._timeline.take(message)
-            gate = self._timeline.gate
-            touched = gate is not None and "bumper" in gate.stops
-            if self._ended and self._judged != touched:
-                known = self._timeline.ticks and not self._timeline.other
-                self._verdicts = self._timeline.judge() if known else {}
-                self._judged = touched
             timeline = self._timeline
             if not timeline.ticks:
                 for rows in (timeline.odometry, timeline.commands, timeline.setpoints, timeline.voltages):
@@ -93,7 +80,6 @@ class Feed:
 
     def updates(self, cursor: Cursor, bridge: bool = True) -> dict[str, Any]:
         """Return the new data for a viewer and advance its cursor; ``bridge`` is False without a bridge."""
-        self._explain()
         with self._lock:
             timeline = self._timeline
             reset = cursor.drive != self._drive
@@ -110,9 +96,7 @@ class Feed:
                 cursor.rows = Counter({name: len(rows) for name, rows in timeline.streams.items()})
             if (view := self._view) != cursor.view:
                 updates["view"] = cursor.view = view
-            if self._phases is not cursor.phases:
-                updates["phases"] = cursor.phases = self._phases
-            html = {**self._state_html(bridge), **self._phases_html}
+            html = self._state_html(bridge)
             updates["html"] = {name: text for name, text in html.items() if cursor.html.get(name) != text}
             cursor.html = html
         return updates | columns(timeline, first, cursor.rows) if cursor.rows else updates
@@ -120,18 +104,12 @@ class Feed:
     def _other_than(self, status: DriverStatus) -> str:
         """Return why the drive is not one of this page's policy on its course; "" if it is."""
         if status.state.startswith(STAGES):
-            return (
-                "a docking has two policies and no course: this page neither judges nor explains it; "
-                "'rover-ncp report' explains its recording"
-            )
+            return "a docking has two policies: 'rover-ncp report' shows their currents"
         own = self._policy.circuit.name, self._course.name
         named = status.policy or own[0], status.course or own[1]  # a driver may leave them out
         if named == own:
             return ""
-        return (
-            f"this page has policy {own[0]} on course {own[1]}, so it neither judges nor explains the drive: "
-            "start watch with --policy and --course"
-        )
+        return f"this page draws policy {own[0]} on course {own[1]}: start watch with --policy and --course"
 
     def _belongs_to_no_drive(self, message: Recorded) -> bool:
         """Whether a message came after the end of the drive; its data stay unchanged until the next one."""
@@ -170,10 +148,6 @@ class Feed:
     def _begin(self, drive: str) -> None:
         self._drive = drive
         self._timeline = Timeline(self._policy, self._course)
-        self._phases: list[dict[str, Any]] | None = None
-        self._phases_html: dict[str, Markup] = {}
-        self._explained = False
-        self._verdicts, self._judged = None, None
 
     def _state_html(self, bridge: bool) -> dict[str, Markup]:
         """Return the parts of the page that change with the states of driver and gate."""
@@ -197,19 +171,6 @@ class Feed:
         return {
             "title": fragment("title", state, kind, status.reason if status else ""),
             "subline": escape("; ".join(notes)),
-            "summary": fragment("rows", facts(timeline, self._verdicts)),
+            "summary": fragment("rows", facts(timeline, {} if self._ended else None)),
             "events": fragment("events", event_rows(timeline)),
         }
-
-    def _explain(self) -> None:
-        """Explain an ended drive, once."""
-        with self._lock:
-            timeline = self._timeline
-            if not self._ended or self._explained or timeline.other or len(timeline.ticks) < 2:
-                return
-            self._explained = True
-        findings = analyse(*timeline.traces())
-        data, html = phases_data(findings), {"phases": fragment("phases", findings.phases)}
-        with self._lock:
-            if timeline is self._timeline:
-                self._phases, self._phases_html = data, html

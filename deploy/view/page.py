@@ -164,11 +164,6 @@ def fragment(name: str, *arguments: Any) -> Markup:
     return made
 
 
-def phases_data(findings: Findings) -> list[dict[str, Any]]:
-    """Return the phases that a script shows."""
-    return [phase.model_dump() for phase in findings.phases]
-
-
 def _data(policy: Policy, course: Course | None, outline: FloatArray = OUTLINE) -> dict[str, Any]:
     return {
         "course": None if course is None else course_data(course, outline),
@@ -179,4 +174,9 @@ def _data(policy: Policy, course: Course | None, outline: FloatArray = OUTLINE) 
 def _updates(
     findings: Findings, streams: dict[str, dict[str, Any]], events: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    return {"reset": True, **streams, "events": events, "phases": phases_data(findings)}
+    return {
+        "reset": True,
+        **streams,
+        "events": events,
+        "phases": [phase.model_dump() for phase in findings.phases],
+    }

@@ -8,7 +8,7 @@ function reset() {
   model.drive = Object.fromEntries(STREAMS.map((name) => [name, { t: [], x: [], y: [], theta: [], v: [], omega: [] }]));
   model.events = [];
   model.phases = [];
-  for (const id of ["phases", "events"]) if (!data.updates) $(id).replaceChildren();
+  if (!data.updates) $("events").replaceChildren();
 }
 
 function append(columns, more) {

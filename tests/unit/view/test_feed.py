@@ -1,7 +1,6 @@
 """Updates of a drive for its live page, and the page that ``watch`` serves."""
 
 import json
-import threading
 from base64 import b64decode
 from dataclasses import replace
 from html import unescape
@@ -10,10 +9,8 @@ import numpy as np
 import pytest
 from kit.recorded_drives import BEGAN_NS, TICK_NS, state
 
-from deploy.view import feed as feed_module
 from deploy.view import server
 from deploy.view.feed import Cursor, Feed
-from deploy.view.timeline import Timeline
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import NoBridge
@@ -55,8 +52,6 @@ def test_updates_in_pieces_are_the_whole(short, feed):
     assert whole["potentials"] == pytest.approx(short.run.potentials[:, 3], abs=0.01)
     assert [piece["reset"] for piece in pieces].count(True) == 1
     assert pieces[-1]["status"]["state"] == "ended"
-    assert "By the estimated pose" in pieces[-1]["html"]["summary"]
-    assert pieces[-1]["phases"][-1]["sentence"]
 
 
 def test_view_of_tags_is_sent_once_to_each_viewer_and_survives_a_drive(short, feed):
@@ -70,17 +65,6 @@ def test_view_of_tags_is_sent_once_to_each_viewer_and_survives_a_drive(short, fe
     for message in short.messages:
         feed.take(message)
     assert b64decode(feed.updates(second)["view"]) == b"two"
-
-
-def test_all_findings_are_sent_at_the_end_without_a_new_tick(short, feed):
-    received, cursor = short.messages, Cursor()
-    on_the_way = [message for message in received if message.topic != "rover/status"]
-    for message in [state(DriverStatus(state="running"), received[0].log_ns), *on_the_way]:
-        feed.take(message)
-    assert "phases" not in feed.updates(cursor)
-    feed.take(state(DriverStatus(state="fault"), received[-1].log_ns))
-    assert feed.updates(cursor)["phases"][-1]["sentence"]
-    assert "phases" not in feed.updates(cursor)
 
 
 def test_a_new_drive_begins_anew(short, feed):
@@ -223,20 +207,17 @@ def named(messages, *states, **names):
         (
             ["NAV_TO_STAGING_POSE, try 1 of 3", "CONTROLLING, try 1 of 3"],
             {"policy": "dock", "course": "home"},
-            "a docking has two policies and no course",
+            "a docking has two policies",
         ),
-        (["CONTROLLING, try 1 of 3"], {}, "a docking has two policies and no course"),
+        (["CONTROLLING, try 1 of 3"], {}, "a docking has two policies"),
     ],
 )
-def test_drive_of_another_policy_or_course_is_neither_judged_nor_explained(short, feed, states, names, note):
+def test_drive_of_another_policy_or_course_has_no_currents(short, feed, states, names, note):
     for message in named(short.messages, *states, **names):
         feed.take(message)
     found = feed.updates(Cursor())
     assert unescape(found["html"]["subline"]).count(note) == 1
-    assert "By the estimated pose" not in found["html"]["summary"]
     assert "<dt>Ended as</dt><dd>ended</dd>" in found["html"]["summary"]
-    assert "phases" not in found
-    assert "phases" not in found["html"]
     ticks = found["ticks"]
     assert {value for name in ("currents", "pulls") for column in ticks[name] for value in column} == {None}
     assert ticks["potentials"][3] == pytest.approx(short.run.potentials[:, 3], abs=0.01)
@@ -244,7 +225,7 @@ def test_drive_of_another_policy_or_course_is_neither_judged_nor_explained(short
 
 
 @pytest.mark.parametrize("refused_before", [False, True])
-def test_drive_of_the_pages_own_policy_and_course_is_judged_and_explained(short, feed, refused_before):
+def test_drive_of_the_pages_own_policy_and_course_has_currents(short, feed, refused_before):
     own = {"policy": short.policy.circuit.name, "course": short.course.name}
     if refused_before:  # a driver of another policy, which sends no last status
         feed.take(state(DriverStatus(state="armed", drive="0", policy="another", course="bay"), 1))
@@ -252,39 +233,8 @@ def test_drive_of_the_pages_own_policy_and_course_is_judged_and_explained(short,
         feed.take(message)
     found = feed.updates(Cursor())
     assert "start watch with" not in found["html"]["subline"]
-    assert "By the estimated pose" in found["html"]["summary"]
-    assert found["phases"]
     assert None not in found["ticks"]["pulls"][0]
     assert "start" in {event["kind"] for event in found["events"]}
-
-
-def test_messages_are_taken_while_a_drive_is_explained(monkeypatch, short, feed):
-    taken, once = [], feed_module.analyse
-
-    def analyse(trace):
-        thread = threading.Thread(target=feed.take, args=(short.messages[0],), daemon=True)
-        thread.start()
-        thread.join(5.0)
-        taken.append(not thread.is_alive())
-        return once(trace)
-
-    monkeypatch.setattr(feed_module, "analyse", analyse)
-    for message in short.messages:
-        feed.take(message)
-    assert "phases" in feed.updates(Cursor())
-    feed.updates(Cursor())
-    assert taken == [True]
-
-
-def test_ended_drive_is_judged_once(monkeypatch, short, feed):
-    cursor, judged, once = Cursor(), [], Timeline.judge
-    monkeypatch.setattr(Timeline, "judge", lambda timeline: judged.append(1) or once(timeline))
-    for message in short.messages:
-        feed.take(message)
-    for _ in range(5):
-        feed.updates(cursor)
-    assert "By the estimated pose" in cursor.html["summary"]
-    assert len(judged) == 1
 
 
 def test_the_live_page_shows_an_uncertain_verdict(feed):

@@ -33,7 +33,7 @@ from bridge.ros2.connection import RosConnection
 from bridge.ros2.discovery import LoopSeen, TokenSeen
 from bridge.ros2.gyro import GyroTurns
 from bridge.ros2.hazards import Hazards
-from bridge.ros2.inputs import RosBattery, docked_passed_on, pose_passed_on
+from bridge.ros2.inputs import DockedReports, RosBattery, pose_passed_on
 from bridge.ros2.odometry import LOSS_S, MIN_IN_RATE, RATE_S, Moved, RosOdometer
 from bridge.ros2.scan import ScanRoom
 from bridge.ros2.unused import UnusedMessages
@@ -109,7 +109,7 @@ class Ros2Base:
         """Number of the lease of the last setpoint."""
         self._driven_s = self._reported_s = -math.inf
         self._alone_since_s: float | None = None
-        self._battery = RosBattery()
+        self._battery, self._docked = RosBattery(), DockedReports(self._topics.docked_field)
         self._hazards = Hazards(self._topics)
         self._hazard_types = {found.topic: kind for found, kind in hazard_topics(self._topics)}
         self._unused = UnusedMessages(line.topic)
@@ -226,7 +226,7 @@ class Ros2Base:
         elif topic in self._hazards.topics:
             self._hazards.take(topic, message.payload, now, message.source)
         elif topic == self._topics.docked:
-            return [docked_passed_on(message.payload, self._topics.docked_field)]
+            return [*self._docked.take(message.payload)]
         elif topic == self._topics.pose:
             return [pose_passed_on(message.payload)]
         elif topic == self._topics.battery_state:

@@ -27,21 +27,28 @@ class Hazards:
         self._pressed_s = -math.inf
         self._unreadable: dict[str, str] = {}
         """Topics whose last message cannot be used, and why not."""
+        self._newest: tuple[bytes | None, int] = None, 0
+        """Publisher and stamp of the newest hazards."""
         self._pressed, self._was_pressed = False, False
         self._present, self._were_present = frozenset[int](), frozenset[int]()
 
     def take(self, topic: str, payload: bytes, now: float, source: bytes | None = None) -> None:
         """Take a stop or hazards from a publisher. Raises FormatError."""
+        repeated = False
         try:
             if topic == self._stop:
                 self._press(bool(decode(BOOL, payload).data), now)
             else:
-                self._present = read_hazards(payload)
+                self._present, stamp_ns = read_hazards(payload)
                 self._were_present |= self._present
+                newest, self._newest = self._newest, (source, stamp_ns)
+                repeated = stamp_ns != 0 and newest == self._newest
         except FormatError as error:
             self.reject(topic, str(error))
             raise
         self._unreadable.pop(topic, None)
+        if repeated:  # its publisher may hang behind a node that sends its last message again and again
+            return
         sources, found = self._sources[topic], self.topics[topic]
         sources[source] = now
         if not found.latched:
@@ -93,7 +100,7 @@ class Hazards:
         if heard_s == -math.inf:
             return "no message has come" + (" from its publisher of now" if found.latched else "")
         if now - heard_s > found.max_silence_s:
-            return f"no message for {found.max_silence_s:g} s, which is three periods"
+            return f"no new message for {found.max_silence_s:g} s, which is three periods"
         return ""
 
     def since_last(self) -> tuple[bool, frozenset[int]]:

@@ -145,7 +145,7 @@ class Link(ABC):
                     battery.charging, before.reports + is_new, battery.stamp_ns, arrival.arrival_ns
                 )
             case "docked":
-                self.docked = DockedTopic(read_docked(arrival.data), self.docked.reports + 1)
+                self.docked = DockedTopic(read_docked(arrival.data)[0], self.docked.reports + 1)
             case "bumpers":
                 pressed, times = read_bumpers(arrival.data), self.bumpers.times
                 self.bumpers = Bumpers(pressed, (times[0] + pressed[0], times[1] + pressed[1]))

@@ -296,9 +296,10 @@ def hazards(kinds: Sequence[int], stamp_ns: int) -> bytes:
     return encode(HAZARDS, header=head, detections=[{"header": head, "type": kind} for kind in kinds])
 
 
-def read_hazards(data: bytes) -> frozenset[int]:
-    """Read the kinds of a HazardDetectionVector. Raises FormatError."""
-    return frozenset(int(found.type) for found in decode(HAZARDS, data).detections)
+def read_hazards(data: bytes) -> tuple[frozenset[int], int]:
+    """Read the kinds and the stamp (ns) of a HazardDetectionVector. Raises FormatError."""
+    message = decode(HAZARDS, data)
+    return frozenset(int(found.type) for found in message.detections), read_stamp_ns(message.header)
 
 
 def boolean(value: bool) -> bytes:
@@ -306,9 +307,14 @@ def boolean(value: bool) -> bytes:
     return encode(BOOL, data=value)
 
 
-def read_docked(data: bytes, field: str = "data") -> bool:
-    """Read the field of a message that says whether the robot is docked. Raises FormatError."""
-    return bool(getattr(decode(DOCKED_TYPES[field], data), field))
+def read_docked(data: bytes, field: str = "data") -> tuple[bool, int]:
+    """Read whether the robot is docked, by a field of a message, and its stamp (ns). Raises FormatError.
+
+    The stamp is 0 where the type has none.
+    """
+    message = decode(DOCKED_TYPES[field], data)
+    stamp_ns = read_stamp_ns(message.header) if hasattr(message, "header") else 0
+    return bool(getattr(message, field)), stamp_ns
 
 
 def point_cloud(points: Sequence[tuple[float, float, float]], stamp_ns: int) -> bytes:

@@ -5,10 +5,13 @@ Each is a function of the drive that it changes, as those of `kit.hazard_injecti
 
 from collections import deque
 
+from bridge.ros2.inputs import DockedReports
 from deploy.place.outcome import Stage
 from kit.virtual_drive import LOST
 from rover_ncp.core.geometry import STANDSTILL, Pose
 from rover_ncp.wire import messages as ros
+from rover_ncp.wire.cdr import encode
+from rover_ncp.wire.header import header_of
 from rover_ncp.wire.protocol import CommandTag, Signed, StopRequest, dump_json
 
 NS = 10**9
@@ -60,6 +63,31 @@ def charge(charging, *, old=False):
             return ros.battery_state(12.5, stamps[0 if old else -1], charging=found)
 
         drive.link.change["battery_state"] = battery
+
+    return inject
+
+
+def docked(said, *, old=False):
+    """Let a topic of the robot say that it is docked: ``said(seconds of waiting for it)``, None before that.
+
+    With ``old`` all messages have one stamp.
+    """
+
+    def inject(drive):
+        waits, reports, statuses = [], DockedReports("is_docked"), drive.link.statuses
+
+        def messages(odometry):
+            now_s, state = drive.bridge.monotonic(), statuses[-1].state if statuses else ""
+            waits.extend([now_s] if state.startswith(Stage.WAIT_FOR_CHARGE) and not waits else [])
+            if not said(now_s - waits[0] if waits else None):
+                return []
+            header = header_of(NS if old else odometry.stamp_ns, "base_link")
+            return [
+                each.data
+                for each in reports.take(encode(ros.DOCKED_TYPES["is_docked"], header=header, is_docked=True))
+            ]
+
+        drive.link.put_with_odometry("docked", messages)
 
     return inject
 
@@ -172,6 +200,13 @@ DRIVER_INJECTIONS = {
     "charge always before a wall": charge(lambda waited_s: True),
     "charge one report": charge(lambda waited_s: waited_s is not None and waited_s < 1.5),
     "charge an old report again and again": charge(lambda waited_s: True, old=True),
+    "never says docked": docked(lambda waited_s: False),
+    "docked only before the approach ends": docked(lambda waited_s: waited_s is None),
+    "docked an old report again and again": docked(lambda waited_s: True, old=True),
+    "docked one report": docked(lambda waited_s: waited_s is not None and waited_s < 0.15),
+    "docked always": docked(lambda waited_s: True),
+    "docked always before a wall": docked(lambda waited_s: True),
+    "docked of a peer": from_peer("docked", lambda drive: ros.boolean(True)),
     "charge of a peer": from_peer("battery_state", false_charge),
     "odometry of a peer": from_peer(
         "odom", lambda drive: ros.odometry(Pose(9.0, 9.0, 1.0), STANDSTILL, drive.bridge.time_ns())

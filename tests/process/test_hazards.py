@@ -188,8 +188,6 @@ def longest_gap_s(path):
     return max(np.diff([*ns, end_ns]).max(initial=0) for ns in times) * 1e-9
 
 
-# Beside all other tests on two cores, one of five runs ended a drive as not parked, for a reason not known.
-@pytest.mark.long
 @pytest.mark.parametrize("cell", CELLS.values())
 def test_gate_driver_and_page_do_as_the_table_says(robot, cell, tmp_path, capsys, monkeypatch):
     course, path = tmp_path / "wide.yaml", tmp_path / "run.mcap"

@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from kit.ros2_world import BURGER, EPOCH_S, World, announced, odometry, twist
+from kit.ros2_world import BURGER, EPOCH_S, World, announced, header, odometry, twist
 
 from bridge.base import Failed, Lost, Notice, PassedOn, Ready, Recovered
 from bridge.ros2.discovery import Announced, LoopSeen, TokenSeen
@@ -116,6 +116,13 @@ def test_battery_is_known_for_a_minute(ready, status, charging):
     assert ready.reports[-1].battery_age_s == pytest.approx(59.0, abs=0.2)
     ready.run(2.0)
     assert (ready.reports[-1].battery_v, ready.reports[-1].charging) == (0.0, None)
+
+
+def test_a_battery_report_that_is_repeated_grows_old_and_its_voltage_still_counts(ready):
+    stuck = encode(BATTERY_STATE, header=header(EPOCH_S), voltage=11.5, power_supply_status=1)
+    ready.run(70.0, each=lambda: ready.hear("battery_state", stuck))
+    assert ready.reports[-1].battery_v == pytest.approx(11.5)
+    assert ready.reports[-1].battery_age_s == pytest.approx(70.0, abs=0.2)
 
 
 # Bad input.

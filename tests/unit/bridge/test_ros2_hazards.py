@@ -82,7 +82,7 @@ def test_silence_of_three_periods_counts_as_a_hazard(stop, silence_s):
     world = world_of(stop=stop)
     press(world, False)
     assert unknown(world, silence_s - 0.1) == ""
-    assert unknown(world, 0.3) == f"stop: no message for {silence_s:g} s, which is three periods"
+    assert unknown(world, 0.3) == f"stop: no new message for {silence_s:g} s, which is three periods"
     press(world, False)
     assert unknown(world) == ""
 

@@ -79,7 +79,7 @@ test-timed: $(STAMP) ## Every row of both safety matrices, the soak's test and l
 	$(BIN)/pytest tests/system -m "timed and long" --numprocesses 2 --dist loadgroup
 
 .PHONY: test-browser
-test-browser: chromium $(BROWSER_STAMP) ## Pages in chromium and recordings in Rerun; pictures in runs/browser.
+test-browser: chromium $(BROWSER_STAMP) ## Pages in chromium; pictures in runs/browser.
 	$(BIN)/pytest tests -m browser
 
 .PHONY: pictures

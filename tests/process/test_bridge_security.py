@@ -1,7 +1,6 @@
 """A bridge with the keys of ``rover-ncp keys``: its access rules, and that Zenoh obeys them over TLS."""
 
 import base64
-import functools
 import json
 import re
 
@@ -11,15 +10,13 @@ from kit.bridge_bench import Driver, wait_for
 from kit.zenoh_session import open_router
 
 from bridge.zenoh.certificate_authority import access_control
-from deploy.drive import config
-from deploy.drive.config import DriveConfig
 from deploy.view.server import Viewer
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp import cli
 from rover_ncp.core.errors import FormatError, NotAuthorised
 from rover_ncp.wire.key_table import KEYS, Kind, Role
 from rover_ncp.wire.protocol import Signed
-from rover_ncp.wire.zenoh import CLIENT, client_config
+from rover_ncp.wire.zenoh import client_config
 
 HEARD = [row.name for row in KEYS if row.kind is Kind.MESSAGE and row.senders == {Role.BRIDGE}]
 SELDOM = {"sonar", "imu", "docked"}
@@ -131,14 +128,6 @@ def test_drivers_certificate_is_not_valid_for_listening(keys):
 
     assert listens("bridge", "listen")
     assert not listens("driver", "connect")
-
-
-def test_deploy_says_not_authorised(secured, keys, capsys, monkeypatch):
-    shorter = functools.partial(DriveConfig, permission_wait_s=0.2, still_s=0.15)
-    monkeypatch.setattr(config, "DriveConfig", shorter)
-    monkeypatch.setitem(CLIENT, "connect/timeout_ms", 500)
-    assert cli.run(["deploy", "--robot", secured.robot, "--zenoh-config", str(keys / "viewer.json5")]) == 3
-    assert capsys.readouterr().err.startswith("rover-ncp: not authorised: the bridge at tls/127.0.0.1")
 
 
 def test_files_that_hold_secrets_are_their_owners_alone_and_never_replaced(keys, capsys):

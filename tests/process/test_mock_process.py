@@ -11,7 +11,6 @@ from kit.true_motion import moving
 from bridge.pioneer.framing import Command, Decoder, encode_command, encode_frame
 from bridge.pioneer.packets import Kind, decode_names
 from bridge.pioneer.transport import open_transport
-from rover_ncp.cli import run
 from sim.park.live import Process, wait_for
 from sim.park.truth import TruthReader
 
@@ -70,18 +69,6 @@ def test_a_client_that_vanishes_can_come_back_to_the_chosen_base_and_a_kill_leav
     process.wait(5.0)
     assert truth.read_bytes().endswith(b"\n")
     assert not moving(TruthReader(truth).read()[-1])
-
-
-@pytest.mark.parametrize("options", [[], ["--ros2", "--model", "turtlebot4"]])
-def test_port_in_use_is_one_line_that_leaves_no_truth_and_keeps_that_of_before(options, tmp_path, capsys):
-    before, new = tmp_path / "before.csv", tmp_path / "new.csv"
-    before.write_text("mine")
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        command = ["mock", *options, "--listen", f"127.0.0.1:{taken.getsockname()[1]}", "--truth"]
-        assert run([*command, str(before), "--overwrite"]) == 2
-        assert run([*command, str(new)]) == 2
-    assert (before.read_text(), new.exists()) == ("mine", False)
-    assert len(capsys.readouterr().err.splitlines()) == 2
 
 
 def test_running_mock_takes_faults_from_its_input_and_answers_when_they_began(mock, tmp_path):

@@ -59,16 +59,6 @@ def test_result_that_cannot_be_written_is_exit_2_and_delays_nothing(reader):
         assert error[0].startswith("rover-ncp: standard output cannot be written: ")
 
 
-def test_slow_reader_gets_the_result_and_the_number_of_dropped_lines():
-    process = subprocess.Popen([sys.executable, "-c", TALKS, str(LINES)], stdout=subprocess.PIPE)
-    time.sleep(0.3)
-    out, _ = process.communicate(timeout=30)
-    lines = out.decode().splitlines()
-    dropped = [int(line.rsplit(" ", 1)[1]) for line in lines if line.startswith("rover-ncp: lines of output")]
-    assert (process.returncode, lines[-1]) == (0, "the result")
-    assert len(lines) - len(dropped) + sum(dropped) == LINES + 2
-
-
 @pytest.mark.parametrize(
     ("text", "shown"),
     [

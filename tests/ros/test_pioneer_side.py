@@ -64,15 +64,3 @@ def test_the_keyboard_node_of_ros_drives_a_pioneer(ros_type, way, pioneer):
     with Driver(pioneer.robot) as driver:  # the node is gone: the gate is free again
         wait_for(lambda: driver.motors().granted)
         driver.motors(enable=False)
-
-
-def test_ros_lists_the_topics_of_the_bridge_before_any_subscription(pioneer):
-    wanted = {
-        "/odom": "nav_msgs/msg/Odometry",
-        "/battery_state": "sensor_msgs/msg/BatteryState",
-        "/rover/gate": "std_msgs/msg/String",
-        "/rover/cmd_out": TWIST_STAMPED,
-    }
-    with pioneer.topic("list") as node:
-        wait_for(lambda: wanted.items() <= {name: kind for name, (kind, *_) in node.last.items()}.items())
-        assert "/cmd_vel" not in node.last

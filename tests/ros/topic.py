@@ -11,7 +11,7 @@ from wires import WIRES, header, input_lines
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     add = parser.add_argument
-    add("what", choices=("pub", "echo", "list"))
+    add("what", choices=("pub", "echo"))
     add("topic", nargs="?")
     add("type", nargs="?")
     add("fields", nargs="?", type=json.loads, help="a message; the stamp of its header becomes the present")
@@ -33,8 +33,6 @@ def main():
                 given.fields["header"] = header(time.time(), given.fields["header"]["frame_id"])
             publish(given.fields)
             print("{}", flush=True)
-        elif given.what == "list":
-            print(json.dumps(dict(wire.node.get_topic_names_and_types())), flush=True)
         wire.spin(1.0 / given.rate)
     wire.close()
 

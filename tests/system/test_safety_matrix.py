@@ -8,7 +8,6 @@ in; what it adds to the mock and the line to it is the measurement's (`faults.me
 import functools
 import math
 import signal
-import threading
 import time
 from contextlib import ExitStack
 
@@ -18,7 +17,6 @@ from faults.going_on import GOES_ON_S
 from faults.hang import CLOCK_STEPS_S
 from faults.measure import ROWS_FILE, measure, require_in_time, time_stop
 from faults.rig import CREEP_M_S, SPEED_M_S, Rig
-from faults.row import SCRIPTED
 from faults.table import MATRIX, ROWS
 from kit.paths import DATA
 from kit.peer import Peer
@@ -60,26 +58,6 @@ def test_the_rover_stands_in_time_and_stays(rig, key):
     require_in_time(measured)
     if key == "odometry-jumps":  # which the gate lets pass
         assert measured.stopped_by == "estimator"
-
-
-@pytest.mark.parametrize(
-    ("key", "late"),
-    [("bumper", "mock"), ("line-reset", "line"), ("bridge-hung", "bridge")],
-)
-def test_fault_is_timed_when_it_begins_and_not_when_it_is_requested(rig, key, late):
-    """The process that injects the fault runs 0.2 s late; that delay does not count as the rover's."""
-    requested_ns = 0
-
-    def act(scene):
-        nonlocal requested_ns
-        process = getattr(rig, late)
-        process.send_signal(signal.SIGSTOP)
-        requested_ns = time.time_ns()
-        threading.Timer(0.2, process.send_signal, [signal.SIGCONT]).start()
-        return ROWS[key].act(scene)
-
-    measured = measure(rig, ROWS[key]._replace(act=act), SCRIPTED)
-    assert measured.began_ns - requested_ns > 0.19e9
 
 
 # Here every outlet and every fault occurs; `make safety` measures all combinations.

@@ -10,32 +10,13 @@ from bridge.pioneer.framing import Command, encode_frame
 from bridge.pioneer.odometry import ROBOTS, Odometer
 from bridge.pioneer.packets import Flag
 from sim.base.client_commands import MockCommand
-from sim.base.firmware import ClientState
 from sim.base.report import ENCODER, SIMSTAT
-
-SYNC = [Command.PULSE, Command.OPEN, Command.CLOSE]
 
 
 @pytest.fixture
 def pioneer() -> Pioneer:
     """A base with an open session, its motors on."""
     return Pioneer().open()
-
-
-def test_walking_the_syncs_over_an_open_session_closes_it(pioneer: Pioneer) -> None:
-    for sync in SYNC:
-        assert pioneer.tell(sync) == []
-    assert pioneer.firmware.client is ClientState.WAITING
-    assert not pioneer.firmware.drive.enabled
-
-
-def test_sips_come_each_tenth_of_a_second_from_open_to_close_only() -> None:
-    pioneer = Pioneer()
-    for sync in SYNC:
-        pioneer.tell(sync)
-    for command, sent in ((Command.PULSE, 0), (Command.OPEN, 20), (Command.CLOSE, 20)):
-        pioneer.obey(2.0, command)
-        assert len(pioneer.sips()) == sent
 
 
 def test_speeds_rise_within_the_acceleration_limits_after_the_delays(pioneer: Pioneer) -> None:

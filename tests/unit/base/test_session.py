@@ -9,14 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kit.pioneer_bench import Pioneer
 
-from bridge.base import BaseReport, Failed, Lost, Ready, Recovered, TurnRate
-from bridge.pioneer.framing import HOSTBAUD_RATES, Command, encode_command
+from bridge.base import BaseReport, Failed, Lost, Ready, Recovered
+from bridge.pioneer.framing import HOSTBAUD_RATES, Command
 from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.session import BaudChanged, Session, SessionEvent
 from bridge.pioneer.states import FAST_RATE, SessionState
 from rover_ncp.core.geometry import Velocity
-from sim.base.client_commands import MockCommand
-from sim.base.firmware import ClientState
 from sim.base.models import config_of
 
 STEP_S = 0.02
@@ -115,15 +113,6 @@ def test_rover_is_ready_within_a_second_follows_setpoints_and_reports_its_motion
     assert state.theta == pytest.approx(0.137 * 10, abs=0.03)
 
 
-def test_closing_leaves_a_base_that_stands_with_its_motors_off_and_waits(driving: Pair) -> None:
-    driving.session.close(driving.now)
-    driving.run(2.0)
-    firmware = driving.pioneer.firmware
-    assert (driving.session.state, firmware.client) == (SessionState.IDLE, ClientState.WAITING)
-    assert not firmware.drive.enabled
-    assert driving.pioneer.rover.velocity == pytest.approx((0, 0))
-
-
 def test_a_base_in_an_old_session_does_not_move_when_a_new_driver_connects() -> None:
     """Its setpoints would go on with the first packet of any kind (watchdog)."""
     pioneer = Pioneer().open()
@@ -154,15 +143,6 @@ def test_a_cut_line_leaves_the_rover_to_the_bases_watchdog_and_it_stays_put_afte
     assert driving.of(Recovered) or len(driving.of(Ready)) == 2
     assert driving.pioneer.rover.pose.x - x < 0.002
     assert not driving.state.motors_on
-
-
-@pytest.mark.parametrize("restart", [MockCommand.RESET, Command.CLOSE])  # with a notice, and without one
-def test_a_base_that_restarts_is_connected_to_again(driving: Pair, restart: int) -> None:
-    driving.pioneer.firmware.receive(encode_command(restart), driving.now)
-    driving.run(6.0)
-    assert driving.session.state is SessionState.READY
-    assert [type(e) for e in driving.events if isinstance(e, Ready | Lost)] == [Ready, Lost, Ready]
-    assert driving.pioneer.rover.velocity.v == 0.0
 
 
 @pytest.mark.parametrize("flash", [9600, FAST_RATE])
@@ -221,26 +201,3 @@ def test_rover_stands_soon_after_any_cut_of_the_line(story: list) -> None:
     pair.cut_up = pair.cut_down = False
     pair.run(3.0)
     assert pair.pioneer.rover.velocity == pytest.approx((0.0, 0.0), abs=1e-6)
-
-
-@pytest.mark.parametrize(("has_gyro", "sends"), [(0, False), (1, True), (2, False)])
-def test_client_side_gyro_measures_the_true_turn_rate(has_gyro: int, sends: bool) -> None:
-    pair = Pair(Pioneer(config=replace(config_of(ROBOTS["p3at-sh"]), has_gyro=has_gyro))).ready()
-    pair.run(3.0)
-    rest = [event.rate for event in pair.of(TurnRate)]
-    assert bool(rest) == sends
-    if not sends:
-        return
-    pair.driving(0.1, 0.15)
-    pair.run(1.0)
-    pair.events.clear()
-    before = pair.pioneer.rover.pose.theta
-    pair.run(4.0)
-    assert [type(event) for event in pair.events] == [TurnRate, BaseReport] * 40
-    turning = [event.rate for event in pair.of(TurnRate)]
-    truly = (pair.pioneer.rover.pose.theta - before) / 4.0
-    assert truly == pytest.approx(0.15, abs=0.01)
-    # The bridge must estimate the gyro's offset while the rover stands.
-    offset = sum(rest) / len(rest)
-    assert abs(offset) > 0.05
-    assert sum(turning) / len(turning) - offset == pytest.approx(truly, abs=0.004)

@@ -15,9 +15,8 @@ from hypothesis import strategies as st
 from kit.c_policy import CCourse, CPolicy, compile_c
 from kit.wirings import wirings
 
-from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
+from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.runner import Runner
-from rover_ncp.cli import run
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import TICK_S, load_course
@@ -134,8 +133,3 @@ def test_the_command_writes_files_that_compile_and_names_them(tmp_path, run_json
     endings = (".h", ".c", "_check.c")
     assert files.keys() == {f"{name}{ending}" for ending in endings}
     compile_c(files, tmp_path / "built", "check")
-
-
-def test_yaml_is_a_policy_file_to_edit(tmp_path):
-    assert run(["export", "parking", "--to", "yaml", "--out", str(tmp_path)]) == 0
-    assert (tmp_path / "parking.yaml").read_text() == policy_to_yaml(load_policy("parking"))

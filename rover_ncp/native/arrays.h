@@ -32,10 +32,8 @@ using IndexMatrix = Array<int64_t, 2>;
 // Lanes that are stored side by side, and worked on together.
 constexpr int64_t WIDTH = 8;
 
-#if defined(__AVX512F__)
-constexpr int REGISTER = 8;  // doubles in a register
-#elif defined(__AVX__)
-constexpr int REGISTER = 4;
+#if defined(__AVX__)
+constexpr int REGISTER = 4;  // doubles in a register
 #else
 constexpr int REGISTER = 2;
 #endif

@@ -225,14 +225,14 @@ extern "C" {
 // A digest of the sources of this build.
 const char *rover_ncp_sources() { return SOURCES; }
 
-// The widest build that this processor runs: 2 is AVX-512, 1 is AVX2, 0 the one for all.
-int64_t rover_ncp_widest() {
+// Whether this processor runs the build for AVX2.
+int64_t rover_ncp_has_avx2() {
 #ifdef __x86_64__
     __builtin_cpu_init();
-    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq")) return 2;
-    if (__builtin_cpu_supports("avx2")) return 1;
-#endif
+    return __builtin_cpu_supports("avx2") != 0;
+#else
     return 0;
+#endif
 }
 
 // Set as many lanes as there are parameter vectors (k, P), from the first on.

@@ -24,12 +24,10 @@ _FLOAT64 = np.dtype(np.float64)
 WIDTH = 8
 """Lanes that are stored side by side, as in arrays.h."""
 _SOURCES = _FOLDER = Path(__file__).parent
-VARIANTS = ("", "-avx2", "-avx512")
-"""Builds by their suffixes, for wider and wider registers; only x86-64 has more than the first."""
 _LONG, _DOUBLE, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 _FUNCTIONS: dict[str, list[Any]] = {
     "rover_ncp_sources": [ctypes.c_char_p],
-    "rover_ncp_widest": [_LONG],
+    "rover_ncp_has_avx2": [_LONG],
     "rover_ncp_signals": [_LONG],
     "rover_ncp_sizes": [None, _POINTER],
     "rover_ncp_fill_lanes": [None, _POINTER, _POINTER, _LONG],
@@ -45,9 +43,9 @@ _TICKS_OF_A_CALL = 1000
 """Control ticks of all lanes, at most 0.1 s: Ctrl-C is noticed between two calls."""
 
 
-def load(width: int) -> ctypes.CDLL:
-    """Load the build for registers of a width, an index of ``VARIANTS``. Raises OSError."""
-    loaded = ctypes.CDLL(str(_FOLDER / f"librover_ncp{VARIANTS[width]}.so"))
+def load(suffix: str = "") -> ctypes.CDLL:
+    """Load a build: that for all processors, or ``-avx2``. Raises OSError."""
+    loaded = ctypes.CDLL(str(_FOLDER / f"librover_ncp{suffix}.so"))
     for name, (result, *arguments) in _FUNCTIONS.items():
         function = getattr(loaded, name)
         function.restype, function.argtypes = result, arguments
@@ -55,21 +53,17 @@ def load(width: int) -> ctypes.CDLL:
 
 
 @cache
-def widest() -> int:
-    """Return the widest build that this processor runs. Raises OSError where none was built."""
-    return int(load(0).rover_ncp_widest())
-
-
-@cache
 def library() -> ctypes.CDLL | None:
-    """Return the library for this processor's widest registers; None where it was not built.
+    """Return the library, that for AVX2 if it can; None where it was not built.
 
     Raises UsageError for a library of other sources than those beside it.
     """
     try:
-        loaded = load(widest())
+        loaded = load()
     except OSError:
         return None
+    if loaded.rover_ncp_has_avx2() and (_FOLDER / "librover_ncp-avx2.so").exists():
+        loaded = load("-avx2")
     sources = sorted([*_SOURCES.glob("*.cpp"), *_SOURCES.glob("*.h")])
     digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:16]
     if loaded.rover_ncp_sources().decode() != digest:

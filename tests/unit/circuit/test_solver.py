@@ -121,15 +121,13 @@ def test_a_lane_does_not_notice_its_neighbours(policy, width):
         assert np.array(command).tobytes() == commands[:, lane].tobytes()
 
 
-@pytest.mark.parametrize("width", range(len(core.VARIANTS)))
-def test_every_build_of_the_library_gives_the_same_bits(width):
-    if width > core.widest():
-        pytest.skip("this processor has no such registers")
+def test_both_builds_of_the_library_give_the_same_bits():
+    # Where there is no AVX2 this compares one build with itself.
     rng = np.random.default_rng(3)
     observations = rng.uniform(-0.5, 1.5, (20, 4, 11))
     vectors = in_bounds(PARKING, rng.random((11, SIZE)))
     expected = run_lanes(PARKING, vectors, observations)
-    with mock.patch.object(core, "library", lambda: core.load(width)):
+    with mock.patch.object(core, "library", core.load):
         found = run_lanes(PARKING, vectors, observations)
     for a, b in zip(expected, found, strict=True):
         assert a.tobytes() == b.tobytes()

@@ -7,6 +7,7 @@ stamp counts. `requests` does the rest: redirects, passwords, chunks.
 
 import math
 import re
+import ssl
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -83,9 +84,11 @@ class HttpCamera(ReadCamera):
         reader = PictureReader()
         with self._answer(session) as response:
             kind = response.headers.get("content-type", "").partition(";")[0] or "other data"
+            if packed := response.headers.get("content-encoding", ""):
+                kind += f" ({packed})"
             while more := response.raw.read1(CHUNK):
                 wall_ns = time.time_ns()
-                for found in reader.feed(more):
+                for found in reader.feed(more, kind):
                     if isinstance(found, str):
                         self.leave_out(found)
                         continue
@@ -146,11 +149,14 @@ def _reason(error: BaseException) -> str:
     while cause is not None:
         if isinstance(cause, TimeoutError | requests.Timeout):
             return f"no answer for {TIMEOUT_S:g} s"
+        if isinstance(cause, ssl.SSLCertVerificationError):
+            return f"its certificate is not trusted ({cause.verify_message}): use http:// if it offers that"
         if isinstance(cause, OSError) and cause.strerror:
             return cause.strerror
         last, cause = cause, cause.__cause__ or cause.__context__
     known = {
         "BadStatusLine": "it does not speak HTTP",
+        "KeyError": "its request for a password names no realm",
         "TooManyRedirects": "it redirects for ever",
         "InvalidSchema": "it redirects to an address that is neither http nor https",
     }
@@ -174,14 +180,14 @@ class PictureReader:
         self.began = False
         """Whether there was a picture."""
 
-    def feed(self, data: bytes) -> Iterator[Found | str]:
+    def feed(self, data: bytes, kind: str = "data") -> Iterator[Found | str]:
         """Yield the pictures that ``data`` completes, and why others are left out.
 
-        Raises ValueError if no picture begins.
+        Raises ValueError, which names the ``kind`` of data, if no picture begins.
         """
         buffer = self._buffer
         buffer += data
-        while self._at or self._begin():
+        while self._at or self._begin(kind):
             complete = self._walk()
             if complete is None and len(buffer) <= MAX_PICTURE:
                 return
@@ -194,7 +200,7 @@ class PictureReader:
                 del buffer[: len(JPEG)]
             self._at = self._scanned = 0
 
-    def _begin(self) -> bool:
+    def _begin(self, kind: str) -> bool:
         """Drop what is before the next picture but for its header; return whether one begins."""
         at = self._buffer.find(JPEG)
         if at >= 0:
@@ -202,7 +208,7 @@ class PictureReader:
             del self._buffer[:at]
         elif len(self._buffer) > MAX_HEAD:
             if not self.began:
-                raise ValueError(f"no JPEG begins within {MAX_HEAD} bytes")
+                raise ValueError(f"no JPEG begins within {MAX_HEAD} bytes of {kind}")
             del self._buffer[:-MAX_HEAD]
         return at >= 0
 

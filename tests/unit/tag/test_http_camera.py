@@ -2,6 +2,7 @@
 
 import contextlib
 import itertools
+import ssl
 import time
 from collections import Counter
 from types import SimpleNamespace
@@ -225,12 +226,20 @@ def test_device_that_is_not_there_names_those_that_are(monkeypatch, number):
         next(iter(camera))
 
 
+def untrusted():
+    error, cause = requests.exceptions.SSLError(), ssl.SSLCertVerificationError()
+    cause.verify_message = "self-signed certificate"
+    error.__cause__ = cause
+    return error
+
+
 @pytest.mark.parametrize(
     ("then", "words"),
     [
         (requests.ConnectionError(), "the connection failed"),
         (requests.exceptions.InvalidSchema(), "redirects to an address that is neither http nor https"),
         (ValueError("it answers HTTP 503"), "HTTP 503"),
+        (untrusted(), "its certificate is not trusted (self-signed certificate)"),
     ],
 )
 def test_camera_that_closes_after_each_picture_is_asked_again_until_it_stays_away(monkeypatch, then, words):

@@ -5,6 +5,8 @@ Each is a function of the drive that it changes, as those of `kit.hazard_injecti
 
 from collections import deque
 
+import numpy as np
+
 from bridge.ros2.inputs import DockedReports
 from deploy.place.outcome import Stage
 from kit.virtual_drive import LOST
@@ -149,6 +151,12 @@ def far(drive, pose):
     return pose._replace(y=pose.y + 1.0)
 
 
+def far_pose(drive):
+    """Return a pose of a peer that is far from the rover's."""
+    pose = far(drive, Pose(*drive.rover.pose))
+    return ros.pose_with_covariance(pose, 1e-4 * np.eye(3), drive.bridge.time_ns(), "course")
+
+
 def far_once(drive, pose):
     drive.times += 1
     return far(drive, pose) if drive.times == 1 else pose
@@ -222,6 +230,7 @@ DRIVER_INJECTIONS = {
     "late poses": late(1.5),
     "far pose once": poses(far_once),
     "far poses": poses(far),
+    "far poses of a peer": from_peer("pose", far_pose),
     "poses of another heading": poses(lambda drive, pose: pose._replace(x=-pose.x, y=-pose.y)),
     "same pose": poses(same),
     "another driver": taken,

@@ -39,6 +39,9 @@ from sim.world.pymunk_rover import PymunkRover
 CASES = ["never came", "stops later", "stale", "one glitch", "latched"]
 CASES += ["contradicts another input", "sent by another peer"]
 ROBOT = described("turtlebot4", topics={"stop": {"topic": "stop", "periodic_s": 0.2}})
+WITH_POSE = described(
+    "turtlebot4", topics={"stop": {"topic": "stop", "periodic_s": 0.2}, "pose": "amcl_pose"}
+)
 LIMITS = {"sonar_stop_m": 0.3}
 STOP_S = 0.5
 """Most time from a hazard to the stop command: the first requirement of docs/safety.md."""
@@ -50,6 +53,7 @@ class Cell(VirtualDrive):
 
     def __init__(self, cell, path=None, **settings):
         self.robot = load_description(cell["robot"]) if "robot" in cell else ROBOT
+        self.robot = WITH_POSE if "localiser" in cell else self.robot
         self.times, self.held, self.then, self.localiser = 0, deque(), lambda: None, None
         self.active, self.began_ns, self.moved_ns, self.first_ns = cell.get("from") == "start", 0, 0, 0
         policy, course = (load_policy("course"), LONG) if "turn" in cell else (AHEAD, COURSE)
@@ -75,6 +79,8 @@ class Cell(VirtualDrive):
         self.link = ChangedLink(self.bridge, self.recorded.append)
         self.link.change["rover/gate"] = self._note
         self.interrupted = lambda: False
+        if self.robot is WITH_POSE:
+            self.link.localise = lambda data, arrival_ns: self.base._emit("amcl_pose", data)
         if self.config.pose != "none":
             self.link._start, self.base.observe, self._pose_s = None, self._localise, 0.0
 

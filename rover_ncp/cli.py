@@ -38,9 +38,7 @@ EXIT_CODES = {
 # Which extra brings a library that a command found missing.
 _EXTRAS = {
     **dict.fromkeys(("filterpy", "scipy", "matplotlib", "cryptography"), "drive"),
-    **dict.fromkeys(
-        ("jinja2", "markupsafe", "plotly", "anyio", "starlette", "uvicorn", "websockets"), "drive"
-    ),
+    **dict.fromkeys(("jinja2", "markupsafe", "anyio", "starlette", "uvicorn", "websockets"), "drive"),
     **dict.fromkeys(("pymunk", "cmaes", "gymnasium"), "train"),
     **dict.fromkeys(("apriltag", "cv2"), "tag"),
     **dict.fromkeys(("mujoco", "imageio", "distributed", "psutil"), "research"),

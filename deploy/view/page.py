@@ -151,11 +151,7 @@ def page(*, title: str, data: dict[str, Any], html: dict[str, Markup], **parts: 
 
     With ``live=True`` its script may connect to the page's own server.
     """
-    from plotly.offline import get_plotlyjs
-
-    return _TEMPLATES.get_template("page.html").render(
-        title=title, data=data, html=html, plotly=Markup(get_plotlyjs()), **parts
-    )
+    return _TEMPLATES.get_template("page.html").render(title=title, data=data, html=html, **parts)
 
 
 def fragment(name: str, *arguments: Any) -> Markup:

@@ -11,7 +11,7 @@ from rover_ncp import cli
 from rover_ncp.core.errors import NoBridge, SafetyStop, UsageError
 
 MODULES = {point.name: point.module for point in entry_points(group=cli.GROUP)}
-HEAVY = ["pymunk", "filterpy", "gymnasium", "matplotlib", "plotly", "zenoh", "rosbags", "scipy"]
+HEAVY = ["pymunk", "filterpy", "gymnasium", "matplotlib", "zenoh", "rosbags", "scipy"]
 
 
 # Prints, for each command, the exit code of its help, the help, and the modules that are loaded by then.
@@ -85,7 +85,7 @@ def run_command(monkeypatch):
         (SafetyStop("bumper", "front"), 4),
         (KeyboardInterrupt(), 130),
         (typer.Abort(), 130),
-        (ModuleNotFoundError("no", name="plotly.graph_objects"), 2),
+        (ModuleNotFoundError("no", name="matplotlib.figure"), 2),
     ],
 )
 def test_errors_become_one_line_an_exit_code_and_one_json_object(raised, code, capsys, run_command):

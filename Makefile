@@ -75,7 +75,7 @@ test-ros: $(STAMP) ## Bridge and driver with ROS 2 (rclpy from PyPI); skipped wh
 		$(BIN)/pytest tests/ros -m long --durations=10 --numprocesses 3
 
 .PHONY: test-timed
-test-timed: $(STAMP) ## Every row of both safety matrices, the soak's test and live drives.
+test-timed: $(STAMP) ## Every row of both safety matrices and live drives.
 	$(BIN)/pytest tests/system -m "timed and long" --numprocesses 2 --dist loadgroup
 
 .PHONY: test-browser
@@ -107,11 +107,6 @@ reference: $(STAMP) ## Write the reference, which is made from the code, as Mark
 .PHONY: safety
 safety: $(STAMP) ## Measure the safety matrix and write it into docs/measured.
 	PYTHONPATH=tests $(BIN)/python tests/tools/safety_table.py
-
-SOAK_MINUTES ?= 20
-.PHONY: soak
-soak: $(STAMP) ## Every fault at random moments, for SOAK_MINUTES; logs in runs/soak.
-	PYTHONPATH=tests $(BIN)/python -m faults.soak --minutes $(SOAK_MINUTES)
 
 .PHONY: paper
 paper: $(STAMP) ## Which claims of the paper the stored runs confirm; replay some of the runs.
@@ -199,16 +194,15 @@ test-installs: ## The quick unit tests on each Python from 3.11 to 3.13 that is 
 	done
 
 .PHONY: nightly nightly-waits nightly-cpu
-nightly: $(FUZZ_STAMP) ## All that takes an hour or more: matrices, soak, all examples of Hypothesis, mutants, fuzzing, installs.
+nightly: $(FUZZ_STAMP) ## All that takes an hour or more: matrices, all examples of Hypothesis, mutants, fuzzing, installs.
 	$(MAKE) test-timed
 	$(MAKE) --jobs 2 --output-sync=line nightly-waits nightly-cpu
 
-# Timed tests run beside no others. Then what waits for processes, the soak too, has precedence over what only computes. All is
+# Timed tests run beside no others. Then what waits for processes has precedence over what only computes. All is
 # installed before.
 nightly-waits:
 	$(BIN)/pytest tests/process tests/system -m "not browser and not timed" --hypothesis-profile=full \
 		--numprocesses 3 --dist worksteal
-	$(MAKE) soak
 	nice -n 19 $(MAKE) test-installs
 
 nightly-cpu:

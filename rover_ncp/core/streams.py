@@ -23,8 +23,6 @@ class Domain(Enum):
     TRAINING = (7,)
     CMA_GENERATION = (8,)
     MOCK_FAULTS = (12,)
-    SOAK_ORDER = (13,)
-    SOAK_MOMENTS = (14,)
     EXPORT_VECTORS = (15,)
     STUDY = (17,)
     PICTURES = (18,)

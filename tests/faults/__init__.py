@@ -1,1 +1,1 @@
-"""Fault injection: the safety matrix and the soak, on real processes."""
+"""Fault injection: the safety matrix, on real processes."""

@@ -23,9 +23,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from kit.true_motion import SAMPLE_S, speed, states_since
+from kit.true_motion import SAMPLE_S, states_since
 
-from faults.rig import CREEP_M_S, Rig, Scene, Unsafe
+from faults.rig import Rig, Scene, Unsafe
 from faults.row import CIRCUIT, Row, braking_s
 from faults.scripted_driver import ScriptedDriver
 from sim.park.live import TimedOut, wait_for
@@ -38,8 +38,6 @@ TRIES = 5
 DEPLOY_TIMEOUT_S = 20.0
 STOPPED = 4
 """Exit code of a deploy that a safety rule stopped."""
-CIRCUIT_WAIT_S, SCRIPTED_WAIT_S = 4.0, 1.0
-"""The longest time that the rover moves before the fault."""
 
 
 class Measured(NamedTuple):
@@ -94,8 +92,8 @@ def require_in_time(measured: Measured, form: str = "") -> None:
     assert measured.in_time, found
 
 
-def measure(rig: Rig, row: Row, driver: str, moments: np.random.Generator | None = None) -> Measured:
-    """Measure a row under ``driver``; ``moments`` picks the moment.
+def measure(rig: Rig, row: Row, driver: str) -> Measured:
+    """Measure a row under ``driver``.
 
     A measurement whose resolution is too bad is repeated. Raises TimedOut when every try was too bad, Unsafe
     when the rover moves after the fault was removed, and the errors of `Rig`.
@@ -103,7 +101,7 @@ def measure(rig: Rig, row: Row, driver: str, moments: np.random.Generator | None
     for _ in range(TRIES):
         scene = _start_driver(rig, row, driver)
         try:
-            measured = _measure(scene, row, driver, moments)
+            measured = _measure(scene, row, driver)
         finally:
             rig.end(scene.driver)
         if measured.late_s <= MAX_LATE_S:
@@ -121,7 +119,7 @@ def _start_driver(rig: Rig, row: Row, driver: str) -> Scene:
     return Scene(rig, rig.scripted_driver(robot, row.lease_s))
 
 
-def _measure(scene: Scene, row: Row, driver: str, moments: np.random.Generator | None) -> Measured:
+def _measure(scene: Scene, row: Row, driver: str) -> Measured:
     rig, act = scene.rig, row.act
     assert act is not None  # the caller chose a row that can be injected
     if driver == CIRCUIT:
@@ -130,9 +128,6 @@ def _measure(scene: Scene, row: Row, driver: str, moments: np.random.Generator |
         scene.scripted.silent = True
     else:
         rig.under_way(scene.scripted)
-    if moments is not None and not row.from_rest:
-        time.sleep(moments.uniform(0.0, CIRCUIT_WAIT_S if driver == CIRCUIT else SCRIPTED_WAIT_S))
-        wait_for(lambda: abs(speed(rig.truth)) > CREEP_M_S, what="the rover to move")
     if driver != CIRCUIT:
         scene.scripted.requests_lease = row.requests_lease
     measured = time_stop(rig, row, lambda: act(scene))

@@ -13,8 +13,6 @@ STOP_S, WATCHDOG_S = 0.5, 2.0
 """The first safety requirement, and a Pioneer's own watchdog."""
 LOW_BATTERY_S = 2.0
 """How long the voltage must be low before it counts: it sags when the motors start."""
-LEASE_S = 1.05
-"""How long a lease lasts that a killed program no longer renews, with a turn of the bridge's loop."""
 CIRCUIT, SCRIPTED = "circuit", NAME
 """The drivers."""
 

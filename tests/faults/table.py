@@ -1,6 +1,6 @@
 """The safety matrix: every fault, how it is injected into a running `Rig`, and how soon the rover must stand.
 
-The one table behind ``docs/measured``, the tests of the matrix and ``make soak``. A row that is missing in
+The one table behind ``docs/measured`` and the tests of the matrix. A row that is missing in
 one of them fails a test.
 
 A fault acts on a moving rover that a circuit or a scripted driver drives. It needs no help from the processes
@@ -10,6 +10,7 @@ under test. After the measurement the fault is removed, and the rover must not m
 import math
 import time
 from collections.abc import Callable
+from functools import partial
 from signal import SIGCONT, SIGKILL, SIGSTOP, SIGUSR1
 from typing import Any
 
@@ -161,17 +162,6 @@ def _request_stop(scene: Scene) -> None:
         raise Unsafe("the bridge does not answer rover/stop")
 
 
-def _with_outlet_blocked(act: Act) -> Act:
-    """Return a fault that begins when the bridge's output has just been blocked: the bridge cannot log it."""
-
-    def act_blocked(scene: Scene) -> int | None:
-        assert isinstance(scene.rig.bridge, OutletProcess)  # the row names an outlet
-        scene.rig.bridge.outlet.block()
-        return act(scene)
-
-    return act_blocked
-
-
 # The rows.
 
 _GOOD = twist_stamped(Velocity(0.2, 0.0), 0)
@@ -278,39 +268,40 @@ _ROWS = (
     Row("bridge-hung", "bridge", _HUNG, lambda scene: _hang(scene.rig.bridge), _outlast_hang),
     Row("bridge-killed", "bridge", "killed (SIGKILL)", _signal_bridge(SIGKILL), start_bridge),
 )
-_OUTLETS = {
-    TERMINAL: "the bridge's terminal stopped (Ctrl-S)",
-    PIPE: "the bridge's pipe full",
-    GONE: "the bridge's reader gone",
-}
-_WITH_OUTLET = (
-    *(_BUMPER, _STALL, _STOP_BUTTON),
-    Row(
-        "stop-query",
-        "",
-        "`rover/stop`",
-        _request_stop,
-        lambda scene: scene.rig.watcher.stop(release=True),
-        "stopped",
-    ),
-    Row("silence", "", "no more commands", silence, ended=_LAPSED, requests_lease=False),
+_STOP_QUERY = Row(
+    *("stop-query", "", "`rover/stop`", _request_stop),
+    lambda scene: scene.rig.watcher.stop(release=True),
+    "stopped",
 )
+_SILENCE = Row("silence", "", "no more commands", silence, ended=_LAPSED, requests_lease=False)
 
-MATRIX: tuple[Row, ...] = (
-    *_ROWS,
-    *(
+
+def _blocked(outlet: str, state: str, *rows: Row) -> tuple[Row, ...]:
+    """Return rows that begin when the bridge's output has just been blocked: the bridge cannot log them."""
+
+    def block(scene: Scene, act: Act) -> int | None:
+        assert isinstance(scene.rig.bridge, OutletProcess)  # the row names an outlet
+        scene.rig.bridge.outlet.block()
+        return act(scene)
+
+    return tuple(
         row._replace(
             key=f"{outlet}-{row.key}",
             layer="output",
             fault=f"{state}, then {row.fault}",
-            act=_with_outlet_blocked(row.act),
+            act=partial(block, act=row.act),
             only=SCRIPTED,
             outlet=outlet,
         )
-        for outlet, state in _OUTLETS.items()
-        for row in _WITH_OUTLET
-        if row.act is not None
-    ),
+        for row in rows
+    )
+
+
+MATRIX: tuple[Row, ...] = (
+    *_ROWS,
+    *_blocked(TERMINAL, "the bridge's terminal stopped (Ctrl-S)", _BUMPER, _STOP_QUERY),
+    *_blocked(PIPE, "the bridge's pipe full", _STALL, _SILENCE),
+    *_blocked(GONE, "the bridge's reader gone", _STOP_BUTTON),
 )
 ROWS = {row.key: row for row in (*MATRIX, *ROS2_ROWS)}
 

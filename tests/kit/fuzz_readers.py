@@ -28,12 +28,10 @@ from deploy.drive.config import DriveConfig
 from deploy.drive.records import CONFIG_FILE, attachments
 from deploy.replay import TOPICS, replay
 from deploy.view.recorded_drive import read_drive
-from kit.bnn_text import circuit_to_bnn
 from kit.described import described
 from kit.ros2_world import Line
 from kit.virtual_drive import VirtualDrive
-from paper.bnn import circuit_from_bnn
-from rover_ncp.circuit.policy_file import load_policy, policy_from_yaml
+from rover_ncp.circuit.policy_file import policy_from_yaml
 from rover_ncp.core.config import dump_yaml, parse_yaml
 from rover_ncp.core.errors import RoverNcpError
 from rover_ncp.core.files import read_bytes, resolve, shipped_names
@@ -126,14 +124,6 @@ def _driver(data):
         session.receive(data, now + 0.1)
         session.tick(now + 0.2)
         session.close(now + 0.3)
-
-
-def _base(data):
-    """The base's side, before and in a session."""
-    for greeting in (b"", b"".join(encode_frame(kind) for kind in (0, 1, 2, 1))):
-        firmware = Firmware("p3at-sh", PymunkRover(default_rover(), Ground(())))
-        firmware.receive(greeting + data, 0.1)
-        firmware.advance(0.3)
 
 
 _GREETING = [encode_frame(0), encode_frame(1), *[encode_frame(*encode_names("a", "Pioneer", "p3at-sh"))] * 2]
@@ -239,14 +229,6 @@ def _yamls():
     return [*shipped, dump_yaml(Limits().model_dump()).encode(), b"a: &a [1, *a]\n", b"when: 2001-01-01\n"]
 
 
-def _bnn(data):
-    circuit_from_bnn(data.decode(errors="replace"), "x", "x.bnn")
-
-
-def _bnns():
-    return [circuit_to_bnn(load_policy(name).circuit).encode() for name in shipped_names("policies")]
-
-
 def _file(data, *reads):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "x.mcap"
@@ -299,12 +281,10 @@ def _spoilable():
 READERS = {
     "line": Reader(_line, _lines),
     "driver": Reader(_driver, _lines),
-    "base": Reader(_base, _lines),
     "cdr": Reader(_cdr, _messages),
     "json": Reader(_json, _jsons),
     "robot": Reader(_robot, _robot_messages),
     "yaml": Reader(_yaml, _yamls),
-    "bnn": Reader(_bnn, _bnns),
     "recording": Reader(_recording, lambda: [_drive(), _drive()[:9] + b"\xff" * 8 + _drive()[17:]]),
     "contents": Reader(_contents, _spoilable),
 }

@@ -1,18 +1,14 @@
 """Courses, the verdict at their end, and the probability that it is right."""
 
 import math
-import tracemalloc
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.geometry import Pose
-from rover_ncp.course.course import TICK_S, load_course
-from rover_ncp.course.reference import deviations, plan_reference, planning_notice
+from rover_ncp.course.course import load_course
 from rover_ncp.course.scoring import SURE, Failure, Parked, judge, probability_within
 
 COURSE = load_course("parking")
@@ -69,31 +65,18 @@ def test_contact_and_an_early_end_are_not_parked():
     assert judge(COURSE, TIMES[:-30], poses[:-30], touched=False).failure is Failure.EARLY
 
 
-@given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-10, 10))
-def test_errors_are_distances(dx, dy, dtheta):
-    x, y, theta = GOAL
-    verdict = judge(COURSE, [0.0, 32.0], [Pose(x + dx, y + dy, theta + dtheta)] * 2, touched=False)
-    assert verdict.error_m == pytest.approx((dx**2 + dy**2) ** 0.5, abs=1e-9)
-    assert 0 <= verdict.error_rad <= 3.1416
-
-
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
         ({"horizon_s": 10.0}, "lies behind the horizon"),
         ({"horizon_s": 32.05}, "whole number"),
         ({"start_signal_s": 100}, "the start signal (100.0 s) must come before the horizon (32.0 s)"),
-        ({"start_signal_s": 32}, "must come before the horizon"),
         ({"checkpoints": []}, "$.checkpoints"),
         (
             {"checkpoints": [{"t": 2, "x": 0, "y": 0, "theta": 0}, {"t": 2, "x": 0, "y": 0, "theta": 0}]},
             "rising deadlines",
         ),
-        ({"checkpoints": [{"t": 2, "x": 0, "y": 0, "theta": 0, "z": 1}]}, "$.checkpoints[0].z: unknown key"),
-        ({"checkpoints": [{"t": 2, "x": 0, "y": 0, "theta": 90}]}, "theta: an angle is in radians"),
-        ({"name": "Parking lot"}, "$.name"),
         ({"obstacles": [{"x": 0, "y": 0, "length": 1e-310, "width": 1}]}, "$.obstacles[0].length"),
-        ({"format": 2}, "$.format"),
     ],
 )
 def test_a_wrong_course_is_refused_with_the_place(tmp_path, change, expected):
@@ -106,43 +89,15 @@ def test_a_wrong_course_is_refused_with_the_place(tmp_path, change, expected):
     assert expected in str(caught.value)
 
 
-def straight(pieces, rest_s, path):
-    """Write a course of ``pieces`` of 10 s and 0.9 m, each after a rest."""
-    points, t = [{"t": 0, "x": 0, "y": 0, "theta": 0}], 0.0
-    for piece in range(pieces):
-        points += [{"t": t + rest_s, "x": 0.9 * piece, "y": 0, "theta": 0}] * (rest_s > 0)
-        t += rest_s + 10.0
-        points.append({"t": t, "x": 0.9 * (piece + 1), "y": 0, "theta": 0})
-    fields = {"name": "straight", "start_signal_s": 0.0, "horizon_s": t + 8.0, "checkpoints": points}
-    path.write_text(dump_yaml(fields))
-    return path
-
-
 def test_course_with_too_much_motion_to_plan_is_refused(tmp_path):
-    path = straight(19, 0.0, tmp_path / "far.yaml")
+    path = tmp_path / "far.yaml"
+    points = [{"t": 10.0 * piece, "x": 0.9 * piece, "y": 0, "theta": 0} for piece in range(20)]
+    fields = {"name": "straight", "start_signal_s": 0.0, "horizon_s": 198.0, "checkpoints": points}
+    path.write_text(dump_yaml(fields))
     with pytest.raises(ConfigError, match=r"far\.yaml: 190 s of motion, expected at most 180 s"):
         load_course(path)
-    assert load_course(straight(18, 0.0, path)).moving_s == 180.0
-
-
-def test_course_of_an_hour_that_mostly_rests_is_planned_in_little_memory(tmp_path):
-    course = load_course(straight(3, 1180.0, tmp_path / "rests.yaml"))
-    assert course.horizon_s > 3570.0
-    assert course.moving_s == 30.0
-    tracemalloc.start()
-    reference = plan_reference(course)
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert peak < 50e6
-    moving_s = TICK_S * np.count_nonzero(reference.motion.any(axis=1))
-    assert 20.0 < moving_s < 30.0
-    assert max(miss.error_m for miss in deviations(course, reference)) < 0.01
-
-
-def test_long_planning_is_announced(tmp_path):
-    assert planning_notice(COURSE) == ""
-    words = planning_notice(load_course(straight(12, 0.0, tmp_path / "far.yaml")))
-    assert words == "planning the reference of straight: 120 s of motion"
+    path.write_text(dump_yaml(fields | {"checkpoints": points[:-1]}))
+    assert load_course(path).moving_s == 180.0
 
 
 def of_stds(*stds):

@@ -27,11 +27,6 @@ def test_new_makes_a_course_that_check_finds_drivable(tmp_path, capsys):
     assert "my-bay: drivable" in capsys.readouterr().out
 
 
-def test_long_planning_is_announced(capsys):
-    assert cli.run(["course", "check", "longer", "--json"]) == 0
-    assert "planning the reference of longer: 36 s of motion" in capsys.readouterr().err
-
-
 def test_what_cannot_be_driven_is_exit_1_and_says_where_and_why(tmp_path, capsys):
     (tmp_path / "aside.csv").write_text("x,y,theta\n0,0,0\n0,0.5,0\n")
     out = tmp_path / "aside.yaml"

@@ -1,5 +1,3 @@
-import math
-
 import numpy as np
 import pytest
 from kit.base_odometry import reported
@@ -53,14 +51,6 @@ def test_a_circuit_that_follows_the_course_sees_its_reference_as_in_the_simulato
     trials = nominal_trials(default_rover(), COURSE.ticks)._replace(start=np.array([there]))
     simulated = rollout(tracker, COURSE, trials=trials).poses
     assert max(map(distance, poses, [Pose(*pose) for pose in simulated])) < 0.02
-
-
-def test_the_origin_of_odometry_is_of_no_consequence():
-    _, ticks, _ = controlled()
-    _, moved, _ = controlled(odom=Pose(-0.4, 0.1, math.pi))
-    for tick, other in zip(ticks, moved, strict=True):
-        assert distance(tick.estimate.pose, other.estimate.pose) < 1e-6
-        assert tick.command == pytest.approx(other.command, abs=1e-6)
 
 
 def test_the_verdict_is_the_courses_on_the_estimates():

@@ -1,17 +1,14 @@
 """Every reason for which a drive stops, on the virtual clock before a real bridge and base."""
 
-import collections
-import math
-
 import pytest
-from kit.virtual_drive import LONG, LOST, VirtualDrive, short_course
+from kit.virtual_drive import LOST, VirtualDrive, short_course
 
 from bridge.base import Lost
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.view.recorded_drive import read_drive
 from rover_ncp.core.errors import SafetyStop
-from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity
+from rover_ncp.core.geometry import STANDSTILL
 from rover_ncp.course.scoring import Parked
 from rover_ncp.wire.messages import bumpers
 from rover_ncp.wire.protocol import CommandTag, Signed, StopRequest, dump_json
@@ -20,64 +17,6 @@ from rover_ncp.wire.protocol import CommandTag, Signed, StopRequest, dump_json
 @pytest.fixture
 def virtual():
     return VirtualDrive()
-
-
-def late(bridge, by_s):
-    """Give odometry as a link that became slow does: in order, later than it was measured."""
-    held = collections.deque()
-
-    def change(data):
-        held.append((bridge.now_ns, data))
-        return held.popleft()[1] if bridge.now_ns - held[0][0] >= by_s * 1e9 else None
-
-    return change
-
-
-BAD_ODOMETRY = {
-    "silent": ("odometry-age", lambda sample: None),
-    "nan": ("estimator", lambda sample: (sample.pose, Velocity(math.nan, 0.0))),
-    "nowhere": ("estimator", lambda sample: (Pose(math.inf, 0.0, 0.0), sample.velocity)),
-    "kidnapped": ("estimator", lambda sample: (sample.pose._replace(x=sample.pose.x + 0.5), sample.velocity)),
-}
-BAD_MESSAGES = {
-    "garbled": ("odometry-age", lambda bridge: lambda data: b"\x00\x01\x00\x00nonsense"),
-    "late": ("odometry-age", lambda bridge: late(bridge, 0.5)),
-}
-
-
-@pytest.mark.parametrize("name", [*BAD_ODOMETRY, *BAD_MESSAGES])
-def test_bad_odometry_stops_the_rover_within_half_a_second(virtual, name):
-    rule, change = (BAD_ODOMETRY | BAD_MESSAGES)[name]
-    link, began_ns = virtual.link, []
-
-    def harm():
-        began_ns.append(virtual.bridge.now_ns)
-        if name in BAD_ODOMETRY:
-            link.change_odometry(change)
-        else:
-            link.change["odom"] = change(virtual.bridge)
-
-    link.harm = harm
-    result = virtual.run()
-    assert (result.exit_code, result.state, result.stopped_by) == (4, "fault", rule)
-    assert rule in result.reason
-    assert link.sent[-1] == STANDSTILL
-    assert (link.released_ns - began_ns[0]) * 1e-9 < 0.5
-    assert virtual.stands()
-
-
-@pytest.mark.parametrize("rule", ["bridge-lost", "bumper", "lease"])
-def test_loss_of_the_bridge_or_of_the_lease_ends_the_drive_with_a_name(virtual, rule):
-    link = virtual.link
-    link.harm = {
-        "bridge-lost": lambda: setattr(link, "bridge_alive", False),
-        "bumper": lambda: link.change_gate(lease=0, ended="bumper"),
-        "lease": lambda: link.change_gate(lease=link.lease.number + 1),
-    }[rule]
-    result = virtual.run()
-    assert (result.exit_code, result.stopped_by) == (4, rule)
-    assert result.ticks < 10
-    assert virtual.stands()
 
 
 def tagged(lease=0, age_s=0):
@@ -117,15 +56,6 @@ def test_driver_whose_commands_are_not_accepted_stops_within_half_a_second(virtu
     assert virtual.stands()
 
 
-def test_rover_that_does_not_follow_its_commands_is_stopped():
-    virtual = VirtualDrive(course=LONG)
-    virtual.link.change_odometry(lambda sample: (Pose(0.0, 0.0, 0.0), STANDSTILL))
-    result = virtual.run()
-    assert (result.exit_code, result.stopped_by) == (4, "no-response")
-    assert result.ticks < 60
-    assert virtual.stands()
-
-
 def test_interruption_stops_the_rover_first(virtual):
     virtual.interrupted = lambda: len(virtual.link.sent) >= 6
     result = virtual.run()
@@ -138,7 +68,6 @@ def test_interruption_stops_the_rover_first(virtual):
 @pytest.mark.parametrize(
     ("requests", "expected"),
     [
-        ([{"reason": "Anna: smoke"}], "stopped by Anna: smoke"),
         ([{"reason": "Anna"}, {"release": True}], "stopped by Anna"),
         ([{}], "stopped by a client that gave no name"),
     ],
@@ -152,13 +81,12 @@ def test_a_requested_stop_names_who_requested_it_also_once_it_is_released(virtua
     assert virtual.run().reason == expected
 
 
-@pytest.mark.parametrize("reason", ["/teleop publishes /cmd_vel too", "ü" * 1000])
-def test_a_lost_base_is_named_as_the_bridge_knows_it(virtual, reason):
-    bridge = virtual.bridge
+def test_a_lost_base_is_named_as_the_bridge_knows_it(virtual):
+    bridge, reason = virtual.bridge, "/teleop publishes /cmd_vel too"
     virtual.link.harm = lambda: bridge._node._handle([Lost(reason)], bridge.monotonic())
     words = f"the base is not connected: {reason}"
-    assert virtual.run().reason.startswith(f"stopped by no-base: {words}"[:200])
-    with pytest.raises(SafetyStop, match=words[:50]):
+    assert virtual.run().reason == f"stopped by no-base: {words}"
+    with pytest.raises(SafetyStop, match=words):
         virtual.link.request_motors("again")
 
 

@@ -2,9 +2,7 @@
 
 import itertools
 import json
-import zlib
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,13 +13,11 @@ from deploy.replay import Comparison, replay
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy_file import policy_to_yaml
 from rover_ncp.cli import run as shell
-from rover_ncp.core.errors import FileError
 from rover_ncp.course.course import load_course
 from rover_ncp.recording.recording import read_recording, rewrite
 from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import read_text, read_twist, text
 
-MS = 1_000_000
 TICKS = 40
 SAME = Comparison(same=True, ticks=TICKS, complete=True, difference=None)
 COURSE = load_course("parking").model_copy(update={"start_signal_s": 0.5})
@@ -32,13 +28,6 @@ def record_drive(path):
     virtual, count = VirtualDrive(AHEAD, COURSE, path, ticks=TICKS), itertools.count(1)
     virtual.link.change["odom"] = lambda data: data if next(count) % 13 else None
     return virtual.run()
-
-
-def test_samples_of_the_same_checksum_are_told_apart_by_their_stamps(tmp_path, monkeypatch):
-    collides = SimpleNamespace(crc32=lambda data: 1 if data.startswith(b"\0\1\0\0") else zlib.crc32(data))
-    monkeypatch.setattr("deploy.drive.measurements.zlib", collides)
-    record_drive(tmp_path / "run.mcap")
-    assert replay(tmp_path / "run.mcap") == SAME
 
 
 @pytest.fixture(scope="module")
@@ -93,11 +82,6 @@ def rewritten(recorded, tmp_path, topic, number, change):
     return replay(path).difference
 
 
-def nudged(data):
-    """The last float64 of a message, its lowest bit flipped."""
-    return data[:-8] + bytes([data[-8] ^ 1]) + data[-7:]
-
-
 def other(name, place):
     """A change of one number of a tick's record by one bit."""
 
@@ -115,7 +99,6 @@ def other(name, place):
         ("deploy/ticks", other("estimate", 3), "estimate v"),
         ("deploy/ticks", other("command", 1), "command omega"),
         ("odom", lambda data: None, "the odometry of stamp"),
-        ("odom", nudged, "the odometry of stamp"),
     ],
 )
 def test_what_was_changed_in_a_recording_is_found(recorded, tmp_path, topic, change, quantity):
@@ -124,31 +107,6 @@ def test_what_was_changed_in_a_recording_is_found(recorded, tmp_path, topic, cha
     assert difference.quantity.startswith(quantity)
     assert 16 <= difference.tick <= 20
     assert str(difference).startswith(f"tick {difference.tick}: {quantity}")
-
-
-def test_time_that_goes_back_is_a_difference(recorded, tmp_path):
-    def back(data):
-        record = json.loads(read_text(data))
-        return text(json.dumps(record | {"now_ns": record["now_ns"] - 300 * MS}))
-
-    assert rewritten(recorded, tmp_path, "deploy/ticks", 20, back).tick == 20
-    assert shell(["replay", str(tmp_path / "tampered.mcap")]) == 1
-
-
-def test_cut_off_anywhere_the_rest_recomputes(recorded, tmp_path):
-    content, path, ticks = recorded.read_bytes(), tmp_path / "cut.mcap", []
-    for size in range(len(content) // 4, len(content), len(content) // 7):
-        path.write_bytes(content[:size])
-        try:
-            comparison = replay(path)
-        except FileError as error:
-            assert "no attachment" in str(error) or "holds no drive" in str(error)
-            continue
-        assert comparison.difference is None
-        assert not comparison.complete
-        ticks.append(comparison.ticks)
-    assert ticks == sorted(ticks)
-    assert 0 < ticks[0] < ticks[-1] <= TICKS
 
 
 def test_the_command_says_same_or_names_the_first_difference(recorded, tmp_path, capsys):
@@ -167,15 +125,14 @@ def test_the_command_says_same_or_names_the_first_difference(recorded, tmp_path,
     assert 0 < abs(float(first["recorded"]) - float(first["recomputed"])) < 1e-6
 
 
-@pytest.mark.parametrize("number", [b"1", b"3"])
-def test_recording_of_an_earlier_estimator_is_one_line_and_exit_code_2(recorded, tmp_path, capsys, number):
+def test_recording_of_an_earlier_estimator_is_one_line_and_exit_code_2(recorded, tmp_path, capsys):
     def earlier(data):
-        return data.replace(b"format: 4", b"format: " + number)
+        return data.replace(b"format: 4", b"format: 3")
 
     path = with_file(recorded, CONFIG_FILE, earlier, tmp_path / "earlier.mcap")
     assert shell(["replay", str(path)]) == 2
     error = capsys.readouterr().err
-    assert f"format {number.decode()}, expected 4: recordings of an older estimator cannot be" in error
+    assert "format 3, expected 4: recordings of an older estimator cannot be" in error
     assert error.count("\n") == 1
 
 

@@ -63,10 +63,9 @@ def test_prediction_bridges_a_missing_sample():
     assert max(errors) < 0.006  # holding the old pose would be off by 16 mm
 
 
-@pytest.mark.parametrize("lasts_s", [0.13, 0.23, 0.38])
-def test_odometry_that_waited_behind_a_pause_fits_in_spite_of_its_stamps(lasts_s):
+def test_odometry_that_waited_behind_a_pause_fits_in_spite_of_its_stamps():
     """A bridge that does not run stamps what has come meanwhile with the moment of its reading."""
-    before, usual, refused = 0, started(), 0
+    before, usual, refused, lasts_s = 0, started(), 0, 0.23
     for begin in np.arange(3.0, 20.0, 1.07):
         first = math.ceil(10 * begin)
         for t, pose, velocity in manoeuvre()[before:first]:
@@ -80,14 +79,6 @@ def test_odometry_that_waited_behind_a_pause_fits_in_spite_of_its_stamps(lasts_s
         assert not estimator.fault
         refused += estimator.rejected
     assert refused <= 2  # of more than 16 reports that came late
-
-
-def test_lost_odometry_is_not_taken_for_late():
-    estimator, random = started(), np.random.default_rng(1)
-    for t, pose, velocity in manoeuvre():
-        if random.random() > 0.3:
-            assert estimator.odometry(*reported(pose, velocity), t) is Acceptance.ACCEPTED
-            assert distance(estimator.at(t).pose, pose) < 0.0025
 
 
 def test_reading_the_estimate_changes_nothing_and_its_covariance_stays_positive():
@@ -105,7 +96,7 @@ def test_reading_the_estimate_changes_nothing_and_its_covariance_stays_positive(
     assert np.array_equal(a.covariance, b.covariance)
 
 
-@pytest.mark.parametrize("jump", [(0.03, 0, 0), (0, -0.1, 0), (0, 0, 0.15), (1e9, 0, 0), (0, 1e300, 0)])
+@pytest.mark.parametrize("jump", [(0.03, 0, 0), (0, 0, 0.15), (0, 1e300, 0)])
 def test_a_single_outlier_is_rejected_and_forgotten(jump):
     estimator = started()
     for tick in range(1, 20):
@@ -147,31 +138,8 @@ def test_values_that_are_not_finite_never_reach_the_filter(where, what, others):
     assert "not finite" in estimator.fault
 
 
-@given(st.lists(st.tuples(*[st.floats(width=64)] * 5), max_size=8))
-def test_the_estimate_is_always_finite(measurements):
-    estimator = started()
-    for number, values in enumerate(measurements):
-        estimator.odometry(Pose(*values[:3]), Velocity(*values[3:]), 0.1 * number)
-        estimate = estimator.at(0.1 * number)
-        assert all(map(math.isfinite, (*estimate.pose, *estimate.velocity)))
-        assert np.isfinite(estimate.covariance).all()
-
-
-@pytest.mark.parametrize("speed_noise", [(0.0, 0.0), (0.02, 0.03)])
-def test_declared_noise_does_not_move_a_standing_rover(speed_noise):
-    declared = dict(zip(("noise_m_s", "noise_rad_s"), speed_noise, strict=True))
-    robot = described("husky-a200", odometry=declared | {"noise_m": 0.005, "noise_rad": 0.009})
-    rng, estimator = np.random.default_rng(4), Estimator(settings_for(None, robot))
-    estimator.start(Pose(1.0, 2.0, 0.5), 0.0, Pose(0.0, 0.0, 0.0))
-    for tick in range(1, 200):
-        reported_pose = Pose(*(rng.normal(size=3) * [0.005, 0.005, 0.009]))
-        velocity = Velocity(*(rng.normal(size=2) * speed_noise))
-        assert estimator.odometry(reported_pose, velocity, tick * DT) is Acceptance.ACCEPTED
-        assert estimator.at(tick * DT).pose == pytest.approx((1.0, 2.0, 0.5), abs=1e-9)
-
-
-@pytest.mark.parametrize(("noise_m", "noise_m_s", "v"), [(0.002, 0.01, 0.04), (0.001, 0.005, 0.02)])
-def test_declared_noise_does_not_hide_that_a_rover_creeps(noise_m, noise_m_s, v):
+def test_declared_noise_does_not_hide_that_a_rover_creeps():
+    noise_m, noise_m_s, v = 0.001, 0.005, 0.02
     robot = described("husky-a200", odometry={"noise_m": noise_m, "noise_m_s": noise_m_s})
     rng, estimator, dt = np.random.default_rng(4), Estimator(settings_for(None, robot)), 0.05
     estimator.start(Pose(0.0, 0.0, 0.0), 0.0, Pose(0.0, 0.0, 0.0))
@@ -182,36 +150,15 @@ def test_declared_noise_does_not_hide_that_a_rover_creeps(noise_m, noise_m_s, v)
     assert estimator.at(400 * dt).pose.x == pytest.approx(v * 400 * dt, rel=0.05)
 
 
-@pytest.mark.parametrize("gap_s", [9.0, 11.0, 60.0])
-@pytest.mark.parametrize("noise_m", [0.0, 0.005])
-def test_a_rover_that_stands_may_wait_for_long_before_its_first_odometry(gap_s, noise_m):
+@pytest.mark.parametrize("gap_s", [9.0, 60.0])
+def test_a_rover_that_stands_may_wait_for_long_before_its_first_odometry(gap_s):
     """A long way is planned between the start and the first sample."""
-    robot = described("husky-a200", odometry={"noise_m": noise_m})
+    robot = described("husky-a200", odometry={"noise_m": 0.005})
     estimator = Estimator(settings_for(None, robot))
     estimator.start(Pose(0.0, 0.0, 0.0), 0.0, Pose(3.0, 0.0, 0.5))
     assert estimator.odometry(Pose(3.0, 0.0, 0.5), STANDSTILL, gap_s) is Acceptance.ACCEPTED
     assert estimator.odometry(Pose(3.01, 0.005, 0.5), Velocity(0.1, 0.0), gap_s + 0.1) is Acceptance.ACCEPTED
     assert distance(estimator.at(gap_s + 0.1).pose, Pose(0.0, 0.0, 0.0)) < 0.02
-
-
-@pytest.mark.parametrize("away_m, v", [(0.3, 0.0), (0.05, 0.1)])
-def test_odometry_that_moved_in_a_long_gap_is_not_used(away_m, v):
-    estimator = Estimator()
-    estimator.start(Pose(0.0, 0.0, 0.0), 0.0, Pose(3.0, 0.0, 0.0))
-    assert estimator.odometry(Pose(3.0 + away_m, 0.0, 0.0), Velocity(v, 0.0), 11.0) is Acceptance.OUTLIER
-
-
-def test_past_estimate_is_that_of_its_moment():
-    estimator, x, then = started(), 0.0, {}
-    for tick in range(1, 31):
-        x += 0.01 * min(tick / 10.0, 1.0)
-        estimator.odometry(Pose(x, 0.0, 0.0), Velocity(0.1 * min(tick / 10.0, 1.0), 0.0), tick * DT)
-        then[tick] = estimator.at(tick * DT).pose
-    for tick in (22, 25, 29):
-        assert estimator.at(tick * DT).pose == pytest.approx(then[tick], abs=1e-9)
-    oldest = estimator.at(0.0).pose  # beyond the history of a second
-    assert estimator.at(-1e6).pose == oldest
-    assert then[18].x < oldest.x < then[21].x
 
 
 STAMPS = st.floats(-3.0, 3.0) | st.floats(width=64)
@@ -232,11 +179,3 @@ def test_it_answers_for_any_time_whatever_the_order_of_stamps(measurements):
             estimate = estimator.at(moment)
             assert all(map(math.isfinite, (*estimate.pose, *estimate.velocity)))
             assert np.linalg.eigvalsh(estimate.covariance).min() > -1e-9
-
-
-def test_it_is_seeded_once():
-    estimator = started()
-    with pytest.raises(RuntimeError, match="once"):
-        estimator.start(Pose(1, 0, 0), 1.0)
-    with pytest.raises(ValueError, match="cannot start"):
-        Estimator().start(Pose(math.nan, 0, 0), 0.0)

@@ -37,7 +37,6 @@ def squared_errors(settings, ways, *, behind=0.0, left=0.0, scale=0.0, ramp=0.0)
     return float(position), float(error[2] ** 2 / estimate.covariance[2, 2])
 
 
-@pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize(
     ("error", "size", "state", "ways"),
     [
@@ -47,8 +46,8 @@ def squared_errors(settings, ways, *, behind=0.0, left=0.0, scale=0.0, ramp=0.0)
         ("ramp", RAMP_RAD_S2, "gyro_bias_walk_rad_s", SLALOM),
     ],
 )
-def test_covariance_covers_an_unseen_error_by_its_state(error, size, state, ways, sign):
+def test_covariance_covers_an_unseen_error_by_its_state(error, size, state, ways):
     limits = chi2.ppf(0.95, [2, 1])
-    assert (np.array(squared_errors(EstimatorSettings(), ways, **{error: sign * size})) < limits).all()
+    assert (np.array(squared_errors(EstimatorSettings(), ways, **{error: size})) < limits).all()
     without = EstimatorSettings().model_copy(update={state: 1e-9})
-    assert (np.array(squared_errors(without, ways, **{error: sign * size})) > limits).any()
+    assert (np.array(squared_errors(without, ways, **{error: size})) > limits).any()

@@ -1,6 +1,4 @@
 import json
-import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,15 +9,10 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
-from rover_ncp.course.scoring import Verdict
-from rover_ncp.course.shapes import outline_of
-from rover_ncp.robot.description import load_description
 from sim.explain.explain import explain
-from sim.explain.files import page
 from sim.explain.what_if import parameter_names, sensitivities, without_neuron, without_synapse
 from sim.learn.evaluator import Evaluator
 from sim.learn.rollout import rollout
-from sim.world.described import described_rover
 
 SHORT = "tests/data/short_course.yaml"
 
@@ -32,16 +25,6 @@ def parking():
 @pytest.fixture(scope="module")
 def explained():
     return explain("parking", SHORT)
-
-
-def outputs(policy, ticks=30):
-    runner = Runner(policy)
-    return [runner.tick([0.3, 0.1, 0.5, 1.0]) for _ in range(ticks)]
-
-
-def test_without_a_motor_neuron_nothing_is_asked_of_it(parking):
-    for neuron, output, sign in (("FWD", 0, 1), ("LFT", 1, 1), ("RGT", 1, -1)):
-        assert all(sign * one[output] <= 0 for one in outputs(without_neuron(parking, neuron)))
 
 
 def test_without_a_sensory_neuron_what_it_senses_makes_no_difference(parking):
@@ -113,39 +96,3 @@ def test_what_is_no_drive_of_one_course_is_not_explained(tmp_path, capsys):
     assert f"'rover-ncp report {path}' explains it" in capsys.readouterr().err
     assert run(["explain", str(path), "--course", "bay"]) == 2
     assert "--course bay: does not go with a recording" in capsys.readouterr().err
-
-
-def test_recording_of_a_described_robot_is_simulated_with_that_robot(tmp_path):
-    robot, course = load_description("turtlebot4"), load_course(SHORT)
-    write_drive(tmp_path / "run.mcap", course=SHORT, described=robot.model_dump(mode="json"))
-    found = explain(str(tmp_path / "run.mcap"))
-    policy, model = found.policy, described_rover(robot)
-    intact = rollout(policy, course, model).total
-    assert found.simulated.total == intact != rollout(policy, course).total
-    without = next(row for row in found.knock_outs if row.name == "FWD")
-    assert without.total == rollout(without_neuron(policy, "FWD"), course, model).total
-    row = found.sensitivities[0]
-    moved = policy.parameters()
-    moved[0] += row.up
-    assert Evaluator(policy, course, model).returns(moved)[0] - intact == pytest.approx(
-        row.change_up, abs=1e-9
-    )
-    assert "return in simulation of turtlebot4 " in found.ending
-    data = json.loads(
-        re.search(r'<script id="data" type="application/json">(.*?)</script>', page(found), re.S)[1]
-    )
-    assert data["course"]["outline"] == outline_of(robot).round(4).tolist()
-
-
-def test_page_of_a_simulated_drive_has_its_what_ifs(explained):
-    found, text = explained, page(explained)
-    unsure = replace(found, verdict=Verdict(True, 0.02, 0.01, probability=0.8))
-    assert '"doubt">Parked, uncertain<' in page(unsure)
-    assert unsure.ending.startswith("parked, uncertain; ")
-    assert unsure.result().verdict == "parked, uncertain"
-    for row in found.knock_outs:
-        assert f'<th scope="row">{row.title}</th>' in text
-    data = json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', text, re.S)[1])
-    assert data["updates"]["ticks"]["x"] == pytest.approx(found.findings.trace.poses[:-1, 0], abs=1e-4)
-    assert data["updates"]["commands"]["v"] == pytest.approx(found.findings.trace.commands[:, 0], abs=1e-4)
-    assert len(data["course"]["checkpoints"]) == 2

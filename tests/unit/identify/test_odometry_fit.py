@@ -1,6 +1,5 @@
 """Errors of odometry from stands whose truth is known, with both signs of each."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +8,7 @@ from kit.base_odometry import moved
 
 from deploy.identify.fit import identify
 from deploy.identify.motion_log import MotionLog, Track, motion_log
-from deploy.identify.odometry_fit import Stand, fit_center, fit_turns
+from deploy.identify.odometry_fit import Stand, fit_turns
 from rover_ncp.core.geometry import ORIGIN, Pose, Velocity
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import load_description
@@ -49,35 +48,15 @@ def record(scale, slip, mismatch, asymmetry):
     return MotionLog(np.zeros(0), np.zeros((0, 2)), track, np.array(motions), track), stands
 
 
-@pytest.mark.parametrize("scale", [0.714, 1.0])
-@pytest.mark.parametrize("asymmetry", [-0.15, 0.0, 0.1])
-@pytest.mark.parametrize("slip", [0.0, 0.3])
-def test_errors_of_a_turn_are_found_to_both_sides(scale, asymmetry, slip):
+@pytest.mark.parametrize(("scale", "slip", "asymmetry"), [(0.714, 0.3, -0.15), (1.0, 0.0, 0.1)])
+def test_errors_of_a_turn_are_found_to_both_sides(scale, slip, asymmetry):
     fit = fit_turns(*record(scale, slip, -0.02, asymmetry))
     true = [scale, slip, -0.02, 0.0, asymmetry]
     assert (np.abs(fit.values - true) <= 4.0 * np.sqrt(np.diag(fit.covariance)) + 0.002).all()
 
 
-@pytest.mark.parametrize("slide", [0.6, -0.03])
-def test_a_slide_beyond_what_can_be_is_not_found(slide):
-    variance = np.full(3, 1e-6)
-    headings = [0.0, 0.5, 1.0, 0.4, -0.2, -0.8, 0.0]
-    turned = np.cumsum([0.0, *np.abs(np.diff(headings))])
-    stands = []
-    for t, (heading, way) in enumerate(zip(headings, turned, strict=True)):
-        own, true = np.array([0.0, 0.0, heading]), np.array([slide * way, 0.0, heading])
-        stands.append(Stand(t, t + 1.0, own, true, variance, variance))
-    fit = fit_center(stands)
-    if abs(slide) > 0.5:
-        assert fit is None
-    else:
-        assert fit.values == pytest.approx([0.0, 0.0, slide, 0.0], abs=1e-6)
-        assert math.isfinite(fit.covariance.sum())
-
-
 STRAIGHT = [(0.25, 0.0), (-0.25, 0.0), (0.2, 0.0), (-0.3, 0.0)]
 HALF_CIRCLE = [(0.2, 0.785), (-0.2, -0.785)]
-SLALOM = [(0.2, 0.6), (0.2, -0.6)]
 
 
 def messages_of(ways, *, scale=1.0, turn_scale=1.0, skew_s=lambda t: 0.0, seconds=4.0):
@@ -116,7 +95,7 @@ def distance_only(monkeypatch):
 @pytest.mark.usefixtures("distance_only")
 @pytest.mark.parametrize(
     "skew_s",
-    [lambda t: 3600.0, lambda t: 0.01 * t, lambda t: -0.01 * t, lambda t: 0.5 if t > 20.0 else 0.0],
+    [lambda t: 3600.0, lambda t: -0.01 * t, lambda t: 0.5 if t > 20.0 else 0.0],
 )
 def test_clocks_of_driver_and_bridge_may_differ(skew_s):
     messages = messages_of([[way] for way in 3 * STRAIGHT], scale=1.05, skew_s=skew_s)
@@ -129,10 +108,8 @@ def test_clocks_of_driver_and_bridge_may_differ(skew_s):
 
 
 @pytest.mark.usefixtures("distance_only")
-@pytest.mark.parametrize("turn_scale", [0.9, 1.2])
-@pytest.mark.parametrize("curve", [HALF_CIRCLE, SLALOM], ids=["half circles", "slalom"])
-def test_distance_is_not_taken_from_curves(curve, turn_scale):
-    ways = [[part] for part in 2 * HALF_CIRCLE] if curve is HALF_CIRCLE else 4 * [curve]
+def test_distance_is_not_taken_from_curves():
+    ways, turn_scale = [[part] for part in 2 * HALF_CIRCLE], 1.2
     log = motion_log(messages_of(ways, turn_scale=turn_scale))
     assert identify(log, "curves").odometry_distance is None
     log = motion_log(messages_of([*ways, *([way] for way in STRAIGHT)], turn_scale=turn_scale))

@@ -7,10 +7,8 @@ from hypothesis import strategies as st
 
 from paper.tasks import build_circuit
 from rover_ncp.circuit.circuit import SynapseKind
-from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.neurons.interpretation import (
     Sign,
-    contributions,
     slopes,
     time_constant_ranges,
 )
@@ -54,14 +52,6 @@ def test_threshold_decides_the_sign(positive, negative, sign):
     assert slopes(a, b).sign is sign
 
 
-def test_constant_potentials_and_rounding_are_not_counted():
-    found = slopes([-70, -70, -60, -60], [-20, -20, -20, -20])
-    assert (found.positive, found.negative, found.flat, sum(found.bins)) == (0, 0, 1, 1)
-    assert found.sign is Sign.NONE
-    noise = -70 + 1e-13 * np.array([0, 1, -1, 2, 0, 3])
-    assert sum(slopes(noise, noise[::-1]).bins) == 0
-
-
 @given(PAIRS, st.floats(1e-2, 1e2))
 def test_histogram_counts_each_slope_once_and_a_mirrored_potential_swaps_the_counts(points, scale):
     a, b = np.array(points).T
@@ -78,17 +68,6 @@ def test_histogram_counts_each_slope_once_and_a_mirrored_potential_swaps_the_cou
     )
     swap = {Sign.POSITIVE: Sign.ANTAGONISTIC, Sign.ANTAGONISTIC: Sign.POSITIVE}
     assert mirrored.sign is swap.get(found.sign, found.sign)
-
-
-def test_all_ordered_pairs_have_a_contribution():
-    names = load_circuit("parking").neurons
-    potentials = np.random.default_rng(0).uniform(-90, 0, (20, 12))
-    found = contributions(names, potentials, slice(5, 15))
-    assert len(found) == 12 * 11
-    one = found["AVA", "RGT"]
-    assert dict(slopes(potentials[:, 2], potentials[:, 10])).items() <= dict(one).items()
-    assert (one.source, one.destination) == ("AVA", "RGT")
-    assert one.driving == slopes(potentials[5:15, 2], potentials[5:15, 10])
 
 
 def test_time_constants_by_hand():
@@ -118,12 +97,3 @@ def test_currents_and_pulls_by_hand():
     without_inhibition = -70 / 2
     assert found.pull[0, :2] == pytest.approx([target - without_excitation, target - without_inhibition])
     assert found.pull[0, 2] == pytest.approx(-60 + 70)
-
-
-@given(st.integers(0, 2**32 - 1))
-def test_excitation_never_pulls_down_and_inhibition_never_up(seed):
-    circuit = load_circuit("parking")
-    potentials = np.random.default_rng(seed).uniform(-90, 0, (3, circuit.size))
-    pull = synapse_currents(circuit, potentials).pull
-    assert (pull[:, circuit.kind == SynapseKind.EXCITATORY] >= -1e-9).all()
-    assert (pull[:, circuit.kind == SynapseKind.INHIBITORY] <= 1e-9).all()

@@ -1,12 +1,8 @@
 import dataclasses
 
-import numpy as np
-
-from paper.tasks import build_circuit
-from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, load_policy
-from rover_ncp.neurons.layout import labels, lay_out, layers
+from rover_ncp.neurons.layout import labels, layers
 
 PARKING = parking_policy(load_circuit("parking"))
 PARKING_NEURONS = PARKING.circuit.neurons
@@ -21,17 +17,6 @@ def test_layers_of_the_parking_circuit():
         ["LFT", "RGT", "FWD"],
     ]
     assert list(dict.fromkeys(found.values())) == ["sensory", "command", "inter", "motor"]
-
-
-def test_synapse_of_a_neuron_on_itself_is_drawn():
-    looped = build_circuit("loop", PARKING_NEURONS, [(SynapseKind.EXCITATORY, 2, 2, 1.0)])
-    x0, y0, _, _, x1, y1 = lay_out(parking_policy(looped)).curves[0]
-    assert np.hypot(x0 - x1, y0 - y1) > 5
-
-
-def test_sensory_neuron_onto_a_motor_neuron_stays_sensory():
-    direct = build_circuit("direct", PARKING_NEURONS, [(SynapseKind.EXCITATORY, 0, 9, 1.0)])
-    assert layers(parking_policy(direct))[0] == "sensory"
 
 
 def test_labels_name_the_largest_parts_of_a_mixture():

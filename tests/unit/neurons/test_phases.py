@@ -68,12 +68,6 @@ def test_phases_are_the_signs_of_the_commands():
     assert [p.turned_rad for p in found] == pytest.approx([0, 0, 0.45, -0.15, 0.15])
 
 
-def test_command_below_a_tenth_of_the_range_counts_as_zero():
-    assert phases(trace_of([(0.0159, 0.0179)] * 30))[0].label == "hardly moving"
-    assert phases(trace_of([(0.0161, -0.0181)] * 30))[0].label == "right turn"
-    assert phases(trace_of([(0.001, 0.001)] * 30))[0].label == "standing still"
-
-
 def test_a_long_phase_is_named_for_what_its_small_commands_add_up_to():
     creep, bend = (0.011, 0.0), (0.1, 0.017)  # below a tenth of 0.16 m/s and of 0.18 rad/s
     found = phases(trace_of([LEFT] * 20 + [AHEAD] * 10 + [bend] * 140 + [creep] * 150))
@@ -92,14 +86,6 @@ def test_a_phase_is_named_for_its_net_motion_and_not_for_its_commands():
     assert [phase.label for phase in phases(blocked)] == ["standing still"]
 
 
-@pytest.mark.parametrize(("command", "label"), [(AHEAD, "straight back"), (LEFT, "left turn backwards")])
-def test_a_policy_that_drives_the_tail_first_moves_the_rover_back(command, label):
-    found = trace_of([STAND] * 10 + [command] * 20)
-    tail_first = dataclasses.replace(found, poses=found.poses + np.array([0, 0, np.pi]))
-    assert [phase.label for phase in phases(tail_first)] == ["standing still", label]
-    assert phases(tail_first)[1].signs == phases(found)[1].signs
-
-
 def test_short_phase_is_merged_with_its_longer_neighbour():
     found = phases(trace_of([LEFT] * 20 + [AHEAD] * 4 + [RIGHT] * 10))
     assert [(p.label, p.first, p.last) for p in found] == [("left turn", 0, 24), ("right turn", 24, 34)]
@@ -110,12 +96,11 @@ def test_short_phase_is_merged_with_its_longer_neighbour():
     assert phases(trace_of(np.zeros((0, 2)))) == ()
 
 
-@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("make", [parking_policy, course_policy])
-def test_motor_outputs_are_the_commands_of_the_run(make, seed):
+def test_motor_outputs_are_the_commands_of_the_run(make):
     policy = make(load_circuit("parking") if make is parking_policy else load_circuit("tap_withdrawal"))
     layout = policy.layout()
-    policy = policy.with_parameters(np.random.default_rng(seed).uniform(layout.lower, layout.upper))
+    policy = policy.with_parameters(np.random.default_rng(0).uniform(layout.lower, layout.upper))
     run = rollout(policy, load_course("parking"))
     assert motor_outputs(policy, run.potentials) == pytest.approx(run.commands, abs=1e-12)
     if policy.motors.limits is None:
@@ -144,44 +129,3 @@ def test_a_left_turn_is_explained_from_its_numbers():
         "Left turn 1.0 to 2.0 s (0.10 m, +9°): A (−30 mV; its synapse 73 % open), driven by X [x] (+45 mV); "
         "it puts L at −25 mV. What changed: the pull of X [x] on A grew from +6 mV to +45 mV."
     )
-
-
-def test_a_sensory_neuron_before_a_motor_neuron_is_set_by_its_input():
-    circuit = build_circuit("direct", ["X", "Y", "L", "R", "F"], [(EX, 0, 2, 3.0), (EX, 1, 0, 3.0)])
-    small = small_policy()
-    policy = dataclasses.replace(small, circuit=circuit)
-    left, text = explained([[-25, -20, -30, -70, -30]] * 10, policy)
-    assert (left.behind, left.pulls, left.change) == (Mean(neuron="X", mean_mV=-25), (), None)
-    assert "X [x] (−25 mV; its synapse 82 % open), set by its input; it puts L at −30 mV." in text
-
-
-def explained(potentials, policy=None):
-    """The only phase, a left turn, and its sentence."""
-    found = analyse(trace_of([LEFT] * 10, potentials, policy))
-    return found.phases[0], found.phases[0].sentence
-
-
-def test_motor_neuron_without_strong_pull_acts_by_its_leak():
-    policy = small_policy()
-    weak = dataclasses.replace(policy.circuit, weight=np.full(4, 0.5))
-    quiet = [[-70, -70, -70, -30, -70, -30]] * 10
-    left, text = explained(quiet, dataclasses.replace(policy, circuit=weak))
-    assert left.by_leak
-    assert "L at −30 mV by its own leak, A (−70 mV; its synapse 5 % open)" in text
-
-
-def test_mirrored_motors_give_mirrored_phases():
-    policy = parking_policy(load_circuit("parking"))
-    layout = policy.layout()
-    policy = policy.with_parameters(np.random.default_rng(3).uniform(layout.lower, layout.upper))
-    v, omega = policy.motors.channels
-    mirrored = omega.model_copy(update={"positive": omega.negative, "negative": omega.positive})
-    mirror = dataclasses.replace(policy, motors=policy.motors.model_copy(update={"channels": (v, mirrored)}))
-    run = rollout(policy, load_course("parking"))
-    plain = explain(traced(policy, run))
-    flipped = Trace(mirror, run.times[:-1], run.poses * [1, -1, -1], run.commands * [1, -1], run.potentials)
-    for one, other in zip(plain, explain(flipped), strict=True):
-        swapped = one.label.replace("left", "L").replace("right", "left").replace("L", "right")
-        assert other.label == swapped
-        assert (one.motor, one.behind, one.pulls) == (other.motor, other.behind, other.pulls)
-    assert any("turn" in one.label for one in plain)

@@ -12,7 +12,6 @@ from paper.bnn import circuit_from_bnn, load_bnn
 from rover_ncp.circuit.motors import parking_motors
 from rover_ncp.circuit.policy_file import (
     circuit_to_yaml,
-    load_circuit,
     load_policy,
     policy_from_yaml,
     policy_to_yaml,
@@ -67,31 +66,15 @@ def test_bnn_defaults():
     assert circuit.held == {2: -33.0}
 
 
-def test_bnn_without_parkings_motor_neurons_is_a_circuit(tmp_path):
-    path = tmp_path / "tap_withdrawal.bnn"
-    path.write_text(circuit_to_bnn(load_circuit("tap_withdrawal")))
-    assert load_bnn(path).size == 11
-
-
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
         ("cm 0 0.1\n", "line 1: a size statement must come first"),
-        ("# only a comment\n", "no size statement"),
-        ("size 0\n", "line 1: expected 'size N', N in 1..256, got 'size 0'"),
-        ("size\n", "line 1: expected 'size N', N in 1..256, got 'size'"),
         ("size 2\nfoo 1\n", "line 2: unknown statement 'foo'"),
         ("size 2\n\n# x\ncm 2 0.1\n", "line 4: neuron '2' is not in 0..1"),
-        ("size 2\ncm 0.5 0.1\n", "line 2: neuron '0.5' is not in 0..1"),
-        ("size 2\ncm 0\n", "line 2: expected 'cm neuron value', got 1 values"),
-        ("size 2\ncm 0 nan\n", "line 2: expected a number, got 'nan'"),
         ("size 2\nconst 0 20\n", "PVD: held at 20 mV, outside -90..0 mV"),
         ("size 2\nex 0 2 1\n", "line 2: neuron '2' is not in 0..1"),
-        ("size 2\nex 0 1 1_0\n", "line 2: expected a number, got '1_0'"),
-        ("size 2\ngj 0 1 1 0.1\n", "line 2: expected 'gj source destination weight', got 4 values"),
         ("size 2\nex 0 1 1\nex 0 1 2\n", "the synapse excitatory PVD -> PLM appears twice"),
-        ("size 2\ncm 0 0.1\ncm 0 0.1\n", "line 3: cm 0 appears twice"),
-        ("size 2\nfoo\nex 5 0 1\n", "gj); line 3: neuron '5' is not in 0..1"),
         ("size 2\n" + "foo\n" * 30, "and 10 more"),
     ],
 )
@@ -110,14 +93,8 @@ def test_bad_bnn_is_one_line_with_the_line_number(text, problem, tmp_path):
     ("stem", "name"),
     [
         ("my circuit", "my-circuit"),
-        ("größe", "groe"),
-        ("bi\u202edi", "bidi"),
         ("x" * 100, "x" * 64),
         ("日本", "circuit"),
-        ("-..+", "circuit"),
-        ("new\nline", "new-line"),
-        ("\udcff", "circuit"),
-        ("v1.2_a+b-c", "v1.2_a+b-c"),
     ],
 )
 def test_policy_of_any_bnn_file_is_read_from_what_is_written(tmp_path, stem, name):

@@ -10,11 +10,11 @@ from kit.paper_runs import result
 from kit.paths import ROOT
 
 from paper import claims
-from paper.claims import Claim, Verdict, counts, judge_claims, load_claims, readings
-from paper.report import LAYOUTS, average, long_report, short_report, summary_of
-from paper.runs import BudgetName, Packed, ResultStore, grid
+from paper.claims import Claim, Verdict, judge_claims, load_claims, readings
+from paper.report import summary_of
+from paper.runs import Packed, ResultStore
 from paper.tasks import TASKS, build_agent
-from rover_ncp.neurons.interpretation import Sign, sign_of
+from rover_ncp.neurons.interpretation import Sign
 
 
 @pytest.fixture
@@ -32,29 +32,6 @@ def verdict(store, test, *, others=(), why="", **arguments):
     return judge_claims(store, [claim, *others])[0]
 
 
-def test_questions_and_tables_are_answered_by_claims():
-    file = load_claims()
-    names = [claim.name for claim in file.claims]
-    assert len(set(names)) == len(names)
-    assert len(file.questions) == 10
-    assert {name for found in file.questions.values() for name in found} <= set(names)
-    sources = " ".join(claim.where for claim in file.claims)
-    for table in (*LAYOUTS, "Table S1", "Table S7"):
-        assert table in sources, table
-
-
-def test_every_claim_with_runs_has_them_in_the_grid():
-    groups = {(group.task, group.agent, group.budget) for budget in BudgetName for group in grid(budget)}
-    for claim in load_claims().claims:
-        given = claim.arguments
-        if claim.test in {"rate", "value", "compare"}:
-            budget = BudgetName(given.get("budget", "published"))
-            wanted = {(given["task"], given.get("agent", "circuit"), budget)}
-            if "other" in given:
-                wanted.add((given["task"], given["other"], BudgetName(given.get("other_budget", budget))))
-            assert wanted <= groups, claim.name
-
-
 @pytest.mark.parametrize(
     ("hits", "of", "theirs", "expected"),
     [
@@ -70,13 +47,6 @@ def test_rate_needs_an_interval_within_the_margin(store, hits, of, theirs, expec
     assert found.verdict is expected
     if expected is Verdict.UNDECIDED:
         assert found.why == "p = 1, n = 10 and 12"
-
-
-def test_rate_within_some_iterations_is_read_from_the_curve(store):
-    fill(store, "parking", "circuit", [-0.05] * 10)
-    found = verdict(store, "rate", task="parking", hits=12, of=12, within=30)
-    assert (found.verdict, found.figure[:7]) == (Verdict.DIFFERS, "0 of 10")
-    assert verdict(store, "rate", task="parking", hits=12, of=12, within=40).figure[:8] == "10 of 10"
 
 
 def test_value_is_equal_within_the_margin_or_differs(store):
@@ -118,28 +88,6 @@ def test_p_is_corrected_for_the_claims_of_one_place(store):
     assert judge_claims(store, apart[:1])[0].verdict is Verdict.NOT_TESTED
 
 
-@pytest.mark.parametrize("others", [0, 9])
-def test_on_par_is_corrected_as_a_difference_is(store, others):
-    """The 95 % interval of the difference ends above minus the margin of 60."""
-    fill(store, "pendulum", "circuit", [900.0, 1000.0, 1100.0, 950.0, 1150.0])
-    fill(store, "pendulum", "mlp", [850.0, 900.0, 950.0, 870.0, 930.0])
-    arguments = {"task": "pendulum", "other": "mlp"}
-    same = Claim(name="b", words="", where="here", test="compare", arguments=arguments)
-    found = verdict(store, "compare", others=[same] * others, **arguments)
-    assert found.verdict is (Verdict.UNDECIDED if others else Verdict.HOLDS)
-
-
-def test_vertical_steps_count_only_if_wanted_and_still_ones_never():
-    a = np.array([1.0, 1.0, 0.0, 0.0, 1e-7, 1.0])
-    b = np.array([2.0, -1.0, 3.0, -4.0, 5.0, 0.0])
-    assert counts(a, b, vertical=True) == (3, 2)
-    assert counts(a, b, vertical=False) == (1, 1)
-    assert sign_of(3, 2, 1.0) is Sign.POSITIVE
-    assert sign_of(3, 2, 1.5) is Sign.PHASE_SWITCHING
-    assert sign_of(1, 9, 2.0) is Sign.ANTAGONISTIC
-    assert sign_of(0, 0, 2.0) is Sign.NONE
-
-
 def test_definition_1_is_read_with_and_without_the_rest_at_three_thresholds():
     # In 28 ticks at rest the two move apart, in 20 of driving alike.
     source, target = np.arange(48.0), np.concatenate([-np.arange(28.0), np.arange(20.0) - 27.0])
@@ -149,21 +97,6 @@ def test_definition_1_is_read_with_and_without_the_rest_at_three_thresholds():
     policy = SimpleNamespace(circuit=SimpleNamespace(index=["AVA", "RGT"].index))
     found = readings(policy, drive, "AVA", "RGT")
     assert found == {Sign.POSITIVE: 6, Sign.ANTAGONISTIC: 2, Sign.PHASE_SWITCHING: 4}
-
-
-def test_sign_has_a_verdict_only_where_all_readings_agree(store, monkeypatch):
-    unclear = {Sign.POSITIVE: 8, Sign.NONE: 4}, {Sign.NONE: 12}
-    signs = iter([{Sign.POSITIVE: 12}] * 6 + [unclear[0]] * 2 + [unclear[0], unclear[1]] * 4)
-    monkeypatch.setattr(claims, "drives", lambda _: [(None, None)] * 8)
-    monkeypatch.setattr(claims, "readings", lambda *_: next(signs))
-    sign = {"source": "AVA", "destination": "RGT", "expected": "positive"}
-    assert verdict(store, "sign", **sign).verdict is Verdict.HOLDS
-    found = verdict(store, "sign", **sign)
-    assert (found.verdict, found.figure, found.why) == (
-        Verdict.NOT_TESTED,
-        "0 of 0, 8 unclear",
-        "0 clear, 6 needed",
-    )
 
 
 @pytest.mark.parametrize(
@@ -184,13 +117,6 @@ def test_sign_is_decided_by_the_sign_test_over_clear_circuits(
     monkeypatch.setattr(claims, "readings", lambda *_: next(signs))
     found = verdict(store, "sign", source="AVA", destination="RGT", expected="positive")
     assert found.verdict is expected
-
-
-def test_report_of_an_empty_folder_says_that_nothing_is_tested(store):
-    file = load_claims()
-    judged = judge_claims(store, file.claims)
-    assert short_report(store, file, judged).count("not tested") > 20
-    assert "| park-all |" in long_report(store, judged)
 
 
 def test_summary_counts_each_claim_once(store):
@@ -219,10 +145,3 @@ def test_command_reports_runs_and_draws_their_curves(store, tmp_path):
         "park-all": "undecided",
     }.items():
         assert f"| {verdict}" in rows[name]
-
-
-def test_curve_is_the_mean_of_all_runs():
-    runs = [result("cart-pole", "circuit", seed, mean) for seed, mean in enumerate((97.0, 99.0))]
-    marks, middle, spread = average(runs)
-    assert (middle[0], middle[-1], spread[-1]) == (97.0, 98.0, pytest.approx(2**0.5))
-    assert marks[-1] == pytest.approx(50)

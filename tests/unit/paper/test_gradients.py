@@ -4,30 +4,8 @@ import numpy as np
 import pytest
 
 from paper.episodes import Evaluator
-from paper.gradients import CELLS, Actor, WithBonus
+from paper.gradients import WithBonus
 from paper.tasks import TASKS, draw_seeds
-
-
-def random_actor(observations, actions=1, seed=0):
-    rng = np.random.default_rng(seed)
-    return Actor(
-        rng.normal(0, 0.01, observations),
-        rng.uniform(0.5, 2.0, observations),
-        rng.normal(0, 1, (CELLS, observations + 1)),
-        rng.normal(0, 0.3, (actions, CELLS + 1)),
-    )
-
-
-def test_an_actor_is_its_vector():
-    actor = random_actor(4)
-    again = Actor.of(actor.vector(), 4, 1)
-    seen = np.array([0.1, -0.2, 0.3, 20.0])
-    assert again.act(seen).tolist() == actor.act(seen).tolist()
-    normal = np.clip((seen - actor.center) / np.sqrt(actor.variance + 1e-8), -10, 10)
-    cells = np.tanh(actor.hidden @ [*normal, 1.0])
-    np.testing.assert_allclose(actor.act(seen), actor.output @ [*cells, 1.0])
-    with pytest.raises(ValueError, match="reshape"):
-        Actor.of(actor.vector()[1:], 4, 1)
 
 
 def test_environment_starts_and_pays_as_the_searches_do():

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 from kit.virtual_docking import place
-from pydantic import ValidationError
 
 from deploy.drive.measurements import pose_reader
 from deploy.place.place import load_place
@@ -19,7 +18,7 @@ from rover_ncp.course.feasibility import Cause, check_course
 from rover_ncp.wire.messages import PoseSample, pose_stamped, pose_with_covariance, read_pose, with_covariance
 
 DIRECTIONS = "forward", "backward"
-STARTS = Pose(0.0, 0.0, 0.0), Pose(1.8, 2.5, 2.0), Pose(1.5, 1.0, -3.1), Pose(3.0, 1.4, 1.0)
+STARTS = Pose(0.0, 0.0, 0.0), Pose(1.5, 1.0, -3.1)
 
 
 def ends_at(way, base):
@@ -52,11 +51,6 @@ def test_approach_ends_at_the_place_slowly_and_retreat_at_the_staging_pose(direc
     assert way.course.goal == where.goal
 
 
-def test_slower_robot_gets_slower_ways():
-    usual, slow = (to_staging(place(), STARTS[0], None, slower)[0] for slower in (1.0, 2.0))
-    assert slow.reference.motion.max() == pytest.approx(0.5 * usual.reference.motion.max(), rel=0.05)
-
-
 def test_ways_of_a_very_slow_robot_are_courses_until_they_take_too_long():
     way, _ = to_staging(place(), STARTS[0], None, 36.0)
     assert 1000.0 < way.course.horizon_s < 1800.0
@@ -73,13 +67,6 @@ def test_obstacle_on_the_approach_is_named_and_the_dock_itself_is_not():
 
 
 BACKWARD = place(direction="backward")
-
-
-def test_place_leaves_room_for_its_ways():
-    edge = {"x": 990.0, "y": -990.0, "theta": 0.0}
-    assert ends_at(approach(place(pose=edge, direction="backward")), Pose(**edge))
-    with pytest.raises(ValidationError, match="less than or equal to 990"):
-        place(pose=edge | {"x": 991.0})
 
 
 def test_obstacle_in_the_way_leads_to_a_detour_and_one_at_the_staging_pose_to_a_reason():
@@ -119,7 +106,6 @@ def test_survey_takes_the_median_across_the_angle_where_headings_wrap():
     [
         (samples([(0, 0, 0)] * 9), "9 external poses arrived"),
         (samples([(0, 0, 0)] * 9) + samples([(0, 0, 0)] * 9, "odom"), "frames 'map', 'odom'"),
-        (samples([(math.nan, 0, 0)] * 20), "0 external poses arrived"),
     ],
 )
 def test_survey_without_enough_poses_of_one_frame_says_so(poses, words):

@@ -16,16 +16,6 @@ from sim.world.skid_robot import SkidRobot, rigid_body_of
 BRIEF, ARC, FIFTH = (str(DATA / f"{name}.yaml") for name in ("brief_course", "arc_course", "fifth_robot"))
 
 
-def test_motors_of_a_description_are_those_of_the_mock_alone():
-    robot = load_description("turtlebot4")
-    assert (robot.motion.wheel_min, robot.motion.slow_wheels) == (0.03, "turn")
-    base = described_rover(robot, motors=True)
-    assert (base.wheel_min, base.slow_wheels_turn, base.half_track_m) == (0.03, True, 0.1165)
-    assert described_rover(robot).wheel_min == 0.0
-    (motors,) = draw_trials(ranges_of(robot), base, 1, count=1, ticks=1).motors
-    assert motors.tolist() == [0.0, 0.0, 0.03, 0.03, 0.1165, 0.0]
-
-
 @pytest.mark.parametrize("name", ["turtlebot3-burger", "husky-a200", "p3at-sh"])
 def test_trials_of_a_model_differ_as_its_description_says(name):
     robot = load_description(name)

@@ -8,13 +8,11 @@ import pytest
 from kit.virtual_docking import place
 
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.errors import UsageError
-from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.core.geometry import Pose, distance
 from rover_ncp.wire.messages import pose_with_covariance, read_pose
 from sim.evaluate.evaluate import tally
 from sim.evaluate.results import docking_result
 from sim.stack.docking import BEARING_RAD, DISTANCES_M, DockTrials
-from sim.stack.rendered_camera import RenderedLocaliser
 from sim.stack.tag_camera import TagLocaliser
 from sim.stack.trials import drive_all
 from sim.world.described import default_rover
@@ -54,25 +52,6 @@ def test_starts_lie_before_the_place_and_see_the_tags(direction):
         assert measured(start, direction, LosesNone, seconds=1.0)
 
 
-@pytest.mark.parametrize("direction", ["forward", "backward"])
-def test_rendered_picture_of_each_start_gives_a_pose(direction):
-    drawn = dataclasses.replace(trials(direction=direction), localiser=RenderedLocaliser)
-    for number in range(12):
-        assert measured(drawn.start(number), direction, RenderedLocaliser, seconds=0.3), number
-
-
-def test_starts_touch_no_obstacle():
-    box = {"x": 0.9, "y": 1.0, "length": 0.5, "width": 0.5}
-    free, beside = trials(), trials(obstacles=[box])
-    moved = [number for number in range(60) if free.start(number) != beside.start(number)]
-    assert 3 < len(moved) < 50
-    # A Pioneer's middle is at least half its width away from what it does not touch.
-    assert all(math.hypot(s.x - 0.9, s.y - 1.0) > 0.25 + 0.2 for s in map(beside.start, range(60)))
-    everywhere = trials(obstacles=[box | {"length": 8.0, "width": 8.0}])
-    with pytest.raises(UsageError, match="leave no start"):
-        everywhere.start(0)
-
-
 def test_a_trial_whose_robot_never_sees_the_tags_is_counted():
     class Blind(TagLocaliser):
         farthest_m = 0.1
@@ -91,11 +70,6 @@ def test_errors_of_the_camera_are_as_large_as_its_covariance_says(pose):
     assert np.mean(nees) == pytest.approx(3.0, rel=0.1)
     far = [np.hypot(*error[:2]) for error in errors]
     assert np.median(far) < (0.003 if pose.x > 1.0 else 0.03)
-
-
-def test_camera_sees_nothing_beside_its_image_and_nothing_of_the_tags_back():
-    assert not measured(Pose(1.0, 1.0, 1.0), seconds=2.0)
-    assert not measured(Pose(3.5, 1.0, wrap_angle(math.pi)), seconds=2.0)
 
 
 @pytest.mark.parametrize(("moved_m", "reasons"), [(0.0, {}), (0.03, {"falsely docked": 1})])

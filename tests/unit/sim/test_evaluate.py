@@ -14,8 +14,7 @@ from rover_ncp.course.builder import PoseList, make_course
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
 from sim.evaluate import evaluate
-from sim.evaluate.evaluate import unseen_courses
-from sim.learn.policies import circuit_driver, load_driver
+from sim.learn.policies import load_driver
 from sim.learn.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.randomization import draw_trials, load_randomization
@@ -67,19 +66,6 @@ def test_a_policy_that_parks_ends_with_0(files, run_json, capsys):
     assert out == ["parked; return -0.0050", "final position error: 0 mm", "final heading error: 50 mrad"]
 
 
-def test_few_trials_are_those_of_the_kernel(files):
-    policy, full, courses = (
-        course_policy(load_circuit("tracking")),
-        load_randomization("full"),
-        [load_course(ARC)],
-    )
-    given = {"courses": courses, "ranges": full, "seed": 5}
-    few = evaluate.drive_trials(circuit_driver(policy), **given, trials=3)
-    many = evaluate.drive_trials(circuit_driver(policy), **given, trials=4)
-    for one, other in zip(few, many, strict=False):
-        assert one == pytest.approx(other)
-
-
 def test_trials_are_counted_as_each_alone_is_judged(files, run_json):
     policy = course_policy(load_circuit("tracking"))
     save_policy(Path("tracker.yaml"), policy)
@@ -110,18 +96,6 @@ def test_only_a_single_trial_that_fails_ends_with_1(files, capsys):
     assert "\n0.0% of 3" in out
 
 
-def test_random_courses_are_driven_in_turn(files, run_json):
-    policy = course_policy(load_circuit("tracking"))
-    save_policy(Path("tracker.yaml"), policy)
-    code, fields = run_json("eval tracker.yaml --trials 5 --seed 2 --random-courses 2 --randomize mild")
-    courses, model = unseen_courses(2, 2), default_rover()
-    ticks = max(course.ticks for course in courses)
-    trials = draw_trials(load_randomization("mild"), model, 2, count=5, ticks=ticks)
-    verdicts = [rollout(policy, courses[i % 2], model, trials=trials, row=i).verdict for i in range(5)]
-    assert (code, fields["success_rate"]) == (0, sum(verdict.parked for verdict in verdicts) / 5)
-    assert fields["error_m"]["max"] == pytest.approx(max(verdict.error_m for verdict in verdicts))
-
-
 @pytest.mark.parametrize(
     ("courses", "count"),
     [("--course parking --course stay.yaml", 2), ("--random-courses 3", 3)],
@@ -131,7 +105,6 @@ def test_each_course_is_driven_once_by_default(files, run_json, courses, count):
     assert (code, fields["trials"]) == (0, count)
 
 
-NO_PROFILE_NOISE, PROFILE_NOISE = "name: exact\ngain_v: 0.9\n", "name: noisy\nnoise_m: 0.001\n"
 SAME = "are the same; add --randomize full"
 
 
@@ -139,41 +112,13 @@ SAME = "are the same; add --randomize full"
     ("options", "message"),
     [
         ("--course stay.yaml --course parking --trials 1", "at least one trial for each of the 2 courses"),
-        ("--random-courses 50 --trials 49 --randomize full", "--trials 49: expected at least one trial"),
         ("--trials 2", f"--trials 2: with the randomization none all trials of a course {SAME}"),
-        ("--trials 2 --profile exact.yaml", SAME),
-        ("--trials 2 --randomize steps.yaml", SAME),
-        ("--random-courses 2 --trials 3", SAME),
-        ("--trials 2 --stack", SAME),
-        ("--trials 2 --stack --model p3dx --randomize none", SAME),
         ("--trials 2 --stack --body mujoco", "are the same; add --randomize varied"),
     ],
 )
 def test_number_of_trials_that_gives_no_sample_is_an_error(files, capsys, options, message):
-    Path("exact.yaml").write_text(NO_PROFILE_NOISE)
-    Path("steps.yaml").write_text("name: steps\nspeed_step_m_s: 0.001\n")
     assert run(["eval", "numb.yaml", *options.split()]) == 2
     assert message in capsys.readouterr().err
-
-
-def test_noise_of_a_profile_makes_trials_differ(files, run_json):
-    Path("noisy.yaml").write_text(PROFILE_NOISE)
-    save_policy(Path("tracker.yaml"), course_policy(load_circuit("tracking")))
-    code, fields = run_json(f"eval tracker.yaml --course {ARC} --trials 2 --profile noisy.yaml")
-    assert (code, fields["trials"]) == (0, 2)
-    assert fields["error_m"]["max"] > fields["error_m"]["p50"]
-
-
-def test_outcomes_do_not_depend_on_the_batch_size(monkeypatch):
-    policy, courses = course_policy(load_circuit("tracking")), unseen_courses(3, 3)
-
-    def found():
-        full = load_randomization("full")
-        return evaluate.drive_trials(circuit_driver(policy), courses, full, trials=8, seed=5)
-
-    whole = found()
-    monkeypatch.setattr(evaluate, "_BATCH", 4)  # so that the second part begins on the second course
-    assert found() == whole
 
 
 def test_parked_rover_holds_against_the_noise_of_its_odometry():

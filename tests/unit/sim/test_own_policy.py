@@ -2,28 +2,22 @@
 
 import re
 
-import gymnasium
 import numpy as np
 import pytest
 from kit.paths import DATA, ROOT
-from kit.tutorials import steps
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.cli import run
-from rover_ncp.core.errors import ConfigError, UsageError
 from rover_ncp.course.course import load_course
 from sim.evaluate.evaluate import drive_trials, evaluate
 from sim.learn.policies import function_driver, load_driver
 from sim.stack.trials import Stack
-from sim.world.env import ENV_ID
 from sim.world.random_course import mirrored
 from sim.world.randomization import load_randomization
 
 SHORT = str(DATA / "short_course.yaml")
 MODULE = """
-import math
-
 class Rest:
     def __call__(self, observation):
         assert observation.shape == (4,)
@@ -40,19 +34,11 @@ class Follow:
 class Blind(Rest):
     signals = ("x", "depth")
 
-class Word(Rest):
-    signals = "x"
-
 def short(observation):
     return (0.1,)
 
-def infinite(observation):
-    return 0.1, math.inf
-
 def fails(observation):
     return 1 / 0, 0.0
-
-number = 3
 """
 
 
@@ -101,16 +87,8 @@ def test_a_function_drives_through_the_stack_as_a_circuit():
     assert (found.error_m.max, found.error_m.p50) == pytest.approx((max(errors_m), np.mean(errors_m)))
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        "",
-        "--trials 2 --randomize mild",
-        pytest.param("--trials 2 --randomize mild --stack --processes 2", marks=pytest.mark.long),
-    ],
-)
-def test_a_class_of_a_module_in_the_working_folder_is_judged(options, run_json):
-    code, fields = run_json(f"eval own_module:Follow --course {SHORT} {options}")
+def test_a_class_of_a_module_in_the_working_folder_is_judged(run_json):
+    code, fields = run_json(f"eval own_module:Follow --course {SHORT} --trials 2 --randomize mild")
     assert code in {0, 1}
     assert fields["error_m"]["max"] < 0.2
 
@@ -120,13 +98,8 @@ def test_a_class_of_a_module_in_the_working_folder_is_judged(options, run_json):
     ("policy", "words"),
     [
         ("own_module:short", "expected v and omega as two finite numbers, got (0.1,)"),
-        ("own_module:infinite", "expected v and omega as two finite numbers, got (0.1, inf)"),
         ("own_module:fails", "ZeroDivisionError: division by zero (own_module.py, line"),
         ("own_module:Blind", "policy own_module:Blind: unknown signals: depth (expected some of x, y"),
-        ("own_module:Word", "expected signals as a tuple of names, got 'x'"),
-        ("own_module:nothing", "has no attribute 'nothing'"),
-        ("own_module:number", "expected a function of an observation, got 3"),
-        ("no_module:Follow", "No module named 'no_module'"),
         ("broken_module:Follow", "No module named 'no_such_library'"),
     ],
 )
@@ -135,27 +108,6 @@ def test_a_policy_that_cannot_drive_is_one_clear_line(policy, words, stack, caps
     err = capsys.readouterr().err
     assert words in err
     assert err.count("\n") == 1
-
-
-def test_the_tutorial_shows_the_example():
-    files = dict(steps(ROOT / "docs" / "tutorials" / "own_policy.md"))
-    assert files["own_policy.py"] == (ROOT / "docs" / "examples" / "own_policy.py").read_text()
-
-
-def test_errors_of_functions_are_of_the_error_tree():
-    with pytest.raises(UsageError, match="expected a function"):
-        evaluate(3, trials=1)
-    with pytest.raises(ConfigError, match="unknown signals: depth"):
-        gymnasium.make(f"sim.world.env:{ENV_ID}", signals=("x", "depth"))
-
-
-def test_the_simulator_observes_the_same_signals_by_name():
-    env = gymnasium.make(f"sim.world.env:{ENV_ID}", signals=("speed", "longitudinal"))
-    seen, _ = env.reset()
-    for _ in range(40):
-        seen = env.step(np.zeros(2))[0]
-    assert seen[0] > 0.05
-    assert seen[1] > 0.0
 
 
 def test_the_command_of_the_page_parks_with_the_classical_law(monkeypatch, run_json):

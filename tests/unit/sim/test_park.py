@@ -69,13 +69,7 @@ def test_a_slow_robot_is_trained_and_judged_as_it_is_driven(asked, tmp_path):
     assert asked["rollouts"] == [(course, described_rover(robot))]
 
 
-def test_the_usual_robot_is_trained_as_train_does_by_default(asked, tmp_path):
-    settings, _ = begin(asked, tmp_path)
-    assert settings.model is None
-    assert settings.rover == described_rover(load_description("p3at-sh"))
-
-
-@pytest.mark.parametrize(("seed", "used"), [(None, 0), (0, 0), (7, 7)])
+@pytest.mark.parametrize(("seed", "used"), [(None, 0), (7, 7)])
 def test_seed_is_that_of_the_training(asked, tmp_path, seed, used):
     settings, _ = begin(asked, tmp_path, seed=seed)
     assert settings.seed == used
@@ -90,10 +84,9 @@ def test_seed_is_that_of_the_training(asked, tmp_path, seed, used):
         ("--dock", "--seed: does not go with --dock"),
     ],
 )
-@pytest.mark.parametrize("seed", ["0", "3"])
-def test_seed_without_a_training_is_an_error(tmp_path, capsys, options, reason, seed):
+def test_seed_without_a_training_is_an_error(tmp_path, capsys, options, reason):
     out = tmp_path / "park"
-    assert run(["park", *options.split(), "--seed", seed, "--out", str(out)]) == 2
+    assert run(["park", *options.split(), "--seed", "0", "--out", str(out)]) == 2
     assert reason in capsys.readouterr().err
     assert not out.exists()
 
@@ -103,13 +96,3 @@ def test_the_training_ends_with_an_agent_that_parks_well(asked, tmp_path):
     assert not accept(load_policy("reverse"))  # it parks elsewhere
     assert accept(load_policy("parking"))
     assert (settings.agents, settings.iterations) == (park.AGENTS, park.ITERATIONS)
-
-
-def test_the_message_names_limit_and_remedy(tmp_path, monkeypatch, capsys):
-    fields = {"best_return": -5.0, "iterations": 20_000, "iterations_per_s": 1.0, "returns": []}
-    monkeypatch.setattr(park, "_train", lambda *_, **__: (fields, "policy.yaml", "0.9 m from the goal"))
-    assert run_park(tmp_path) == 1
-    words = capsys.readouterr()
-    said = words.out + words.err
-    assert "--seed" in said
-    assert "--policy course" in said

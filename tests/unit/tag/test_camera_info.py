@@ -34,7 +34,6 @@ distortion_coefficients: !!opencv-matrix
    data: {list(D)}
 """
 ECHO = f"height: 480\nwidth: 640\ndistortion_model: plumb_bob\nd: {list(D)}\nk: {K}\nr: [1]\n---\n"
-ECHO_ROS1 = ECHO.replace("\nd:", "\nD:").replace("\nk:", "\nK:")
 RATIONAL = (*D, 0.4, 0.1, 0.02, *[0.0] * 6)
 
 
@@ -43,12 +42,9 @@ RATIONAL = (*D, 0.4, 0.1, 0.02, *[0.0] * 6)
     [
         pytest.param(ros(D, "distortion_model: plumb_bob\n"), "pinhole", D, id="camera_calibration"),
         pytest.param(ros(RATIONAL, "distortion_model: rational_polynomial\n"), "pinhole", RATIONAL, id="14"),
-        pytest.param(ros(RATIONAL[:8], ""), "pinhole", RATIONAL[:8], id="8 without a model"),
         pytest.param(ros(D[:4], "camera_model: fisheye\n"), "fisheye", D[:4], id="camera_model"),
         pytest.param(ros(D[:4], "distortion_model: equidistant\n"), "fisheye", D[:4], id="equidistant"),
         pytest.param(ECHO, "pinhole", D, id="topic echo"),
-        pytest.param(f"---\n{ECHO}{ECHO}", "pinhole", D, id="echo of several"),
-        pytest.param(ECHO_ROS1, "pinhole", D, id="ROS 1"),
         pytest.param(OPENCV, "pinhole", D, id="OpenCV's YAML"),
     ],
 )
@@ -71,29 +67,18 @@ def test_calibration_of_each_format_is_read(tmp_path, text, model, distortion):
     ("text", "words"),
     [
         (ros(D[:4], ""), "4 coefficients without distortion_model: add it"),
-        (ros(D[:4], "distortion_model: double_sphere\n"), "double_sphere: expected one of plumb_bob"),
         (ros(D, "distortion_model: plumb_bob\ncamera_model: fisheye\n"), "contradicts"),
         (ros(D, "distortion_model: equidistant\n"), "5 coefficients of a fisheye camera, expected 4"),
-        (ros(D[:3], "distortion_model: plumb_bob\n"), "3 coefficients"),
         (ros(D, "", K.replace("501", "1")), "focal lengths 500.5 and 1 do not fit"),
-        (
-            ros(D, "", K.replace("320", "3200")),
-            "principal point 3200, 241 is outside the picture of 640 × 480",
-        ),
-        (ros(D, "", "[5e4, 0, 320, 0, 5e4, 241, 0, 0, 1]"), "focal lengths 50000"),
+        (ros(D, "", K.replace("320", "3200")), "principal point 3200, 241 is outside the picture"),
         (ros(D, "", "[.nan, 0, 320, 0, 501, 241, 0, 0, 1]"), "fx"),
-        (ros(D, "", "[0, 0, 0, 0, 0, 0, 0, 0, 0]"), "the camera is not calibrated"),
         (ros(D, "", "[500, 0, 320, 0, 500, 241, 0, 0, 0]"), "expected fx, 0, cx, 0, fy, cy, 0, 0, 1"),
         (
             "image_width: 640\n",
             "no image_height, camera_matrix, distortion_coefficients; expected a calibration",
         ),
-        ("image_width: 640\ncamera_matrix: 3\n", "no image_height, distortion_coefficients"),
         ("# oST version 5.0 parameters\n\n\n[image]\n\nwidth\n640\n", "expected a calibration of ROS"),
-        ("%YAML:1.0\n---\nnothing: [", "not valid YAML"),
         ("%YAML:1.0\n---\nnothing: " + "[" * 100_000, "in each other"),
-        ("%YAML:1.0\n---\nnothing:\n  " + "- " * 100_000, "in each other"),
-        ('<?xml version="1.0"?>\n<opencv_storage>' + "<a>" * 60_000, "expected a calibration of ROS"),
     ],
 )
 def test_calibration_that_cannot_be_right_is_refused(tmp_path, text, words):

@@ -81,7 +81,6 @@ def test_data_of_the_page_are_the_run(drive):
     assert updates["truth"]["y"] == pytest.approx(simulated.poses[:, 1], abs=1e-4)
     assert updates["setpoints"]["v"] == pytest.approx(simulated.commands[:, 0], abs=1e-4)
     assert [phase["label"] for phase in updates["phases"]] == ["standing still", "left turn"]
-    assert "Time constants" not in text
     assert len(data["course"]["checkpoints"]) == 2
     assert np.array(data["course"]["reference"]).shape == (2, 1 + (len(simulated.poses) - 1) // 5)
     # The kit gives tick k the variances (1 + k) * 1e-6 in x and (1 + k) * 2e-6 in y.
@@ -95,7 +94,6 @@ def test_text_from_peers_is_escaped(drive):
     rows = fragment("rows", [(evil, evil)])
     text = page(title=evil, data=data_of(drive[0]) | {"words": evil}, html={"summary": rows})
     assert "<script>alert" not in text
-    assert "&lt;/script&gt;&lt;script&gt;" in text
     assert data_of(text)["words"] == evil
 
 
@@ -142,20 +140,6 @@ def test_command_writes_the_page_beside_the_recording(tmp_path, capsys):
     assert said == {"page": str(page), "bytes": page.stat().st_size}
     assert run(["report", str(tmp_path / "run.mcap"), "--out", str(tmp_path / "other.html")]) == 0
     assert (tmp_path / "other.html").read_bytes() == page.read_bytes()
-
-
-def test_an_uncertain_verdict_is_shown_as_such_unless_the_true_pose_is_known(tmp_path):
-    known = {"course": "parking", "policy": "course", "variance": 1e-5}
-    drive = recorded(tmp_path / "estimate.mcap", **known, truth=False)
-    summary = summarise(drive)
-    assert (summary.parked, summary.headline) == (Parked.UNCERTAIN, "Parked, uncertain")
-    assert dict(summary.rows)["By the estimated pose"].startswith("parked, uncertain, ")
-    assert '"doubt">Parked, uncertain<' in drive_page(drive)
-    drive = recorded(tmp_path / "truth.mcap", **known)
-    summary = summarise(drive)
-    assert summary.headline == "Parked (true pose)"
-    assert dict(summary.rows)["By the estimated pose"].startswith("parked, uncertain, ")
-    assert '"good">Parked (true pose)<' in drive_page(drive)
 
 
 def test_the_drivers_uncertain_verdict_is_never_shown_as_parked(tmp_path):

@@ -12,7 +12,6 @@ from deploy.drive.tick_messages import Publisher
 from deploy.estimator.estimator import Estimate
 from rover_ncp.core.geometry import STANDSTILL, Pose, compose
 from rover_ncp.wire.cdr import decode
-from rover_ncp.wire.messages import read_neurons
 
 NAMES = ("A", "B", "Long_name")
 
@@ -41,19 +40,6 @@ def test_transform_places_odometry_on_the_course():
     where, turn = transform.transform.translation, transform.transform.rotation
     odom = Pose(where.x, where.y, 2 * np.arctan2(turn.z, turn.w))
     assert compose(odom, Pose(3.0, -2.0, 1.0)) == pytest.approx(Pose(0.5, 0.0, 0.1))
-
-
-def test_each_neuron_is_a_topic_of_its_own():
-    messages = [message for message in recorded() if message.topic.startswith("neurons/")]
-    assert [message.topic for message in messages[:3]] == ["neurons/A", "neurons/B", "neurons/Long_name"]
-    assert [read_neurons(message.data) for message in messages] == [
-        {"A": -70.0},
-        {"B": -1e-9},
-        {"Long_name": -12.25},
-        {"A": -71.0},
-        {"B": -1e-9},
-        {"Long_name": -12.25},
-    ]
 
 
 def test_the_path_is_whole_and_there_from_the_start():

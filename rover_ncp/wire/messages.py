@@ -264,8 +264,10 @@ def imu(rate: float, variance: float, stamp_ns: int) -> bytes:
 
 
 def read_imu(data: bytes) -> TurnSample:
-    """Read the rate of turn of an Imu. Raises FormatError."""
+    """Read the rate of turn of an Imu. Raises FormatError, also for an Imu that says it measures none."""
     imu = decode(IMU, data)
+    if imu.angular_velocity_covariance[0] == -1.0:  # as sensor_msgs/Imu defines it
+        raise FormatError("angular_velocity_covariance begins with -1: this Imu measures no turn rate")
     return TurnSample(read_stamp_ns(imu.header), imu.angular_velocity.z)
 
 

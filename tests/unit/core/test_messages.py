@@ -77,6 +77,12 @@ def test_a_gyros_rate_of_turn_says_nothing_of_anything_else():
     assert message.orientation_covariance[0] == message.linear_acceleration_covariance[0] == -1.0
 
 
+def test_imu_without_a_gyro_is_no_gyro_that_measures_zero():
+    data = encode("sensor_msgs/msg/Imu", angular_velocity_covariance=np.array([-1.0, *[0.0] * 8]))
+    with pytest.raises(FormatError, match="measures no turn rate"):
+        read_imu(data)
+
+
 def test_pose_with_y_up_is_refused():
     """As a motion capture sends it whose vertical axis is y: all headings looked like 0 or half a turn."""
     turn = Rotation.from_euler("x", -90, degrees=True) * Rotation.from_euler("z", 0.5)

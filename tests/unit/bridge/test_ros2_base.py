@@ -1,7 +1,6 @@
 """The ROS 2 base on a virtual clock."""
 
 import math
-import re
 
 import numpy as np
 import pytest
@@ -171,20 +170,6 @@ def test_bytes_that_are_no_odometry_never_make_it_ready(world, payload):
     assert isinstance(world.last, Failed)
     assert "odom" in world.last.reason
     assert not world.reports
-
-
-@pytest.mark.parametrize(
-    ("values", "reason"),
-    [
-        ({"x": math.nan}, "odometry is not finite"),
-        ({"theta": math.nan}, "odometry cannot be read: the orientation 0, 0, nan, nan is not a rotation"),
-    ],
-)
-def test_odometry_that_is_not_finite_stops_it(ready, values, reason):
-    ready.run(1.0, **values)
-    assert isinstance(ready.last, Lost)
-    assert re.fullmatch(f"\\d+ messages on odom cannot be used: {reason}", ready.last.reason)
-    assert all(math.isfinite(report.x) for report in ready.reports)
 
 
 def test_a_second_publisher_of_commands_stops_it_and_is_named(ready):

@@ -64,19 +64,6 @@ def test_a_stop_and_a_contact_that_end_before_the_next_odometry_are_passed_on_on
     assert world.reports[before].stop_pressed
 
 
-def test_each_topic_must_be_heard_and_readable():
-    world = world_of(stop="stop", hazards="hazard_detection")
-    assert unknown(world) == "stop: no message has come"
-    press(world, False)
-    assert unknown(world) == "hazard_detection: no message has come"
-    assert "no message on hazard_detection" in str(world.base.health().unheard)
-    assert "no message on stop" not in str(world.base.health().unheard)
-    world.hear("hazard_detection", hazards((1, 3), 0)[:-3])
-    assert unknown(world).startswith("hazard_detection: a message cannot be used: ")
-    world.hear("hazard_detection", hazards((), 0))
-    assert unknown(world) == ""
-
-
 @pytest.mark.parametrize(("stop", "silence_s"), [("stop", 3.0), ({"topic": "stop", "periodic_s": 0.2}, 0.6)])
 def test_silence_of_three_periods_counts_as_a_hazard(stop, silence_s):
     world = world_of(stop=stop)

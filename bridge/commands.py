@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from bridge.gate.limits import Limits
     from bridge.inbox import Inbox
 
-OPEN_FILES = 100
-"""Zenoh and the line to the base use about 20, and each driver one: without any left, no driver connects."""
-
 
 def bridge(
     *,
@@ -110,7 +107,7 @@ def bridge(
     from bridge.node import BridgeResult, Node
     from bridge.ros2.messages import gate_status
     from bridge.zenoh.link import ZenohLink
-    from rover_ncp.core.process import Interrupts, require_open_files
+    from rover_ncp.core.process import Interrupts
 
     if not base.startswith("ros2/"):
         ros2_options = {"no_base_watchdog": no_base_watchdog, "measure_timeout": measure_timeout}
@@ -125,7 +122,6 @@ def bridge(
             insecure=insecure,
             no_base_watchdog=no_base_watchdog,
         )
-    require_open_files(OPEN_FILES)
     output = Output(json, controls=True)
     chosen = choose_base(base, model, base_zenoh_config)
     allowed = gate_limits(limits, chosen.description)

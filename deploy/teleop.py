@@ -42,8 +42,6 @@ PERIOD_S = 0.05
 LONGEST_LOOP_S = 0.25
 TELEOP_FILE = "teleop.yaml"
 READ_BYTES = 1024
-BRACKETED_PASTE, NO_BRACKETED_PASTE = b"\x1b[?2004h", b"\x1b[?2004l"
-"""Makes a terminal mark the beginning and the end of pasted text."""
 _INPUT, _LOCAL, _CHARACTERS = 0, 3, 6
 
 
@@ -77,12 +75,10 @@ class Terminal:
         # TCSAFLUSH would wait for the output of a stopped terminal.
         self.discard()
         termios.tcsetattr(self._fd, termios.TCSANOW, settings)
-        self._send(BRACKETED_PASTE)
         return self
 
     def __exit__(self, *_: object) -> None:
-        # A closed terminal cannot be restored. A stuck one is not waited for.
-        self._send(NO_BRACKETED_PASTE)
+        # A closed terminal cannot be restored.
         with contextlib.suppress(termios.error):
             termios.tcflush(self._fd, termios.TCIFLUSH)
             termios.tcsetattr(self._fd, termios.TCSANOW, self._before)
@@ -101,15 +97,6 @@ class Terminal:
     def discard(self) -> None:
         """Discard unread keys."""
         termios.tcflush(self._fd, termios.TCIFLUSH)
-
-    def _send(self, data: bytes) -> None:
-        """Write to the terminal, unless it takes nothing at once."""
-        with contextlib.suppress(OSError):
-            fd = os.open(os.ttyname(self._fd), os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
-            try:
-                os.write(fd, data)
-            finally:
-                os.close(fd)
 
 
 class Teleop:

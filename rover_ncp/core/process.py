@@ -1,15 +1,11 @@
-"""Clock, limits and termination signals of a process; resources that a ``with`` block closes."""
+"""Clock and termination signals of a process; resources that a ``with`` block closes."""
 
-import resource
 import signal
 import sys
 import time
 from abc import ABC, abstractmethod
-from pathlib import Path
 from types import FrameType
 from typing import Any, ClassVar, Protocol, Self
-
-from rover_ncp.core.errors import UsageError
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that end a command."""
@@ -36,18 +32,6 @@ def suspended_s() -> float:
     if sys.platform != "linux":
         return 0.0
     return time.clock_gettime(time.CLOCK_BOOTTIME) - time.clock_gettime(time.CLOCK_MONOTONIC)
-
-
-def require_open_files(free: int) -> None:
-    """Allow ``free`` more open files. Raises UsageError if the system's limit is too low."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    needed = len(list(Path("/dev/fd").iterdir())) + free
-    if soft != resource.RLIM_INFINITY and soft < needed:
-        if hard != resource.RLIM_INFINITY and hard < needed:
-            raise UsageError(
-                f"this process may open {hard} files, expected {needed} or more: raise ulimit -n"
-            )
-        resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))
 
 
 class ClosedAtExit(ABC):

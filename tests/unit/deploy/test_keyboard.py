@@ -84,7 +84,6 @@ SEQUENCES = {
     "Alt+i": "\x1bi",
     "8-bit CSI": "\ufffd13;2u",
     "mouse of X10": "\x1b[M iu",
-    "paste": "\x1b[200~iiii\x1b[201~",
     "letters beyond ASCII": "ìöü，．ｉ",
 }
 
@@ -99,3 +98,10 @@ def test_only_a_whole_drive_key_drives(name):
             assert keyboard.velocity(0.0) == STANDSTILL
         keyboard.take("i", IGNORED_S)
         assert keyboard.velocity(IGNORED_S) == Velocity(NUDGE * V_M_S, 0.0)
+
+
+def test_pasted_text_moves_nothing():
+    keyboard = Keyboard()
+    for number, part in enumerate(("look, ", "i", "a jug", "u", " of oil")):
+        keyboard.take(part, 0.05 * number)
+        assert keyboard.velocity(0.05 * number) == STANDSTILL

@@ -12,7 +12,7 @@ import pytest
 from kit.virtual_drive import VirtualDrive
 
 from deploy.keyboard import HOLD_S, OMEGA_RAD_S, V_M_S
-from deploy.teleop import BRACKETED_PASTE, NO_BRACKETED_PASTE, Teleop, Terminal
+from deploy.teleop import Teleop, Terminal
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import STANDSTILL
 from rover_ncp.robot.description import load_description
@@ -138,20 +138,12 @@ def terminal(monkeypatch):
             os.close(fd)
 
 
-def read_until(fd, end):
-    """Wait for ``end``; one read may return a part of what was written."""
-    shown = b""
-    while not shown.endswith(end):
-        shown += os.read(fd, 100)
-
-
 def test_terminal_gives_keys_at_once_and_is_as_before_at_the_end(terminal):
     master, slave = terminal
     before = termios.tcgetattr(slave)
     os.write(master, b"i" * 50)  # typed before the drive
     with Terminal() as keys:
         assert keys.read(0.0) == ""
-        read_until(master, BRACKETED_PASTE)
         for text in ("i", "\x1b[A", "\x1a", "\x13", "é"):
             os.write(master, text.encode())
             assert keys.read(1.0) == text
@@ -159,5 +151,4 @@ def test_terminal_gives_keys_at_once_and_is_as_before_at_the_end(terminal):
         keys.discard()
         assert keys.read(0.0) == ""
         assert termios.tcgetattr(slave) != before
-    read_until(master, NO_BRACKETED_PASTE)
     assert termios.tcgetattr(slave) == before

@@ -49,6 +49,7 @@ def test_rover_drives_stops_in_time_and_stops_again_at_ctrl_c(tmp_path):
 
         # A lease that lapses while the next one begins cuts that one's first command off.
         wait_for(lambda: not driver.gate.lease)
+        time.sleep(0.5)  # until the base has reported that its motors are off
         driver.start()
         # A command that is still on its way when the bridge stops is not counted.
         # A busy machine may bring one so late that it is dropped.

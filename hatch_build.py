@@ -1,13 +1,13 @@
 """Builds the native library with the wheel, or beside its sources for an editable installation.
 
 ``python hatch_build.py [--sanitized FOLDER]`` builds it by itself. Without a compiler the wheel is pure:
-circuits then run in Python, which is fast enough to drive, and training says what it needs.
+circuits then run in Python, which is fast enough to drive, and training says what it needs. The environment
+variable ``ROVER_NCP_PURE`` demands such a wheel, ``ROVER_NCP_TARGET`` a wheel for one of ``TARGETS``.
 """
 
 import hashlib
 import os
 import platform
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -18,12 +18,24 @@ NATIVE = Path(__file__).parent / "rover_ncp" / "native"
 # Without fast-math and contraction every build gives the same bits.
 FLAGS = [
     *("-std=c++17", "-O2", "-fPIC", "-ffp-contract=off", "-fno-exceptions", "-fno-rtti"),
-    *("-fvisibility=hidden", "-Wall", "-Wextra", "-Werror"),
+    *("-fvisibility=hidden", "-Wall", "-Wextra"),
 ]
 VARIANTS = {"": [], "-avx2": ["-mavx2"]}
 """Builds by suffix, with their flags: for all processors, and 20 % faster with AVX2."""
-SANITIZERS = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined"]
-ZIG = "ziglang==0.13.0"
+SANITIZERS = [
+    *("-g", "-O1", "-Werror", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined"),
+]
+TARGETS = {
+    "manylinux_2_17_x86_64": "x86_64-linux-gnu.2.17",
+    "manylinux_2_28_aarch64": "aarch64-linux-gnu.2.28",
+    "manylinux_2_28_armv7l": "arm-linux-gnueabihf.2.28",
+    "macosx_11_0_arm64": "aarch64-macos.11.0",
+    "macosx_11_0_x86_64": "x86_64-macos.11.0",
+}
+"""Platform tags of the wheels of a release, and what zig calls these platforms."""
+ZIG = [sys.executable, "-m", "ziglang", "c++"]
+ZIG_PACKAGE = 'ziglang==0.13.0; platform_machine in "x86_64 aarch64 armv7l arm64"'
+PROBE = "#include <math.h>\n#include <stdint.h>\nint64_t probe(double x) { return (int64_t)hypot(x, 1); }\n"
 
 
 def digest() -> str:
@@ -34,49 +46,59 @@ def digest() -> str:
 
 def compiler() -> list[str] | None:
     """Return the command of a C++ compiler that works: ``c++`` or ziglang's; None without one."""
-    for command in (["c++"], [sys.executable, "-m", "ziglang", "c++"]):
+    for command in (["c++"], ZIG):
         with tempfile.TemporaryDirectory() as folder:
             probe = Path(folder) / "probe.cpp"
-            probe.write_text("int main() { return 0; }\n")
-            compiling = [*command, "-c", str(probe), "-o", f"{folder}/probe.o"]
+            probe.write_text(PROBE)
             try:
-                if subprocess.run(compiling, capture_output=True, check=False).returncode == 0:
-                    return command
-            except OSError:
+                link(command, [probe], Path(folder) / "probe.so", FLAGS, quiet=True)
+            except (OSError, subprocess.CalledProcessError):
                 continue
+            return command
     return None
 
 
-def build(folder: Path = NATIVE, extra: tuple[str, ...] = ()) -> list[Path]:
+def link(
+    command: list[str], sources: list[Path], library: Path, flags: list[str], quiet: bool = False
+) -> None:
+    """Compile sources and link them. Raises OSError or CalledProcessError."""
+    # C's linker: the library needs nothing of C++. It leaves out names, except for sanitizers.
+    linker = ["cc" if word == "c++" else word for word in command]
+    kept = SANITIZERS if "-g" in flags else ["-s"]
+    with tempfile.TemporaryDirectory(dir=library.parent) as work:
+        objects = [f"{work}/{source.stem}.o" for source in sources]
+        linked = Path(work) / library.name
+        for line in (
+            *([*command, *flags, "-c", str(s), "-o", o] for s, o in zip(sources, objects, strict=True)),
+            [*linker, *kept, "-shared", *objects, "-o", str(linked), "-lm"],
+        ):
+            subprocess.run(line, check=True, capture_output=quiet)
+        linked.replace(library)  # at once: another process may load it
+
+
+def build(folder: Path = NATIVE, target: str | None = None, extra: list[str] | None = None) -> list[Path]:
     """Compile the libraries into a folder and return them: none without a compiler."""
-    command = compiler()
+    command = [*ZIG, "-target", TARGETS[target]] if target else compiler()
     if command is None:
         return []
-    # C's linker, where there is one: the library needs nothing of C++.
-    linker = ["cc"] if command == ["c++"] and shutil.which("cc") else command
-    wide = not extra and platform.machine() in {"x86_64", "AMD64"}
+    wide = not extra and (target or platform.machine()).endswith(("x86_64", "AMD64"))
     built = []
     for suffix, flags in VARIANTS.items() if wide else [("", [])]:
-        library = folder / f"librover_ncp{suffix}.so"
-        with tempfile.TemporaryDirectory(dir=folder) as work:
-            objects = []
-            for source in sorted(NATIVE.glob("*.cpp")):
-                objects.append(f"{work}/{source.stem}.o")
-                options = [*FLAGS, *flags, *extra, f'-DSOURCES="{digest()}"']
-                subprocess.run([*command, *options, "-c", str(source), "-o", objects[-1]], check=True)
-            linked = Path(work) / library.name
-            subprocess.run([*linker, "-shared", *extra, *objects, "-o", str(linked), "-lm"], check=True)
-            linked.replace(library)  # at once: another process may load it
-        built.append(library)
+        built.append(folder / f"librover_ncp{suffix}.so")
+        options = [*FLAGS, *flags, *(extra or []), f'-DSOURCES="{digest()}"']
+        link(command, sorted(NATIVE.glob("*.cpp")), built[-1], options)
     return built
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--sanitized"]:
         Path(sys.argv[2]).mkdir(parents=True, exist_ok=True)
-        print(*build(Path(sys.argv[2]), tuple(SANITIZERS)), sep="\n")
+        libraries = build(Path(sys.argv[2]), extra=SANITIZERS)
     else:
-        print(*build(), sep="\n")
+        libraries = build()
+    if not libraries:
+        sys.exit("no C++ compiler works here: install g++ or clang, or the Python package ziglang")
+    print(*libraries, sep="\n")
 else:
     from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
@@ -85,15 +107,25 @@ else:
 
         def dependencies(self) -> list[str]:
             """Return what a build needs: a compiler from an index where the machine has none."""
-            return [] if compiler() or os.environ.get("ROVER_NCP_PURE") else [ZIG]
+            needs_zig = "ROVER_NCP_TARGET" in os.environ or not compiler()
+            return [ZIG_PACKAGE] if needs_zig and not os.environ.get("ROVER_NCP_PURE") else []
 
         def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-            """Build the libraries, and tag the wheel for this platform if there are any."""
+            """Build the libraries, and tag the wheel for its platform if there are any."""
             import sysconfig
 
-            if os.environ.get("ROVER_NCP_PURE") or not (libraries := build()):
+            if os.environ.get("ROVER_NCP_PURE"):
                 return
-            platform_tag = sysconfig.get_platform().replace("-", "_").replace(".", "_")
+            if version == "editable":
+                build()
+                return
+            # Not among the sources, which may be read-only or in use.
+            self.folder = tempfile.TemporaryDirectory()
+            target = os.environ.get("ROVER_NCP_TARGET")
+            if not (libraries := build(Path(self.folder.name), target)):
+                return
+            platform_tag = target or sysconfig.get_platform().replace("-", "_").replace(".", "_")
             build_data["pure_python"] = False
             build_data["tag"] = f"py3-none-{platform_tag}"
-            build_data["artifacts"] += [f"rover_ncp/native/{library.name}" for library in libraries]
+            for library in libraries:
+                build_data["force_include"][str(library)] = f"rover_ncp/native/{library.name}"

@@ -15,6 +15,10 @@
 
 #include "circuit.h"
 
+#ifdef __x86_64__
+#include <cpuid.h>
+#endif
+
 namespace {
 
 constexpr double MIDPOINT_MV = -40.0;    // mu
@@ -225,11 +229,16 @@ extern "C" {
 // A digest of the sources of this build.
 const char *rover_ncp_sources() { return SOURCES; }
 
-// Whether this processor runs the build for AVX2.
+// Whether processor and operating system run the build for AVX2, by Intel's manual, volume 1, 14.3 and 14.7:
+// zig has no library for __builtin_cpu_supports.
 int64_t rover_ncp_has_avx2() {
 #ifdef __x86_64__
-    __builtin_cpu_init();
-    return __builtin_cpu_supports("avx2") != 0;
+    constexpr unsigned OSXSAVE = 1 << 27, AVX2 = 1 << 5;
+    constexpr unsigned AVX_KEPT = 0x6;  // registers that a change of process keeps
+    unsigned eax, ebx, ecx, edx, kept, high;
+    if (!__get_cpuid(1, &eax, &ebx, &ecx, &edx) || !(ecx & OSXSAVE)) return 0;
+    __asm__("xgetbv" : "=a"(kept), "=d"(high) : "c"(0));
+    return __get_cpuid_count(7, 0, &eax, &ebx, &ecx, &edx) && (ebx & AVX2) && (kept & AVX_KEPT) == AVX_KEPT;
 #else
     return 0;
 #endif

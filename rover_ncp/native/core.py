@@ -101,18 +101,18 @@ class Structure:
     """A named tuple or an array as the library reads it. It keeps the arrays whose addresses it has."""
 
     def __init__(self, value: Any, words: list[int]) -> None:
-        self._value, self._words = value, np.array(words, np.uint64)
-        self._as_parameter_ = ctypes.c_void_p(self._words.ctypes.data)
+        self._value, self.words = value, np.array(words, np.uint64)
+        self._as_parameter_ = ctypes.c_void_p(self.words.ctypes.data)
 
     @property
     def size(self) -> int:
         """Its bytes."""
-        return self._words.nbytes
+        return self.words.nbytes
 
     @property
     def address(self) -> int:
         """Where it is."""
-        return int(self._words.ctypes.data)
+        return int(self.words.ctypes.data)
 
 
 def structures(**arguments: Any) -> list[Structure]:

@@ -61,16 +61,6 @@ def test_a_small_robot_clears_an_obstacle_that_a_larger_one_touches():
     assert found.drivable
 
 
-def test_the_outline_lies_around_the_centre_of_rotation():
-    behind = course_of(
-        (0, 0, 0, 0), (14, 0, 0, 0), obstacles=(Obstacle(x=-0.2, y=0.0, length=0.1, width=0.1),)
-    )
-    ahead = course_of((0, 0, 0, 0), (14, 0, 0, 0), obstacles=(Obstacle(x=0.2, y=0.0, length=0.1, width=0.1),))
-    burger = load_description("turtlebot3-burger")
-    assert check_course(behind, burger).clearance_m == pytest.approx(0.15 - 0.105)
-    assert check_course(ahead, burger).clearance_m == pytest.approx(0.15 - 0.041)
-
-
 @settings(max_examples=30)
 @given(
     st.builds(

@@ -90,12 +90,6 @@ def test_a_drive_is_found_again_from_its_checkpoints(pieces):
     assert np.hypot(*(found.poses - drive.poses)[:, :2].T).max() < 0.04
 
 
-def test_reference_rests_between_poses_whose_headings_differ_by_a_whole_turn():
-    reference = plan_reference(course_of((0, 0, 0, math.pi), (5, 0, 0, -math.pi), (12, -0.5, 0, -math.pi)))
-    assert not reference.motion[:50].any()
-    assert reference.motion[50:].any()
-
-
 def test_the_rover_rests_at_a_goal_that_is_due_long_after_it_can_be_there():
     arc = [(t, math.sin(0.12 * t), 1 - math.cos(0.12 * t), 0.12 * t) for t in range(1, 10)]
     x, y, theta = arc[-1][1:]

@@ -1,6 +1,5 @@
 """The check of robots that are well and of others, on the virtual clock."""
 
-import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -15,8 +14,6 @@ from bridge.pioneer.framing import encode_frame
 from bridge.pioneer.packets import Kind
 from deploy.check import Preflight
 from deploy.check_inputs import Battery
-from deploy.check_moves import Moves
-from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import ORIGIN, Velocity
 from rover_ncp.robot.description import DeadBand, load_description
@@ -41,16 +38,6 @@ def test_the_check_says_how_the_watchdog_is_known(state, timeout_s, words):
     link = SimpleNamespace(about_base=lambda: BaseReply(model="x", state=state, timeout_s=timeout_s))
     _, detail = Preflight(link, SimpleNamespace(), SimpleNamespace(), Battery())._check_watchdog()
     assert words in detail
-
-
-@pytest.mark.parametrize(("decel", "ok"), [(1.0, False), (0.1, True)])
-def test_a_robot_may_brake_as_slowly_as_its_description_says(monkeypatch, decel, ok):
-    robot = described("turtlebot4", motion={"decel": decel})
-    stood = SimpleNamespace(ref=SimpleNamespace(measured_ns=time.monotonic_ns() + round(1.4 * NS_PER_S)))
-    monkeypatch.setattr(Moves, "move", lambda self, velocity: None)
-    monkeypatch.setattr(Moves, "until", lambda self, condition, timeout_s: True)
-    found, words = Preflight(None, SimpleNamespace(newest=stood), None, None, robot=robot)._check_silence()
-    assert found is ok, words
 
 
 def assert_stopped(link, rover):

@@ -9,7 +9,6 @@ from kit.virtual_drive import VirtualDrive
 
 from deploy.drive.link import RosCommand
 from deploy.topic_teleop import TopicTeleop
-from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.wire.messages import twist_stamped
 
@@ -143,15 +142,3 @@ def test_another_driver_follows_and_is_not_disturbed():
     run.at = [(3.9, lambda: run.bridge.query("rover/motors", request))]
     run.run(4.7)
     assert {lease for at, lease in run.leases if at > 4.0} == {2}
-
-
-def test_a_bridge_that_is_gone_ends_it():
-    run = Run(Span(1.5, 9.0, AHEAD))
-    run.began_s = math.inf
-    run.at = [(3.0, lambda: setattr(run.link, "bridge_alive", False))]
-    teleop = TopicTeleop(run.link, run.read, lambda: False, run.bridge)
-    teleop.wait()
-    run.began_s = run.bridge.monotonic()
-    with pytest.raises(SafetyStop, match="the bridge is gone"):
-        teleop.run()
-    assert run.virtual.stands()

@@ -107,15 +107,6 @@ def test_clocks_of_driver_and_bridge_may_differ(skew_s):
     assert abs(found.odometry_distance - 1.05) < 4.0 * found.std["odometry_distance"]
 
 
-@pytest.mark.usefixtures("distance_only")
-def test_distance_is_not_taken_from_curves():
-    ways, turn_scale = [[part] for part in 2 * HALF_CIRCLE], 1.2
-    log = motion_log(messages_of(ways, turn_scale=turn_scale))
-    assert identify(log, "curves").odometry_distance is None
-    log = motion_log(messages_of([*ways, *([way] for way in STRAIGHT)], turn_scale=turn_scale))
-    assert identify(log, "both").odometry_distance == pytest.approx(1.0, abs=0.004)
-
-
 def test_motion_of_a_robot_that_reports_mean_speeds_is_that_of_its_poses():
     messages, last, reported = messages_of([[way] for way in STRAIGHT] + [HALF_CIRCLE]), [], []
     for message in messages:

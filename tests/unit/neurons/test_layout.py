@@ -29,9 +29,3 @@ def test_labels_name_the_largest_parts_of_a_mixture():
     assert labels(dataclasses.replace(policy, input_layer=alone))["PLM"] == "speed > 0"
     assert labels(dataclasses.replace(policy, input_layer=-alone))["PLM"] == "− speed > 0"
     assert labels(load_policy("parking"))["PVD"] == "x"
-
-
-def test_motor_neurons_are_labelled_by_what_they_do():
-    found = labels(load_policy("parking"))
-    assert [found[neuron] for neuron in ("FWD", "LFT", "RGT")] == ["forward", "left", "right"]
-    assert labels(load_policy("reverse"))["REV"] == "backward"

@@ -57,15 +57,6 @@ def test_thirteenth_neuron_of_published_files_is_idle(tmp_path):
         assert thirteen.tick([0.2, 0.3, 0.4, 1.0]) == twelve.tick([0.2, 0.3, 0.4, 1.0])
 
 
-def test_bnn_defaults():
-    circuit = circuit_from_bnn("size 3\n# nothing\n\nex 0 1 1.5 # comment\nconst 2 -33\n", "d", "test")
-    assert circuit.capacitance.tolist() == [0.05] * 3
-    assert circuit.leak.tolist() == [1.0] * 3
-    assert circuit.leak_potential.tolist() == [-70.0] * 3
-    assert circuit.sigma.tolist() == [0.1]
-    assert circuit.held == {2: -33.0}
-
-
 @pytest.mark.parametrize(
     ("text", "problem"),
     [

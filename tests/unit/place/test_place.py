@@ -7,10 +7,8 @@ import pytest
 from kit.virtual_docking import place
 
 from deploy.drive.measurements import pose_reader
-from deploy.place.place import load_place
 from deploy.place.plan import approach, in_the_way, retreat, to_staging
 from deploy.place.survey import blurred, complaint, survey
-from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import FormatError, NoPose, UsageError
 from rover_ncp.core.geometry import ORIGIN, Pose, distance, wrap_angle
 from rover_ncp.course.course import OMEGA_MAX, V_MAX
@@ -78,13 +76,6 @@ def test_obstacle_in_the_way_leads_to_a_detour_and_one_at_the_staging_pose_to_a_
     none, problems = to_staging(place(obstacles=[wall | {"x": 1.3}]), start)
     assert none is None
     assert problems[0].cause is Cause.OBSTACLE
-
-
-def test_place_file_is_read_as_written(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    where = place(name="charger", direction="backward", obstacles=[{"x": 1, "y": 2, "length": 1, "width": 1}])
-    (tmp_path / "charger.yaml").write_text(dump_yaml(where.model_dump(mode="json", exclude_none=True)))
-    assert load_place("charger") == load_place(str(tmp_path / "charger.yaml")) == where
 
 
 def samples(poses, frame="map"):

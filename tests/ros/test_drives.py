@@ -1,4 +1,4 @@
-"""A robot of real ROS 2, checked and parked: three ways by which its topics reach Zenoh."""
+"""A robot of real ROS 2, checked and parked: two ways by which its topics reach Zenoh."""
 
 import math
 
@@ -18,7 +18,7 @@ def true_pose(robot):
     return Pose(*(robot.last[name] for name in ("x", "y", "theta")))
 
 
-@pytest.mark.parametrize("way", ["rclpy", "zenoh-ros2-sdk", "pyzeros"])
+@pytest.mark.parametrize("way", ["rclpy", "pyzeros"])
 def test_a_robot_parks_and_the_recording_replays(way, tmp_path):
     with RosRun(tmp_path, way=way) as run:
         begin, drive = true_pose(run.body), tmp_path / "run.mcap"

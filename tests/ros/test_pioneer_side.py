@@ -52,7 +52,7 @@ def moved(odometry):
     return odometry["pose"]["pose"]["position"]["x"]
 
 
-@pytest.mark.parametrize("way", ["rclpy", "zenoh-ros2-sdk", "pyzeros"])
+@pytest.mark.parametrize("way", ["rclpy", "pyzeros"])
 @pytest.mark.parametrize("ros_type", [TWIST, TWIST_STAMPED], ids=["Twist", "TwistStamped"])
 def test_the_keyboard_node_of_ros_drives_a_pioneer(ros_type, way, pioneer):
     with pioneer.topic("echo", "odom", "nav_msgs/msg/Odometry") as odometry:

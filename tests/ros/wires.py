@@ -1,6 +1,6 @@
 """Ways by which a test's node publishes and subscribes.
 
-rclpy on DDS, and two implementations of rmw_zenoh in Python that know nothing of this project. Messages are
+rclpy on DDS, and an implementation of rmw_zenoh in Python that knows nothing of this project. Messages are
 dicts of their fields; what is left out has the type's default.
 """
 
@@ -11,7 +11,6 @@ import os
 import queue
 import select
 import sys
-from pathlib import Path
 
 import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -84,67 +83,10 @@ class Rclpy:
         rclpy.shutdown()
 
 
-class OnZenoh:
-    """What both implementations of rmw_zenoh share: their messages arrive on Zenoh's threads."""
-
-    def __init__(self, name, namespace, router):
-        self.name, self.namespace, self.router, self.arrived = name, namespace, router, queue.SimpleQueue()
-
-    def path(self, topic):
-        """Return a topic with the namespace."""
-        return f"/{self.namespace}/{topic}" if self.namespace else f"/{topic}"
-
-    def spin(self, seconds):
-        """Wait for a message so long, and handle it."""
-        try:
-            receive, message = self.arrived.get(timeout=max(seconds, 0.001))
-        except queue.Empty:
-            return
-        receive(message)
-
-    def close(self):
-        """End, with the session."""
-
-
-class Sdk(OnZenoh):
-    """zenoh-ros2-sdk: it downloads definitions that it does not find; ROS's packages have them."""
-
-    def __init__(self, name, namespace, router):
-        super().__init__(name, namespace, router)
-        from zenoh_ros2_sdk.message_registry import get_registry
-        from zenoh_ros2_sdk.session import ZenohSession
-
-        host, port = router.split(":")
-        self.session = ZenohSession.get_instance(host, int(port))
-        get_registry(str(Path(sys.prefix) / "share"))
-
-    def publisher(self, topic, ros_type, reliable=True):
-        from zenoh_ros2_sdk import ROS2Publisher
-
-        publisher = ROS2Publisher(self.path(topic), ros_type, node_name=self.name)
-        kind, store = message_class(ros_type), self.session.store
-
-        def publish(fields):
-            # Its messages take all fields: ROS's own have the defaults of those left out.
-            data = serialize_message(fill(kind(), fields))
-            publisher.publish(**vars(store.deserialize_cdr(data, ros_type)))
-
-        return publish
-
-    def subscribe(self, topic, ros_type, receive, reliable=True):
-        from zenoh_ros2_sdk import ROS2Subscriber
-
-        def put(message):
-            self.arrived.put((receive, message))
-
-        self.held = ROS2Subscriber(self.path(topic), ros_type, put, node_name=self.name)
-
-
-class Pyzeros(OnZenoh):
+class Pyzeros:
     """pyzeros: its codecs compile at their first use for seconds, so it is given bytes."""
 
     def __init__(self, name, namespace, router):
-        super().__init__(name, namespace, router)
         import pyzeros
         import zenoh
 
@@ -153,7 +95,18 @@ class Pyzeros(OnZenoh):
         for path, value in {**settings, "scouting/multicast/enabled": False}.items():
             config.insert_json5(path, json.dumps(value))
         self.node = pyzeros.Node(name, zenoh.open(config), namespace=f"/{namespace}")
-        self.held = []
+        self.held, self.arrived = [], queue.SimpleQueue()
+
+    def spin(self, seconds):
+        """Wait for a message so long, and handle it: messages arrive on Zenoh's threads."""
+        try:
+            receive, message = self.arrived.get(timeout=max(seconds, 0.001))
+        except queue.Empty:
+            return
+        receive(message)
+
+    def close(self):
+        """End, with the session."""
 
     @staticmethod
     def type(ros_type):
@@ -180,4 +133,4 @@ class Pyzeros(OnZenoh):
         self.held.append(RawSub(self.type(ros_type), topic, put, session=self.node, scope=None))
 
 
-WIRES = {"rclpy": Rclpy, "zenoh-ros2-sdk": Sdk, "pyzeros": Pyzeros}
+WIRES = {"rclpy": Rclpy, "pyzeros": Pyzeros}

@@ -33,6 +33,7 @@ def test_a_tag_is_40_little_endian_bytes():
     tag = CommandTag(3, 258, -2, bytes(range(16)))
     numbers = bytes([3, 0, 0, 0, 0, 0, 0, 0, 2, 1, 0, 0, 0, 0, 0, 0]) + b"\xfe" + b"\xff" * 7
     assert tag.pack() == numbers + bytes(range(16))
+    assert CommandTag(0, 0, 0).pack() == bytes(40)
 
 
 @given(

@@ -3,31 +3,11 @@
 from pathlib import Path
 
 import pytest
-import yaml
 
 from bridge.bases import choose_base, gate_limits
 from rover_ncp.core.errors import ConfigError, UsageError
-from rover_ncp.core.files import resolve, shipped_names
 from rover_ncp.robot.description import load_description
 from sim.world.described import described_rover
-
-
-def figures(data, path=""):
-    """Yield the path of each figure in a file: a number, or a list of them."""
-    if isinstance(data, dict):
-        for name, value in data.items():
-            if name != "sources":
-                yield from figures(value, f"{path}.{name}" if path else name)
-    elif not isinstance(data, str):
-        yield path
-
-
-@pytest.mark.parametrize("name", shipped_names("robots"))
-def test_each_figure_has_a_source_and_a_date(name):
-    data = yaml.safe_load(resolve("robots", name).read_text())
-    of = [path for source in load_description(name).sources for path in source.of]
-    covered = tuple(f"{known}." for known in of)
-    assert [path for path in figures(data) if not f"{path}.".startswith(covered)] == []
 
 
 def test_a_new_robot_takes_one_file(tmp_path):

@@ -44,7 +44,8 @@ def table(found: Iterable[dict[str, Error]]) -> Iterator[str]:
 def _study(name: str, seed: int, outside: bool, number: int) -> dict[str, Error]:
     ranges = load_randomization(name)
     trials = robot(ranges, seed, number)
-    profile = identify(motion_log(driven(trials, outside=outside, seed=number).messages), "mock")
+    done = driven(trials, outside=outside, seed=number)
+    profile = identify(motion_log(done.messages), "mock", done.bands)
     return errors(profile, truth(ranges, trials))
 
 

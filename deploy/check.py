@@ -16,7 +16,7 @@ from deploy.comparisons import Answer, Samples
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.zenoh_link import ZenohLink
-from deploy.identify.excitation import follows, ramps
+from deploy.identify.excitation import RAMP, RAMP_STEPS, Ramps, follows
 from deploy.publishers import INPUTS, Publishers
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.clock_offset import NS_PER_S
@@ -237,17 +237,14 @@ class Preflight:
 
     def _check_slow(self) -> Answer:
         """Measure the dead band; a driver must know a large one."""
-        gate, found, followed = self._link.gate, [0.0, 0.0], [False, False]
-        for step in ramps(self._measurements):
+        gate, ramps = self._link.gate, Ramps(self._measurements)
+        for step in ramps:
             self._moves.command(step.velocity, step.seconds)
-            for axis, speed in enumerate(step.velocity):
-                if speed:
-                    found[axis] = speed
-                    followed[axis] = follows(self._moves.newest.sample.velocity[axis], speed)
-        self._follows = Velocity(*found)
-        if not all(followed):
-            most = [f"{found[0]:.3g} m/s", f"{found[1]:.3g} rad/s"][followed.index(False)]
+        v, omega = ramps.followed
+        if v is None or omega is None:
+            most = f"{RAMP_STEPS * RAMP.v:.3g} m/s" if v is None else f"{RAMP_STEPS * RAMP.omega:.3g} rad/s"
             return False, f"follows no slow command up to {most}: {self._gate_since(gate)}"
+        self._follows = found = Velocity(v, omega)
         words = f"follows commands from {found[0]:.3g} m/s and {found[1]:.3g} rad/s on"
         if found[0] > 1.01 * MAX_BAND.v or found[1] > 1.01 * MAX_BAND.omega:  # steps have rounding errors
             most = f"{MAX_BAND.v:g} m/s and {MAX_BAND.omega:g} rad/s"

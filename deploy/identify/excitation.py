@@ -51,6 +51,10 @@ FOLLOWED = 0.5, 1.5
 """Reported speed over command of a robot that follows a command."""
 
 
+DeadBands = tuple[float | None, float | None]
+"""The least speed command and the least turn command that a robot follows; None if it follows none."""
+
+
 class Step(NamedTuple):
     """A velocity, and for how long (s)."""
 
@@ -81,8 +85,8 @@ def excite(
     *,
     robot: RobotDescription | None = None,
     begin: Callable[[], None] = lambda: None,
-) -> None:
-    """Drive the steps, after ``monitor.wait``; the lease is always released.
+) -> DeadBands:
+    """Drive the steps, after ``monitor.wait``, and return the dead bands; the lease is always released.
 
     ``begin`` is called when it is granted.
 
@@ -90,13 +94,13 @@ def excite(
     ``Link.request_motors``.
     """
     assert measurements.newest is not None  # the monitor waited for odometry
-    start = measurements.newest.sample.pose
+    start, ramps = measurements.newest.sample.pose, Ramps(measurements)
     try:
         link.request_motors("identify")
         monitor.granted()
         begin()
         due = clock.monotonic()
-        for step in chain(steps(robot), ramps(measurements)):
+        for step in chain(steps(robot), ramps):
             end, began = due + step.seconds, measurements.newest.sample.pose
             while due < end:
                 monitor.check()
@@ -108,6 +112,7 @@ def excite(
             _check_response(step, relative(began, measurements.newest.sample.pose))
     finally:
         link.release()
+    return ramps.dead_bands
 
 
 def follows(reported: float, command: float) -> bool:
@@ -115,16 +120,30 @@ def follows(reported: float, command: float) -> bool:
     return FOLLOWED[0] < reported / command < FOLLOWED[1]
 
 
-def ramps(measurements: Measurements) -> Iterator[Step]:
-    """Yield slow steps on each axis, each a little faster, until the robot follows one."""
-    for axis, unit in enumerate((Velocity(RAMP.v, 0.0), Velocity(0.0, RAMP.omega))):
-        for number in [1] * PATIENCE + [*range(2, RAMP_STEPS + 1)]:
-            velocity = Velocity(number * unit.v, number * unit.omega)
-            yield Step(velocity, LEVEL_S)
-            newest = measurements.newest
-            if newest is not None and follows(newest.sample.velocity[axis], velocity[axis]):
-                break
-        yield Step(STANDSTILL, _AFTER_S)
+class Ramps:
+    """Slow steps on each axis, each a little faster, until the robot follows one."""
+
+    def __init__(self, measurements: Measurements) -> None:
+        self._measurements = measurements
+        self.followed: list[float | None] = [None, None]
+        """The slowest step of each axis that the robot followed, in m/s and rad/s; None before one."""
+
+    def __iter__(self) -> Iterator[Step]:
+        for axis, unit in enumerate((Velocity(RAMP.v, 0.0), Velocity(0.0, RAMP.omega))):
+            for number in [1] * PATIENCE + [*range(2, RAMP_STEPS + 1)]:
+                velocity = Velocity(number * unit.v, number * unit.omega)
+                yield Step(velocity, LEVEL_S)
+                newest = self._measurements.newest
+                if newest is not None and follows(newest.sample.velocity[axis], velocity[axis]):
+                    self.followed[axis] = velocity[axis]
+                    break
+            yield Step(STANDSTILL, _AFTER_S)
+
+    @property
+    def dead_bands(self) -> DeadBands:
+        """The dead band of each axis; 0 for a robot that follows the slowest step."""
+        v, omega = (0.0 if each == least else each for each, least in zip(self.followed, RAMP, strict=True))
+        return v, omega
 
 
 def _check_response(step: Step, moved: Pose) -> None:

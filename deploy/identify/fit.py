@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deploy.identify.axis_fit import OdometryErrors, identify_axis
-from deploy.identify.excitation import LEVEL_S, RAMP, follows
-from deploy.identify.motion_log import FloatArray, MotionLog
+from deploy.identify.excitation import DeadBands
+from deploy.identify.motion_log import MotionLog
 from deploy.identify.odometry_fit import Fit, fit_center, fit_distance, fit_turns, standstills_with_poses
 from rover_ncp.robot.profile import RoverProfile
 
@@ -25,8 +25,6 @@ ROCKING_S = 0.35
 STEP_M, STEP_RAD = 0.001, math.tau / 4096
 """Resolution of positions and headings."""
 MIN_NOISE_SAMPLES = 20
-SETTLED_S = 0.2
-"""Time at the end of a constant command in which motion is judged for the dead band."""
 
 SCALE_STD = 0.0173
 """Standard deviation of odometry's scales without external poses: uniform within ±3 %."""
@@ -58,8 +56,8 @@ class _Value(NamedTuple):
     std: float
 
 
-def identify(log: MotionLog, name: str) -> RoverProfile:
-    """Return the base's profile from a record; an uncertain value is None."""
+def identify(log: MotionLog, name: str, bands: DeadBands = (None, None)) -> RoverProfile:
+    """Return the base's profile from a record and its dead bands; an uncertain value is None."""
     measured: dict[str, Any] = {
         "samples": len(log.odometry.t),
         "seconds": round(float(log.odometry.t[-1]), 1),
@@ -83,7 +81,6 @@ def identify(log: MotionLog, name: str) -> RoverProfile:
         if center := fit_center(standstills):
             centers = "rotation_center_m", "rotation_center_left_m"
             found |= _named((*centers, "downhill_x_m", "downhill_y_m"), center)
-    bands = dead_bands(log)
     found |= {key: _Value(band, 0.0) for key, band in zip(_BANDS, bands, strict=True) if band is not None}
     obeyed = np.where(np.abs(log.sent) < 0.999 * np.array([band or 0.0 for band in bands]), 0.0, log.sent)
     log = log._replace(sent=obeyed)
@@ -157,39 +154,4 @@ def _noise(log: MotionLog, stands: Sequence[tuple[float, float]]) -> dict[str, _
         found[key] = (
             _Value(noise, seen / noise / math.sqrt(2.0 * samples)) if noise > step / 2.0 else _Value(0.0, 0.0)
         )
-    return found
-
-
-def dead_bands(log: MotionLog) -> tuple[float | None, float | None]:
-    """Return the least speed command and the least turn command that the robot follows.
-
-    0 for a robot that follows the slowest step of a ramp; None without a ramp, or if the robot follows a
-    command but not a faster one.
-    """
-    return _dead_band(log, 0, RAMP.v), _dead_band(log, 1, RAMP.omega)
-
-
-def _dead_band(log: MotionLog, axis: int, step: float) -> float | None:
-    levels = _levels(log, axis)
-    least = min((size for size, followed in levels if followed), default=math.inf)
-    most = max((size for size, followed in levels if not followed), default=0.0)
-    if not 0.0 < least - most <= 1.01 * step:
-        return None
-    return least if most else 0.0
-
-
-def _levels(log: MotionLog, axis: int) -> list[tuple[float, bool]]:
-    """Return each lasting command on this axis alone, and whether the robot followed it."""
-    changes = np.flatnonzero(np.abs(np.diff(log.sent, axis=0)).max(axis=1) > 0.0) + 1
-    starts = np.concatenate([[0], changes])
-    ends_s: FloatArray = np.append(log.sent_s[changes], log.odometry.t[-1])
-    found = []
-    for start, end_s in zip(starts.tolist(), ends_s.tolist(), strict=True):
-        command = log.sent[start]
-        if command[axis] == 0.0 or command[1 - axis] != 0.0 or end_s - log.sent_s[start] < LEVEL_S - 0.1:
-            continue
-        late = (log.odometry.t > end_s - SETTLED_S) & (log.odometry.t <= end_s)
-        if late.any():
-            followed = follows(float(log.motion[late, axis].mean()), float(command[axis]))
-            found.append((abs(float(command[axis])), followed))
     return found

@@ -66,8 +66,8 @@ def identify_robot(
         seconds = sum(step.seconds for step in steps(robot))
         output.say(f"driving for {seconds:.0f} s within {fence_m} m of here; Ctrl-C stops the rover")
         monitor.wait()  # what took long since the first wait is not odometry's age
-        excite(link, measurements, monitor, fence_m, robot=robot, begin=recorder.begin)
-    profile = identify(motion_log(received, robot), name_from(out, "rover"))
+        bands = excite(link, measurements, monitor, fence_m, robot=robot, begin=recorder.begin)
+    profile = identify(motion_log(received, robot), name_from(out, "rover"), bands)
     made = {"from": address.robot, "version": version("rover-ncp")} | ({"model": robot.name} if robot else {})
     profile = profile.model_copy(update={"measured": made | profile.measured})
     write_atomic(out, dump_yaml(profile.model_dump(mode="json", exclude_none=True)))

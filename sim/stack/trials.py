@@ -134,8 +134,8 @@ class Stack:
         measurements = Measurements(link)
         monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
         monitor.wait()
-        excite(link, measurements, monitor, FENCE_M, bridge)
-        return self._with_noise(identify(motion_log(received, robot), robot.name))
+        bands = excite(link, measurements, monitor, FENCE_M, bridge)
+        return self._with_noise(identify(motion_log(received, robot), robot.name, bands))
 
     def drive(self, number: int) -> Driven:
         """Drive a trial from power-up to the motors' release."""

@@ -8,7 +8,7 @@ import numpy as np
 from bridge.pioneer.setpoints import MotionLimits
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
-from deploy.identify.excitation import FENCE_M, excite
+from deploy.identify.excitation import FENCE_M, DeadBands, excite
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose, distance
@@ -49,6 +49,7 @@ class Driven(NamedTuple):
     farthest_m: float
     stopped: SafetyStop | None
     base: Firmware
+    bands: DeadBands
 
 
 def driven(trials: Trials, *, outside: bool = False, fence_m: float = FENCE_M, seed: int = 0) -> Driven:
@@ -75,14 +76,14 @@ def driven(trials: Trials, *, outside: bool = False, fence_m: float = FENCE_M, s
     measurements = Measurements(link)
     monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
     monitor.wait()
-    stopped = None
+    stopped, bands = None, (None, None)
     try:
-        excite(link, measurements, monitor, fence_m, bridge)
+        bands = excite(link, measurements, monitor, fence_m, bridge)
     except SafetyStop as stop:
         stopped = stop
     messages = [*received]
     bridge.sleep(2.0)
-    return Driven(messages, farthest_m, stopped, base)
+    return Driven(messages, farthest_m, stopped, base, bands)
 
 
 def truth(ranges: Randomization, trials: Trials) -> dict[str, float]:

@@ -19,6 +19,7 @@ from typing import Any
 
 from model_cards import models_page
 from pydantic import BaseModel, TypeAdapter
+from typer.cli import get_docs_for_click
 
 from bridge.gate.limits import Limits
 from deploy.place.place import Place
@@ -165,20 +166,11 @@ def commands_page() -> str:
     group = cli.get_command(cli._app())
     context = group.make_context("rover-ncp", [], resilient_parsing=True)
     for name in group.list_commands(context):
-        parts += _command(group.get_command(context, name), f"rover-ncp {name}", 2)
+        command = group.get_command(context, name)
+        parts.append(
+            get_docs_for_click(obj=command, ctx=context, indent=1, name=name, call_prefix="rover-ncp")
+        )
     return "\n\n".join(parts) + "\n"
-
-
-def _command(command: Any, path: str, level: int) -> Iterator[str]:
-    yield f"{'#' * level} {path.removeprefix('rover-ncp ')}"
-    yield inspect.cleandoc(command.help or "")
-    context = command.make_context(path, [], resilient_parsing=True)
-    records = [parameter.get_help_record(context) for parameter in command.params]
-    rows = [f"| `{names}` | {_cell(text)} |" for names, text in filter(None, records)]
-    if rows:
-        yield "\n".join(["| argument or option | meaning |", "|---|---|", *rows])
-    for name, part in getattr(command, "commands", {}).items():
-        yield from _command(part, f"{path} {name}", level + 1)
 
 
 def files_page() -> str:

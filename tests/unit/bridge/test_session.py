@@ -12,11 +12,12 @@ from kit.arcos_captures import CAPTURES
 
 from bridge.base import BaseReport, Failed, Lost, Notice, Ready, Recovered
 from bridge.pioneer.framing import Command, encode_frame
-from bridge.pioneer.packets import ConfigPac, Flag, GyroPac
+from bridge.pioneer.packets import ConfigPac, Flag, GyroPac, Kind
 from bridge.pioneer.session import BaudChanged, Session
 from bridge.pioneer.setpoints import MotionLimits
 from bridge.pioneer.states import CONFIG_S, TABLE, Input, SessionState
 from rover_ncp.core.geometry import Velocity
+from rover_ncp.robot.description import load_description
 
 INVALID = b"\x80\xfe\x00\xfa\xfbz"
 
@@ -292,3 +293,33 @@ def test_base_that_is_ready_again_gets_zeros_and_its_motors_stay_off(state, what
 def test_every_action_of_the_table_exists():
     actions = {action for row in TABLE.values() for _, action in row.values()} - {None}
     assert {each for each in actions if not isinstance(each, Command)} == set(Session.ACTIONS)
+
+
+@pytest.mark.parametrize("has_gyro", [0, 1, 2])
+def test_a_gyro_that_the_configuration_promises_is_silent_until_its_first_packet(has_gyro):
+    bench = Bench().go_to(SessionState.CONFIGURING)
+    assert (bench.session.gyro_silent, bench.session.watchdog_s) == (False, None)
+    bench.hear(frame(ConfigPac(has_gyro=has_gyro, watchdog=1500).encode()) + sip())
+    assert bench.session.gyro_silent is (has_gyro == 1)
+    assert bench.session.watchdog_s == 1.5
+    bench.hear(frame(GyroPac(((502, 30),)).encode()))
+    assert not bench.session.gyro_silent
+
+
+def test_a_report_behind_a_false_header_is_read_when_silence_follows(bench):
+    bench.hear(b"\xfa\xfb" + sip())
+    bench.wait(0.06)
+    assert [type(event) for event in bench.events] == [BaseReport]
+
+
+@pytest.mark.parametrize("kind", [Kind.RESET_FE, Kind.RESET_FF])
+def test_reset_notices_of_both_kinds_are_understood(driving, kind):
+    driving.hear(encode_frame(kind))
+    assert [type(event) for event in driving.events] == [Lost]
+
+
+def test_a_description_of_ones_own_has_precedence_over_the_reported_model():
+    bench = Bench()
+    bench.session = Session(load_description("p3at").model_copy(update={"name": "mine"}))
+    bench.go_to(SessionState.SYNC2).hear(NAMES + CONFIG + sip())
+    assert bench.session.state is SessionState.READY

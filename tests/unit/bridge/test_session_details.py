@@ -1,10 +1,11 @@
 """A session with a base: rates of its line, exact waits, broken packets, what a new connection forgets."""
 
 import pytest
-from kit.arcos_bench import CONFIG, ECHO0, ECHO1, FAST_CONFIG, NAMES, RESET, Bench, sip
+from kit.arcos_bench import CONFIG, ECHO0, ECHO1, FAST_CONFIG, NAMES, RESET, Bench, frame, sip
 
 from bridge.base import BaseReport, Failed
-from bridge.pioneer.framing import HOSTBAUD_RATES, Command
+from bridge.pioneer.framing import HOSTBAUD_RATES, Command, encode_frame
+from bridge.pioneer.packets import ConfigPac, Kind
 from bridge.pioneer.session import BaudChanged
 from bridge.pioneer.states import PATIENCE_S, SessionState
 
@@ -121,3 +122,47 @@ def test_base_is_ready_when_its_configuration_follows_its_report(state, report):
     assert bench.session.state is SessionState.CONFIGURING
     bench.hear(CONFIG)
     assert bench.session.state is SessionState.READY
+
+
+def test_packets_that_a_session_does_not_use_are_no_answer():
+    bench = Bench().connect()
+    while bench.session.state is not SessionState.IDLE:
+        bench.wait(0.05)
+        bench.hear(encode_frame(0x77))
+    assert bench.now - 100.0 < 7.0
+
+
+def test_new_line_does_not_complete_half_a_packet_of_the_last_one(bench):
+    bench.hear(sip()[:10])
+    bench.session.link_down("unplugged", bench.now)
+    bench.connect().hear(ECHO0)
+    assert bench.session.state is SessionState.SYNC1
+
+
+@pytest.mark.parametrize(
+    "state", [state for state in SessionState if state not in {SessionState.READY, SessionState.LOST}]
+)
+def test_only_a_ready_base_gets_requests(state):
+    bench = Bench().go_to(state)
+    bench.session.enable(True)
+    bench.session.emergency_stop()
+    assert bench.sent() == []
+
+
+def test_report_counts_from_its_arrival(bench):
+    bench.now += 0.4
+    bench.hear(sip())
+    bench.wait(0.4)
+    assert bench.session.state is SessionState.READY
+
+
+def test_report_that_ends_too_early_is_no_report(opened):
+    opened.hear(CONFIG + encode_frame(Kind.SIP_STOPPED, b"x"))
+    assert opened.session.state is SessionState.CONFIGURING
+    opened.hear(sip())
+    assert opened.session.state is SessionState.READY
+
+
+def test_gyro_is_asked_for_once(bench):
+    bench.hear(frame(ConfigPac(has_gyro=1).encode()))
+    assert bench.commands() == []

@@ -104,19 +104,6 @@ def test_cut_off_anywhere_it_gives_a_prefix_of_whole_messages(written, tmp_path)
     assert {0, 20, 40, 60, 80} <= set(counts)
 
 
-def test_a_topic_has_one_type_and_flushed_messages_are_on_the_disk_before_the_end(tmp_path):
-    writer = RecordingWriter(tmp_path / "a.mcap")
-    writer.attach("policy.yaml", POLICY)
-    writer.write(odom(0))
-    with pytest.raises(ValueError, match="odom has two types, nav_msgs/msg/Odometry and std_msgs/msg/String"):
-        writer.write(Recorded("odom", "std_msgs/msg/String", text(""), T0, T0))
-    writer.flush()
-    found = read_recording(tmp_path / "a.mcap")
-    assert found.messages == (odom(0),)
-    assert found.attachment("policy.yaml") == POLICY
-    writer.abandon()
-
-
 def test_a_damaged_file_is_read_up_to_the_damage(written, tmp_path, caplog):
     content, whole = written.read_bytes(), read_recording(written)
     damaged = tmp_path / "damaged.mcap"

@@ -60,9 +60,7 @@ def _state(row: dict[str, str]) -> TrueState:
     )
 
 
-def during(
-    course: Course, states: Sequence[TrueState], began_ns: int, margin_s: float = TICK_S
-) -> Sequence[TrueState]:
+def during(course: Course, states: Sequence[TrueState], began_ns: int) -> Sequence[TrueState]:
     """Return the states from a run's first tick, at the wall clock's ``began_ns``, to the course's horizon.
 
     Only the begin is of the wall clock, which may be set later. Raises FileError when there is none.
@@ -70,15 +68,13 @@ def during(
     first = next((number for number, state in enumerate(states) if state.wall_ns >= began_ns), len(states))
     if first == len(states):
         raise FileError("the mock recorded no true pose during the drive: was the machine's clock set?")
-    until_ns = states[first].clock_ns + round((course.horizon_s + margin_s) * 1e9)
+    until_ns = states[first].clock_ns + round((course.horizon_s + TICK_S) * 1e9)
     return states[first : bisect_right(states, until_ns, key=lambda state: state.clock_ns)]
 
 
-def judge_truth(
-    course: Course, states: Sequence[TrueState], began_ns: int, margin_s: float = TICK_S
-) -> Verdict:
+def judge_truth(course: Course, states: Sequence[TrueState], began_ns: int) -> Verdict:
     """Judge a run by its true poses; arguments and errors as `during`."""
-    run = during(course, states, began_ns, margin_s)
+    run = during(course, states, began_ns)
     first = run[0]
     lag_ns = first.wall_ns - began_ns
     return judge(

@@ -69,8 +69,9 @@ def run_dock(output: Output, out: Path, *, overwrite: bool) -> int:
         if driver.running:
             output.say("the first approach is blocked on purpose")
             run.mock.tell(BLOCKED)
+        driver.wait(DOCK_S)
+        found = tags.stop()  # before the mock, which is its camera
         done = run.finish(driver, DOCK_S)
-        found = tags.stop()
     truth = run.truth.read()
     add_truth(recording, truth, report)
     within = place.holds(truth[-1].pose)

@@ -166,3 +166,11 @@ def test_report_that_ends_too_early_is_no_report(opened):
 def test_gyro_is_asked_for_once(bench):
     bench.hear(frame(ConfigPac(has_gyro=1).encode()))
     assert bench.commands() == []
+
+
+def test_silence_counts_anew_after_an_answer():
+    bench, handshakes = Bench().go_to(SessionState.SYNC1), 1
+    while not any(isinstance(event, Failed) for event in bench.events):
+        bench.wait(0.05)
+        handshakes += bench.commands().count(Command.PULSE)
+    assert handshakes == 6

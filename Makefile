@@ -171,7 +171,7 @@ dist: $(RELEASE_STAMP) ## Checked wheels and the sdist in dist, and the bill of 
 sanitize: $(STAMP) ## The native library's tests under AddressSanitizer and UndefinedBehaviorSanitizer. Needs g++.
 	$(BIN)/python hatch_build.py --sanitized build/sanitized
 	LD_PRELOAD="$$(c++ -print-file-name=libasan.so) $$(c++ -print-file-name=libubsan.so)" \
-		ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 SANITIZED=build/sanitized \
+		ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 NATIVE=build/sanitized \
 		$(BIN)/pytest -q tests/unit/test_native.py tests/unit/circuit/test_solver.py tests/unit/learn/test_evaluator.py \
 		tests/unit/search/test_descent.py
 

@@ -16,9 +16,9 @@ from rover_ncp.native import core
 # times as long as the work takes. Read by numpy and scipy when they are loaded, also by what the tests start.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# `make sanitize`: the native library in this folder.
-if "SANITIZED" in os.environ:
-    core._FOLDER = Path(os.environ["SANITIZED"])
+# The folder of the native library: with sanitizers (`make sanitize`), or without it (`make test-pure`).
+if "NATIVE" in os.environ:
+    core._FOLDER = Path(os.environ["NATIVE"])
 
 # A shell that starts the tests in the background has them ignore Ctrl-C, nohup a hang-up, and so would every
 # process that they start and then interrupt.

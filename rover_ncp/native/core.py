@@ -44,8 +44,16 @@ _TICKS_OF_A_CALL = 1000
 
 
 def load(suffix: str = "") -> ctypes.CDLL:
-    """Load a build: that for all processors, or ``-avx2``. Raises OSError."""
+    """Load a build: that for all processors, or ``-avx2``.
+
+    Raises OSError without it, UsageError for one of other sources than those beside it.
+    """
     loaded = ctypes.CDLL(str(_FOLDER / f"librover_ncp{suffix}.so"))
+    loaded.rover_ncp_sources.restype = ctypes.c_char_p
+    sources = sorted([*_SOURCES.glob("*.cpp"), *_SOURCES.glob("*.h")])
+    digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:16]
+    if loaded.rover_ncp_sources().decode() != digest:
+        raise UsageError(f"the native library is not that of its sources in {_SOURCES}: {_how_to_build()}")
     for name, (result, *arguments) in _FUNCTIONS.items():
         function = getattr(loaded, name)
         function.restype, function.argtypes = result, arguments
@@ -56,7 +64,7 @@ def load(suffix: str = "") -> ctypes.CDLL:
 def library() -> ctypes.CDLL | None:
     """Return the library, that for AVX2 if it can; None where it was not built.
 
-    Raises UsageError for a library of other sources than those beside it.
+    Raises UsageError for one of other sources.
     """
     try:
         loaded = load()
@@ -64,13 +72,6 @@ def library() -> ctypes.CDLL | None:
         return None
     if loaded.rover_ncp_has_avx2() and (_FOLDER / "librover_ncp-avx2.so").exists():
         loaded = load("-avx2")
-    sources = sorted([*_SOURCES.glob("*.cpp"), *_SOURCES.glob("*.h")])
-    digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:16]
-    if loaded.rover_ncp_sources().decode() != digest:
-        raise UsageError(
-            f"the native library is not that of its sources in {_SOURCES}: run python hatch_build.py, or "
-            "install rover-ncp again"
-        )
     return loaded
 
 
@@ -79,9 +80,16 @@ def required() -> ctypes.CDLL:
     if (loaded := library()) is None:
         raise UsageError(
             "this needs the native library, which was not built: install a C++ compiler (g++ or clang) or "
-            "the Python package ziglang, then install rover-ncp again"
+            f"the Python package ziglang, then {_how_to_build()}"
         )
     return loaded
+
+
+def _how_to_build() -> str:
+    """Return what to do in a checkout, or in an installation, whose wheel pip may have in its cache."""
+    if (checkout := _SOURCES.parents[1]).joinpath("hatch_build.py").exists():
+        return f"run python {checkout / 'hatch_build.py'}"
+    return "install rover-ncp again with pip's options --force-reinstall --no-cache-dir"
 
 
 class Axes:

@@ -1,7 +1,9 @@
 """Wheel and sdist, installed into fresh environments: all that a user needs comes with them."""
 
 import json
+import os
 import re
+import shutil
 import subprocess
 import sys
 import tarfile
@@ -45,8 +47,11 @@ checkpoints:
 MISSING = {"": ("eval parking", "drive,train"), "drive": ("mock", "train")}
 
 
-def run(command, folder, code=0):
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=280, check=False)
+def run(command, folder, code=0, **variables):
+    environment = os.environ | variables
+    done = subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=280, check=False
+    )
     assert done.returncode == code, (command, done.stdout[-2000:], done.stderr[-2000:])
     return done
 
@@ -75,29 +80,35 @@ def test_wheel_and_sdist_hold_the_packages_with_their_data(built):
 @COLD
 @pytest.mark.parametrize("extras", WORKS)
 def test_an_installed_wheel_does_what_its_extras_promise(extras, built, tmp_path):
-    check_install(sys.executable, extras, built[".whl"], tmp_path)
+    check_install(extras, built[".whl"], tmp_path)
 
 
-def check_install(python, extras, archive, folder):
-    """Install into a fresh environment, and run commands there that must work or name what is missing."""
+def install(archive, extras, folder):
+    """Install into a fresh environment and return its programs."""
     # Without a pip of its own, and without compiling modules that no command loads: half of the time.
-    run([python, "-m", "venv", "--without-pip", "env"], folder)
-    program = folder / "env" / "bin" / "python"
+    run([sys.executable, "-m", "venv", "--without-pip", "env"], folder)
+    programs = folder / "env" / "bin"
     asked = f"{archive}[{extras}]" if extras else str(archive)
-    pip = [sys.executable, "-m", "pip", "--python", str(program), "install", "--quiet", "--no-compile"]
-    run([*pip, "--constraint", str(ROOT / "constraints.txt"), asked], folder)
+    pip = [sys.executable, "-m", "pip", "--python", str(programs / "python"), "install", "--quiet"]
+    run([*pip, "--no-compile", "--constraint", str(ROOT / "constraints.txt"), asked], folder)
+    return programs
+
+
+def check_install(extras, archive, folder):
+    """Install into a fresh environment, and run commands there that must work or name what is missing."""
+    programs = install(archive, extras, folder)
     # A user's own, which must not be imported; a spawned process imports pickle first.
     (folder / "moment.yaml").write_text(COURSE)
     for name in ("sim", "bridge", "deploy"):
         (folder / name).mkdir()
     for name in ("sim/__init__", "bridge/__init__", "deploy/__init__", "scipy", "yaml", "pickle"):
         (folder / f"{name}.py").write_text("open('imported', 'a').write(__name__)\nraise SystemExit(99)\n")
-    command = str(folder / "env" / "bin" / "rover-ncp")
+    command = str(programs / "rover-ncp")
     assert run([command, "--version"], folder).stdout.startswith("rover-ncp ")
     run([command, "--help"], folder)
     for line, code in WORKS[extras]:
         run([command, *line.split()], folder, code)
-    run([str(program), "-m", "rover_ncp", "--help"], folder)
+    run([str(programs / "python"), "-m", "rover_ncp", "--help"], folder)
     assert not (folder / "imported").exists()
     assert (folder / "park" / "run.html").is_file() == (extras == "train")
     if extras in MISSING:
@@ -105,3 +116,28 @@ def check_install(python, extras, archive, folder):
         error = json.loads(run([command, *line.split(), "--json"], folder, 2).stdout)
         assert error["kind"] == "MissingExtra"
         assert re.search(f"rover-ncp\\[({needed.replace(',', '|')})\\]$", error["error"])
+
+
+@COLD
+def test_without_a_compiler_a_robot_drives_and_only_training_needs_the_library(tmp_path):
+    # From what the build stage of the image has.
+    stage = (ROOT / "packaging" / "Dockerfile").read_text().split("RUN")[0]
+    source = tmp_path / "source"
+    for line in re.findall("^COPY (.*) /source/", stage, re.MULTILINE):
+        for name in line.split():
+            assert f"!{name}" in (ROOT / ".dockerignore").read_text().split()
+            source.mkdir(exist_ok=True)
+            copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
+            copy(ROOT / name, source / name)
+    wheel = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", str(source)]
+    run(wheel, tmp_path, ROVER_NCP_PURE="1", PATH="")
+    (archive,) = tmp_path.glob("*-py3-none-any.whl")
+    command = str(install(archive, "train", tmp_path) / "rover-ncp")
+    for line in ("eval parking", "park --policy parking --out park", "replay park/run.mcap"):
+        shown = run([command, *line.split()], tmp_path).stderr
+        assert shown.count("warning: ") == ("park" not in line.split())  # there the driver's log has it
+    training = "train --agents 1 --iterations 20 --out run"
+    (line,) = run([command, *training.split()], tmp_path, 2).stderr.splitlines()
+    assert "needs the native library" in line
+    # The library gives the same commands, to the last bit.
+    run([sys.executable, "-m", "rover_ncp", "replay", "park/run.mcap"], tmp_path)

@@ -155,3 +155,14 @@ def test_without_the_library_training_says_what_it_needs(monkeypatch):
     monkeypatch.setattr(core, "library", lambda: None)
     with pytest.raises(UsageError, match="native library, which was not built"):
         Evaluator(POLICY, COURSE).returns(POLICY.parameters())
+
+
+def test_library_of_other_sources_is_refused_with_the_command_that_builds_it(tmp_path, monkeypatch):
+    checkout = tmp_path / "rover_ncp" / "native"
+    checkout.mkdir(parents=True)
+    monkeypatch.setattr(core, "_SOURCES", checkout)
+    with pytest.raises(UsageError, match="install rover-ncp again"):
+        core.load()
+    (tmp_path / "hatch_build.py").touch()
+    with pytest.raises(UsageError, match=f"run python {tmp_path}/hatch_build.py"):
+        core.load()

@@ -171,9 +171,10 @@ def test_a_latched_stop_that_was_pressed_before_the_bridge_came_arrives(form):
 def test_a_pose_of_the_robots_own_localiser_reaches_the_drivers(tmp_path):
     given = pose_with_covariance(Pose(1.0, 2.0, 0.5), np.eye(3), 5, "map")
     with RobotNetwork(ROS2DDS) as network:
-        base = f"{network.base}#pose=amcl_pose"
-        where = f"tcp/127.0.0.1:{free_port('127.0.0.1')}"
-        arguments = ["--base", base, *MODEL, "--no-base-watchdog", "--listen", where]
+        mine, where = tmp_path / "mine.yaml", f"tcp/127.0.0.1:{free_port('127.0.0.1')}"
+        mine.write_text("name: mine\nbased_on: turtlebot3-burger\ntopics: {pose: amcl_pose}\n")
+        robot = ["--base", network.base, "--model", str(mine)]
+        arguments = [*robot, "--no-base-watchdog", "--listen", where]
         with Process("bridge", arguments, tmp_path) as process:
             process.wait_for_line("ready ")
             with Driver(where) as driver:

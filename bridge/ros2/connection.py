@@ -7,7 +7,6 @@ the robot's side, which the drivers' side must not see, shows whether the two ne
 import secrets
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import zenoh
@@ -17,11 +16,10 @@ from bridge.ros2.address import RosAddress, command_type, hazard_topics, sensor_
 from bridge.ros2.discovery import Announced, Convention, TokenSeen, read_topic_token
 from bridge.ros2.rmw import Attachment, read_token
 from bridge.ros2.ros_node import RosNode
-from rover_ncp.core.errors import FormatError, NoRobot
+from rover_ncp.core.errors import FormatError
 from rover_ncp.robot.topics import Topics
 from rover_ncp.wire.messages import TWIST, TWIST_STAMPED
-from rover_ncp.wire.probe import Listener, listener_at
-from rover_ncp.wire.zenoh import client_config, reason
+from rover_ncp.wire.zenoh import open_robot
 
 LOOP_KEY = "rover/robot_side"
 MAX_BYTES = 1 << 16
@@ -33,7 +31,7 @@ class RosConnection:
 
     def __init__(self, address: RosAddress, topics: Topics, inbox: Inbox) -> None:
         self.endpoint, self._inbox = address.endpoint, inbox
-        self._session = _open(address.endpoint, address.zenoh_config)
+        self._session = open_robot(address.endpoint, address.zenoh_config)
         self.zid = str(self._session.info.zid())
         self.nonce = secrets.token_hex(8)
         rmw, taken = address.convention is Convention.RMW_ZENOH, command_type(topics)
@@ -102,16 +100,3 @@ def _source(sample: zenoh.Sample) -> bytes | None:
         return Attachment.unpack(sample.attachment.to_bytes()).gid
     except FormatError:
         return None
-
-
-def _open(endpoint: str, file: Path | None) -> zenoh.Session:
-    config, _ = client_config(endpoint, file)
-    try:
-        return zenoh.open(config)
-    except zenoh.ZError as error:
-        found = listener_at(endpoint)
-        what_to_do = {
-            Listener.NOTHING: "; start zenoh-bridge-ros2dds or rmw_zenohd on the robot",
-            Listener.ZENOH: " (--base-zenoh-config)",
-        }.get(found, f" ({reason(error)})" if found is Listener.OTHER else "")
-        raise NoRobot(f"{endpoint}: no Zenoh router answers there: {found}{what_to_do}") from error

@@ -10,14 +10,13 @@ import zenoh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from rover_ncp.core.errors import FormatError, NoRobot, UsageError
+from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.core.geometry import same_frame
 from rover_ncp.wire.address import parse_ros_endpoint
 from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.messages import TF
 from rover_ncp.wire.pose_fields import read_yaw
-from rover_ncp.wire.probe import listener_at
-from rover_ncp.wire.zenoh import PORT, client_config
+from rover_ncp.wire.zenoh import PORT, open_robot
 
 
 class RosSource(NamedTuple):
@@ -49,13 +48,7 @@ class RosSource(NamedTuple):
 
     def open(self) -> zenoh.Session:
         """Open a session with the router. Raises NoRobot."""
-        config, _ = client_config(self.endpoint, None)
-        try:
-            return zenoh.open(config)
-        except zenoh.ZError as error:
-            raise NoRobot(
-                f"{self.endpoint}: no Zenoh router answers there: {listener_at(self.endpoint)}"
-            ) from error
+        return open_robot(self.endpoint)
 
 
 class Frames:

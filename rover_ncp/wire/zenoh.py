@@ -10,10 +10,11 @@ from typing import Any
 import zenoh
 
 from rover_ncp.core.config import MAX_DEPTH
-from rover_ncp.core.errors import FileError, UsageError
+from rover_ncp.core.errors import FileError, NoRobot, UsageError
 from rover_ncp.core.files import read_text
 from rover_ncp.wire.address import MAX_PORT, parse_address
 from rover_ncp.wire.certificate_dates import require_valid
+from rover_ncp.wire.probe import Listener, listener_at
 
 PORT = 7447
 """Zenoh's own port, where bridge and routers listen."""
@@ -52,6 +53,20 @@ def client_config(address: str, file: Path | None) -> tuple[zenoh.Config, str]:
     for path, value in {**CLIENT, "connect/endpoints": [endpoint]}.items():
         config.insert_json5(path, json.dumps(value))
     return config, endpoint
+
+
+def open_robot(endpoint: str, file: Path | None = None) -> zenoh.Session:
+    """Open a session with the Zenoh router of a ROS 2 robot. Raises NoRobot, UsageError and FileError."""
+    config, _ = client_config(endpoint, file)
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        found = listener_at(endpoint)
+        what_to_do = {
+            Listener.NOTHING: "; start zenoh-bridge-ros2dds or rmw_zenohd on the robot",
+            Listener.ZENOH: " (--base-zenoh-config)",
+        }.get(found, f" ({reason(error)})" if found is Listener.OTHER else "")
+        raise NoRobot(f"{endpoint}: no Zenoh router answers there: {found}{what_to_do}") from error
 
 
 def read_config(file: Path | None) -> zenoh.Config:

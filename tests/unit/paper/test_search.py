@@ -1,15 +1,21 @@
-"""The paper's own searches: what they estimate, and which rollouts they leave out."""
+"""The paper's own searches: the decisions of their references."""
 
+import itertools
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit import paper_reference as reference
 
 from paper.episodes import Evaluator
 from paper.runs import BudgetName, budget_for
-from paper.search import BenchmarkEstimator, run_search
+from paper.search import STRATEGIES, BenchmarkEstimator, climb, run_search
 from paper.tasks import TASKS, build_agent, draw_seeds
+from rover_ncp.circuit.circuit import ParameterKind
+from sim.learn.search.algorithm1 import ALPHA, ESTIMATE_AFTER, START_SCALE
+
+LAYERS = (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER)
 
 
 def budget(name, iterations, **changes):
@@ -19,6 +25,79 @@ def budget(name, iterations, **changes):
 def search(name, limits, *, most=None):
     task = TASKS[name] if most is None else TASKS[name].model_copy(update={"most": most})
     return run_search(task, build_agent(task, "circuit", 1), 1, limits)
+
+
+def fast(strategy, agent, returns, iterations):
+    """Return the incumbent and its value by iteration where it changes."""
+    first = agent.parameters() if hasattr(agent, "parameters") else np.zeros(agent.layout().size)
+    states = {}
+
+    def estimate(vectors, number, to_beat):
+        return np.array(returns(number, vectors))
+
+    def on_change(done, vector, value):
+        states[done] = vector, value
+
+    rng = np.random.default_rng(5)
+    climb(STRATEGIES[strategy](agent.layout()), first, rng, iterations, estimate, on_change=on_change)
+    return states
+
+
+def literal(strategy, agent, evaluate, iterations):
+    """Return the same from the reference."""
+    rng, layout = np.random.default_rng(5), agent.layout()
+    if strategy == "published-network":
+        return reference.published_network_search(evaluate, layout.size, rng, iterations)
+    bounds = agent.parameters(), layout.lower, layout.upper
+    if strategy == "algorithm1":
+        numbers = START_SCALE, ALPHA, ESTIMATE_AFTER
+        return reference.algorithm1(evaluate, *bounds, rng, iterations, *numbers)
+    table = {"published-mountain-car": reference.MOUNTAIN_CAR, "published-cart-pole": reference.CART_POLE}
+    kinds = [table.get(strategy, reference.PENDULUM)[block.kind] for block in layout.blocks]
+    slices = [block.slice for block in layout.blocks if block.kind in LAYERS]
+    assert layout.blocks[0].kind is ParameterKind.WEIGHT
+    return reference.published_circuit_search(
+        evaluate,
+        *bounds,
+        [block.slice for block in layout.blocks],
+        kinds,
+        rng,
+        iterations,
+        estimates={"published-parking": None, "published-cart-pole": "own"}.get(strategy, "in"),
+        falls_back=(16, 12) if strategy == "published-mountain-car" else None,
+        layers=[index for each in slices for index in range(layout.size)[each]],
+    )
+
+
+def assert_same(strategy, agent, returns, iterations=2000):
+    number = itertools.count()
+    slow = literal(strategy, agent, lambda vector: returns(next(number), vector[None])[0], iterations)
+    quick = fast(strategy, agent, returns, iterations)
+    assert len(quick) > 5
+    vector, value = quick[0]
+    for iteration, (expected, wanted) in enumerate(slow, start=1):
+        vector, value = quick.get(iteration, (vector, value))
+        assert value == wanted
+        assert vector.tolist() == expected.tolist()
+
+
+CELLS = [
+    ("algorithm1", "pendulum", "circuit"),
+    ("published-parking", "parking", "circuit"),
+    ("published-benchmarks", "pendulum", "circuit"),
+    ("published-benchmarks", "half-cheetah", "circuit"),
+    ("published-mountain-car", "mountain-car", "circuit"),
+    ("published-cart-pole", "cart-pole", "circuit"),
+    ("published-network", "mountain-car", "lstm"),
+]
+
+
+@pytest.mark.parametrize(("strategy", "task", "name"), CELLS)
+def test_fast_search_makes_the_decisions_of_the_reference_on_recorded_returns(strategy, task, name):
+    # Successes become rare, as in a search, and a new estimate is often lower.
+    recorded = np.random.default_rng(2).gumbel(size=10_000) + np.linspace(0.0, 9.0, 10_000)
+    agent = build_agent(TASKS[task], name, 0)
+    assert_same(strategy, agent, lambda number, vectors: recorded[number : number + len(vectors)])
 
 
 def test_estimate_is_the_mean_of_the_worst_and_stops_below_what_it_must_beat():

@@ -18,8 +18,10 @@ from rover_ncp.wire.messages import (
 
 def test_base_that_does_not_tell_whether_it_charges_gets_one_try():
     drive = charging(VirtualDocking(place(proof="charging", retries=2), STAGING), None)
-    dock = drive.run().dock
-    assert (dock.success, dock.error_code, dock.num_retries) == (False, DockError.FAILED_TO_CHARGE, 0)
+    result = drive.run()
+    dock = result.dock
+    assert (result.exit_code, result.verdict, dock.success) == (1, "not parked", False)
+    assert (dock.error_code, dock.num_retries) == (DockError.FAILED_TO_CHARGE, 0)
     assert "does not tell whether the battery charges" in dock.error_msg
     assert (dock.at, drive.stands()) == ("staging pose", True)
 

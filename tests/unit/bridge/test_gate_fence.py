@@ -30,8 +30,6 @@ def held(base, velocity, age_s=0.0, fence=BOX):
     [
         # 0.9 s at 0.3 m/s and 0.6 rad/s: an arc of 0.54 rad with a radius of 0.5 m
         (Velocity(0.3, 0.6), 0.5 * (1.0 - math.cos(0.54))),
-        (Velocity(-0.3, -0.6), 0.5 * (1.0 - math.cos(0.54))),
-        (Velocity(0.3, 0.1), 3.0 * (1.0 - math.cos(0.09))),
         # A whole circle; at half of the turn rate it is twice as large.
         (Velocity(1.2, 3.0), 1.6),
     ],

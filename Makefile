@@ -175,6 +175,10 @@ sanitize: $(STAMP) ## The native library's tests under AddressSanitizer and Unde
 		$(BIN)/pytest -q tests/unit/test_native.py tests/unit/circuit/test_solver.py tests/unit/learn/test_evaluator.py \
 		tests/unit/search/test_descent.py
 
+.PHONY: test-pure
+test-pure: $(STAMP) ## Circuits and drives without the native library: the same bits.
+	NATIVE=none $(BIN)/pytest -q tests/unit/circuit/test_golden.py tests/unit/deploy tests/unit/place tests/unit/test_hazards.py
+
 .PHONY: coverage-gate
 coverage-gate: $(STAMP) ## The gate's own tests must run every line and branch of it.
 	$(BIN)/coverage run --branch --include='bridge/gate/*.py' --data-file=.coverage-gate \
@@ -213,6 +217,7 @@ nightly-waits:
 
 nightly-cpu:
 	nice -n 19 $(BIN)/pytest tests/unit tests/computing -m "not browser" --hypothesis-profile=full
+	nice -n 19 $(MAKE) test-pure
 	nice -n 19 $(MAKE) mutate
 	nice -n 19 $(MAKE) fuzz
 

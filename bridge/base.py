@@ -57,6 +57,9 @@ class BaseReport:
     """Shortest recent sonar ranges before and behind the base; NaN = not known."""
     room_unknown: str = ""
     """Why one of them is not known, as far as the base knows; "" = both are, or there are no such sensors."""
+    flags: int = 0
+    faults: int = 0
+    """Status and fault bits as the base sent them."""
 
 
 @dataclass(frozen=True)
@@ -127,9 +130,12 @@ class BaseTimeout(NamedTuple):
     refusal: str = ""
 
 
-class InputHealth(NamedTuple):
-    """What is wrong with the inputs of a base, as far as it knows."""
+class LinkHealth(NamedTuple):
+    """Quality of the line to the base, for diagnostics."""
 
+    damaged: bool
+    """Whether messages were damaged or could not be read lately."""
+    counters: Mapping[str, int]
     unheard: tuple[str, ...] = ()
     """Inputs of the description that have sent nothing, each with what was found instead."""
     clock: str | None = ""
@@ -151,8 +157,8 @@ class Base(Protocol):
     def drive(self, setpoint: Setpoint, now: float) -> Sequence[BaseEvent]:
         """Pass on a setpoint, let time pass, and return the events. The only source of keep-alives."""
 
-    def health(self) -> InputHealth:
-        """Return what is wrong with the inputs."""
+    def health(self) -> LinkHealth:
+        """Return the quality of the line."""
 
     @property
     def base_timeout(self) -> BaseTimeout:

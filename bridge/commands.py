@@ -93,7 +93,7 @@ def bridge(
     driven only if its description has the measured_base_timeout_s that --measure-timeout prints, or with
     --no-base-watchdog.
 
-    Publishes odometry, transforms, battery, sonar and bumpers as ROS 2 messages, and passes
+    Publishes odometry, transforms, battery, sonar, bumpers and diagnostics as ROS 2 messages, and passes
     commands on through a gate. Only the holder of the lease drives; the rover stops when no valid command
     arrives, and no command beyond the limits reaches it. Motors are off until a driver asks for them. It is
     ready when it prints "ready zenoh=... base=..."; Ctrl-C or SIGTERM stops the rover and ends it.

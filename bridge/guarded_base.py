@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from bridge.base import Base, BaseEvent, BaseTimeout, InputHealth, Setpoint
+from bridge.base import Base, BaseEvent, BaseTimeout, LinkHealth, Setpoint
 from rover_ncp.core.errors import NoRobot, RoverNcpError
 from rover_ncp.core.geometry import STANDSTILL
 
@@ -22,7 +22,7 @@ class GuardedBase:
     def drive(self, setpoint: Setpoint, now: float) -> Sequence[BaseEvent]:
         return _guarded(lambda: list(self._base.drive(setpoint, now)))
 
-    def health(self) -> InputHealth:
+    def health(self) -> LinkHealth:
         return _guarded(self._base.health)
 
     @property

@@ -115,7 +115,7 @@ class Node:
         self._report: BaseReport | None = None
         self._robot: RobotDescription | None = None
         self._variances: Variances | None = None
-        self._early = False
+        self._hardware, self._early = "", False
         self._act_now = self._commanded = False
         self._set_wall_clock()
         self._acted_s = self._status_due_s = self._slow_due_s = -math.inf
@@ -206,7 +206,7 @@ class Node:
                 case PassedOn(key, data):
                     self._publish(key, data)
                 case Ready(hardware, robot):
-                    self._robot, self._variances = robot, odometry_variances(robot)
+                    self._hardware, self._robot, self._variances = hardware, robot, odometry_variances(robot)
                     self._limits = self._answers.limits = self._limits.within(robot)
                     self._answers.model, self._answers.problem = robot.name, ""
                     self.reconnects += 1
@@ -298,8 +298,18 @@ class Node:
             self._log.append(f"{self._requests - MAX_LOG_LINES} more requests came")
         self._requests = 0
         self._set_wall_clock()
+        stamp_ns = self._wall_ns(now)
+        health = ros.diagnostics(
+            self._report,
+            self.gate,
+            self._base.health(),
+            reconnects=max(self.reconnects, 0),
+            hardware=self._hardware,
+            stamp_ns=stamp_ns,
+        )
+        self._publish("diagnostics", health)
         if self._report is not None and self._robot is not None:
-            for name, data in ros.each_second(self._report, self._robot, self._wall_ns(now)).items():
+            for name, data in ros.each_second(self._report, self._robot, stamp_ns).items():
                 self._publish(name, data)
 
     def _wall_ns(self, monotonic_s: float) -> int:

@@ -1,8 +1,9 @@
 """A Pioneer as a `Base`: an ARCOS session on a line."""
 
+import math
 from collections.abc import Sequence
 
-from bridge.base import BaseEvent, BaseTimeout, Failed, InputHealth, Lost, Notice, Ready, Setpoint
+from bridge.base import BaseEvent, BaseTimeout, Failed, LinkHealth, Lost, Notice, Ready, Setpoint
 from bridge.pioneer.base_connection import BaseConnection, Broken, Opened, Received
 from bridge.pioneer.session import BaudChanged, Session, SessionEvent
 from rover_ncp.core.geometry import STANDSTILL
@@ -14,6 +15,9 @@ WATCHDOG_S = 2.0
 A lost base has halted after this time (``states.py``), before the bridge sends to it again.
 """
 
+DAMAGED_S = 10.0
+"""How long the line counts as damaged after a bad checksum."""
+
 
 class ArcosBase:
     """One Pioneer."""
@@ -23,6 +27,7 @@ class ArcosBase:
         self._last = Setpoint(STANDSTILL, motors=False, emergency=False)
         self._was_ready = self._reopening = False
         self._refusal = ""
+        self._bad_checksums, self._damaged_until_s, self._now = 0, -math.inf, 0.0
 
     def receive(self, arrival: object, now: float) -> Sequence[BaseEvent]:
         events: list[SessionEvent] = []
@@ -41,6 +46,9 @@ class ArcosBase:
 
     def drive(self, setpoint: Setpoint, now: float) -> Sequence[BaseEvent]:
         last, self._last = self._last, setpoint
+        self._now, bad_checksums = now, self._session.decoder.bad_checksums
+        if bad_checksums > self._bad_checksums:
+            self._bad_checksums, self._damaged_until_s = bad_checksums, now + DAMAGED_S
         if setpoint.motors != last.motors or setpoint.lease not in {0, last.lease}:
             self._session.enable(setpoint.motors)
         if setpoint.emergency and not last.emergency:
@@ -48,9 +56,11 @@ class ArcosBase:
         self._session.set_motion(setpoint.velocity)
         return self._pass_on(self._session.tick(now))
 
-    def health(self) -> InputHealth:
+    def health(self) -> LinkHealth:
+        decoder = self._session.decoder
+        counters = {name: getattr(decoder, name) for name in ("packets", "bad_checksums", "skipped_bytes")}
         unheard = ("its gyro, which HasGyro in its FLASH names",) if self._session.gyro_silent else ()
-        return InputHealth(unheard)
+        return LinkHealth(self._now < self._damaged_until_s, counters, unheard=unheard)
 
     @property
     def base_timeout(self) -> BaseTimeout:

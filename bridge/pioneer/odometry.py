@@ -84,6 +84,8 @@ class Odometer:
             sonar=sonar,
             clear_ahead_m=self._shortest(self._ahead, now),
             clear_behind_m=self._shortest(self._behind, now),
+            flags=sip.flags,
+            faults=sip.faults or 0,
         )
 
     def _accumulate(self, sip: Sip) -> None:

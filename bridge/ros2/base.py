@@ -18,7 +18,7 @@ from bridge.base import (
     BaseReport,
     BaseTimeout,
     Failed,
-    InputHealth,
+    LinkHealth,
     Lost,
     Notice,
     Ready,
@@ -164,12 +164,13 @@ class Ros2Base:
         """When the robot was sent its last command."""
         return self._sent[-1][0] if self._sent else -math.inf
 
-    def health(self) -> InputHealth:
+    def health(self) -> LinkHealth:
+        counters = self._odometer.counters | self._unused.counts
         unheard = tuple(
             self._unused.words(topic) or self._announced.found_instead(topic, wanted)
             for topic, wanted in self._unheard.items()
         )
-        return InputHealth(unheard, self._odometer.clock)
+        return LinkHealth(bool(self._unused.topics), counters, unheard, self._odometer.clock)
 
     @property
     def note(self) -> str:
@@ -289,6 +290,7 @@ class Ros2Base:
             " or ".join(self._announced.publisher_names(self._topics.cmd_vel)) or "a publisher without a name"
         )
         self._contradictions[f"{who} publishes {where} too"] = now
+        self._odometer.counters["foreign"] += 1
 
     # State.
 

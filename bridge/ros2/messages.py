@@ -6,16 +6,30 @@ rotation, on the ground. Sonar echoes are points in ``base_link``; where each so
 
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
-from bridge.base import BaseReport
+from bridge.base import BaseReport, LinkHealth
 from bridge.gate.state import GateState, Reason, describe
 from bridge.pioneer.packets import NO_ECHO_MM
 from bridge.ros2.covariance import MIN_VARIANCE, Variances
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire import messages
+from rover_ncp.wire.cdr import encode
+from rover_ncp.wire.header import header_of
 from rover_ncp.wire.messages import BASE_FRAME, ODOM_FRAME, Transform, imu
 from rover_ncp.wire.protocol import GateStatus
+
+OK, WARNING, ERROR = 0, 1, 2
+
+
+class Diagnostic(NamedTuple):
+    """One line of diagnostics; level 0 ok, 1 warning, 2 error."""
+
+    name: str
+    level: int
+    message: str
+    values: Mapping[str, str]
 
 
 def each_report(
@@ -98,3 +112,67 @@ def gate_status(state: GateState) -> GateStatus:
 
 def _named(counts: Mapping[Reason, int]) -> dict[str, int]:
     return {str(reason): count for reason, count in counts.items()}
+
+
+def diagnostics(
+    base: BaseReport | None,
+    gate: GateState,
+    link: LinkHealth,
+    *,
+    reconnects: int,
+    hardware: str,
+    stamp_ns: int,
+) -> bytes:
+    """Return the health of link, base and gate."""
+    status = [
+        {
+            "level": item.level,
+            "name": item.name,
+            "message": item.message,
+            "hardware_id": hardware,
+            "values": [{"key": name, "value": value} for name, value in item.values.items()],
+        }
+        for item in (_link(link, reconnects), _base(base), _gate(gate))
+    ]
+    head = header_of(stamp_ns, BASE_FRAME)
+    return encode("diagnostic_msgs/msg/DiagnosticArray", header=head, status=status)
+
+
+def _link(link: LinkHealth, reconnects: int) -> Diagnostic:
+    values = {**link.counters, "reconnects": reconnects}
+    return Diagnostic(
+        "bridge: link to the base",
+        WARNING if link.damaged else OK,
+        "messages are damaged or cannot be used" if link.damaged else "clean",
+        {name: str(value) for name, value in values.items()},
+    )
+
+
+def _base(base: BaseReport | None) -> Diagnostic:
+    if base is None:
+        return Diagnostic("bridge: base", ERROR, "not connected", {})
+    troubles = {
+        "STOP button pressed": base.stop_pressed,
+        "stalled": any(base.stalled),
+        "bumper pressed": any(base.bumpers),
+        "reports faults": base.faults != 0,
+    }
+    found = ", ".join(trouble for trouble, there in troubles.items() if there)
+    values = {
+        "battery_v": f"{base.battery_v:.1f}",
+        "motors": "on" if base.motors_on else "off",
+        "flags": f"{base.flags:#06x}",
+        "faults": f"{base.faults:#06x}",
+        "stalled_left_right": f"{base.stalled[0]:d}{base.stalled[1]:d}",
+        "bumpers_front_rear": f"{base.bumpers[0]:#04x} {base.bumpers[1]:#04x}",
+    }
+    return Diagnostic("bridge: base", ERROR if found else OK, found or "fine", values)
+
+
+def _gate(gate: GateState) -> Diagnostic:
+    status = gate_status(gate)
+    values = {"driver": status.driver_name, "lease": str(status.lease), "accepted": str(status.accepted)}
+    for name in ("dropped", "limited", "stops"):
+        values |= {f"{name}_{reason}": str(count) for reason, count in getattr(status, name).items()}
+    held = status.held or ("" if status.lease else status.ended)
+    return Diagnostic("bridge: gate", WARNING if held else OK, held or "open", values)

@@ -62,6 +62,7 @@ class RosOdometer:
 
     def __init__(self, topics: Topics, motion: Motion, where: str) -> None:
         self._topics, self._motion, self._where = topics, motion, where
+        self.counters = dict.fromkeys(("messages", "stale", "repeated", "jumped", "foreign"), 0)
         self.problem = ""
         self.notices: list[str] = []
         """Lines for the log that the last message gave cause for."""
@@ -93,6 +94,7 @@ class RosOdometer:
 
     def take(self, payload: bytes, arrived_s: float, source: bytes | None = None) -> Moved | None:
         """Return the motion that a message reports; None if it does not count."""
+        self.counters["messages"] += 1
         self.notices = []
         self._arrivals.append(arrived_s)
         try:
@@ -177,14 +179,17 @@ class RosOdometer:
         if self._clock.doubt_s > CLOCK_BACK_S:
             self._conflicts.append(arrived_s)
         if measured_ns is None:
+            self.counters["stale"] += 1
             self.problem = f"the stamps of odometry jump by {self._clock.doubt_s:.1f} s"
             return False
         if stamp_ns <= self._stamp_ns:
+            self.counters["repeated"] += 1
             self.problem = "the stamps of odometry stand still or go back"
             return False
         self._stamp_ns = stamp_ns
         self._age_s = (arrived_ns - measured_ns) * 1e-9
         if self._age_s > STALE_S:
+            self.counters["stale"] += 1
             rate = _clock_rate(self._offsets[-LATE_SECONDS - 1 :])
             self.problem = f"odometry arrives {self._age_s:.1f} s late" + (f": {rate}" if rate else "")
             return False
@@ -193,6 +198,7 @@ class RosOdometer:
     def _moved(self, sample: OdometrySample, arrived_s: float) -> Moved | None:
         again, self._jumped = self._jumped, self._jumps(sample.pose, arrived_s)
         if self._jumped and not again:
+            self.counters["jumped"] += 1
             self._conflicts.append(arrived_s)
             self.problem = "its pose jumped"
             return None

@@ -11,6 +11,7 @@ AGAIN_S = 60.0
 
 @dataclass
 class _Topic:
+    total: int = 0
     in_row: int = 0
     reason: str = ""
     since_s: float = 0.0
@@ -33,7 +34,7 @@ class UnusedMessages:
         found = self._topics.setdefault(topic, _Topic())
         if not found.in_row:
             found.since_s, found.named = now, False
-        found.in_row, found.reason = found.in_row + 1, reason
+        found.total, found.in_row, found.reason = found.total + 1, found.in_row + 1, reason
 
     def end(self, topic: str) -> None:
         """Note that a message can be used."""
@@ -61,3 +62,13 @@ class UnusedMessages:
                 found.named, found.named_s = True, now
                 lines.append(self.words(topic))
         return lines
+
+    @property
+    def topics(self) -> list[str]:
+        """Topics whose newest message cannot be used."""
+        return [topic for topic, found in self._topics.items() if found.in_row]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of messages that could not be used, by topic, for diagnostics."""
+        return {f"{self._name(topic)}: not used": found.total for topic, found in self._topics.items()}

@@ -72,6 +72,7 @@ KEYS: tuple[KeySpec, ...] = (
     KeySpec("docked", "std_msgs/msg/Bool", 512, "whether a ROS 2 robot is docked, by each of its messages"),
     KeySpec("sonar", "sensor_msgs/msg/PointCloud2", 1 << 16, "the echoes of one SIP, in base_link"),
     KeySpec("bumpers", "std_msgs/msg/UInt8MultiArray", 4096, "front and rear bits, 1 = pressed, each SIP"),
+    KeySpec("diagnostics", "diagnostic_msgs/msg/DiagnosticArray", 1 << 16, "base, link and gate"),
     # The gate's output: the command that reached the base, and the reasons for dropped ones.
     KeySpec("rover/cmd_out", _TWIST, 512, "the command that the gate accepted"),
     KeySpec("rover/gate", _STRING, 4096, "GateStatus as JSON: driver, stop, counters"),

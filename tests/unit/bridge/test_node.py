@@ -8,10 +8,12 @@ from kit.ros2_world import BURGER
 from kit.virtual_bench import VirtualDriver, VirtualRig
 
 from bridge.gate.limits import Fence, Limits
+from bridge.pioneer.base_connection import Received
 from bridge.pioneer.framing import Command, Decoder
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.course.course import Obstacle
 from rover_ncp.robot.description import load_description
+from rover_ncp.wire.cdr import decode
 from sim.base.client_commands import decode_argument
 from sim.base.faults import parse_fault
 from sim.stack.virtual import WALL_NS
@@ -114,6 +116,18 @@ def test_a_drive_goes_on_although_its_stamps_no_longer_fit_ros(bridge):
     assert bridge.driver.motors().granted
     bridge.driver.drive(1.0, 0.2)
     assert bridge.sent[-2:] == [(Command.VEL, 200), (Command.RVEL, 0)]
+
+
+def test_a_damaged_packet_is_a_warning_for_some_seconds(bridge):
+    levels = []
+    bridge.deliver = lambda name, data: (
+        name != "diagnostics"
+        or levels.append(decode("diagnostic_msgs/msg/DiagnosticArray", data).status[0].level)
+    )
+    bridge.sleep(2.0)
+    bridge.connection.arrivals.append(Received(bytes.fromhex("fafb0632010203ffff")))
+    bridge.sleep(15.0)
+    assert (levels[0], max(levels), levels[-1]) == (0, 1, 0)
 
 
 # The motors

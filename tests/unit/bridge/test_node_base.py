@@ -6,7 +6,7 @@ from importlib.metadata import EntryPoint
 import pytest
 from kit.driver_client import DriverClient
 
-from bridge.base import BaseReport, BaseTimeout, Failed, InputHealth, Lost, Ready, Recovered, Setpoint
+from bridge.base import BaseReport, BaseTimeout, Failed, LinkHealth, Lost, Ready, Recovered, Setpoint
 from bridge.bases import choose_base, open_base
 from bridge.gate.limits import Fence, Limits
 from bridge.inbox import CommandMessage, Inbox, Query
@@ -44,7 +44,7 @@ class FailingBase:
         return []
 
     def health(self):
-        return self._call("health", InputHealth())
+        return self._call("health", LinkHealth(damaged=False, counters={}))
 
     @property
     def base_timeout(self):

@@ -48,7 +48,7 @@ def agrees(state, line):
         all(abs(value * 1000 - float(line[name])) <= 0.06 for value, name in values_mm)
         and abs(heading - float(line["th"])) <= 0.06 + 0.0027 * abs(heading)
         and abs(math.degrees(state.omega) - float(line["rot"])) <= 0.06
-        and state.motors_on == bool(int(line["flags"], 16) & 1)
+        and state.flags == int(line["flags"], 16)
         and list(state.stalled) == [bool(int(line["stall"], 16) & bit) for bit in (0x001, 0x100)]
         and abs((state.v - wheel) * 1000 - float(line["l"])) <= 6.0  # AMRISim rounds ROTVEL to whole degrees
     )

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from bridge.base import BaseReport
+from bridge.base import BaseReport, LinkHealth
 from bridge.gate.state import NO_CONTACT, GateState, Lease, Reason
 from bridge.pioneer.odometry import ROBOTS
 from bridge.ros2 import messages as ros
@@ -83,6 +83,28 @@ def test_the_longest_state_of_the_gate_fits_its_key():
         stops=counts,
     )
     assert len(text(dump_json(ros.gate_status(state)).decode())) <= spec("rover/gate").max_bytes
+
+
+CLEAN, DAMAGED = LinkHealth(False, {"bad_checksums": 0}), LinkHealth(True, {"bad_checksums": 1})
+OPEN, SILENT = GateState(held=None), GateState(held=Reason.SILENCE)
+
+
+def levels(base, gate=OPEN, health=CLEAN):
+    data = ros.diagnostics(base, gate, health, reconnects=2, hardware="p3at", stamp_ns=STAMP)
+    message = decode(spec("diagnostics").type, data)
+    assert {status.hardware_id for status in message.status} == {"p3at"}
+    return {status.name.split(": ")[1]: (status.level, status.message) for status in message.status}
+
+
+def test_diagnostics_name_the_problems():
+    well = replace(STATE, bumpers=(0, 0))
+    ill = replace(STATE, stop_pressed=True, stalled=(False, True), faults=8)
+    ill_words = "STOP button pressed, stalled, bumper pressed, reports faults"
+    healthy = {"link to the base": (0, "clean"), "base": (0, "fine"), "gate": (0, "open")}
+    assert levels(well) == healthy
+    assert levels(well, health=DAMAGED)["link to the base"] == (1, "messages are damaged or cannot be used")
+    assert levels(ill, SILENT) == healthy | {"base": (2, ill_words), "gate": (1, "silence")}
+    assert levels(None) == healthy | {"base": (2, "not connected")}
 
 
 # Covariances of odometry and gyro: those of the description, and never 0

@@ -19,7 +19,6 @@ class Camera:
     """External poses: each so many ticks, seconds late, standard deviations of x, y (m) and heading (rad)."""
 
     every: int = 2
-    until: int = 10_000
     delay_s: float = 0.1
     sigma: tuple[float, float, float] = (0.02, 0.02, math.radians(1.0))
 
@@ -111,7 +110,7 @@ class SkidDrive:
                 readings = [round(rate / step + 0.7 * rng.normal()) for _ in range(4)]
                 estimator.gyro(step * np.mean(readings), t)
             estimator.odometry(*self.report(tick), t)
-            while camera is not None and next_pose <= t and tick <= camera.until:
+            while camera is not None and next_pose <= t:
                 seen = np.array(self.pose(next_pose / TICK_S)) + rng.normal(size=3) * camera.sigma
                 if carried is not None and tick > carried[0]:
                     seen += carried[1]

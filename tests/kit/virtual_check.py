@@ -22,10 +22,7 @@ def check(
     model=None,
     robot="p3at-sh",
     config=None,
-    change=(),
-    on_floor=False,
     clock_rate=1.0,
-    localise=lambda link, rover: None,
     odometry=lambda data: data,
 ):
     """Check a robot on the virtual clock; return the findings, the link and the rover."""
@@ -39,21 +36,17 @@ def check(
     bridge, battery = VirtualBridge(base, limits), Battery()
     bridge.sleep(3.0)
     link = ChangedLink(bridge, battery.record)
-    link._start = None  # poses are those of `localise`
+    link._start = None  # no poses
     measurements = Measurements(link, pose_frame=None)
-    link.change |= dict(change)
 
     def press_bumper(data):
         if while_turning and rover.velocity.omega > 0.05:
             base.inject(parse_fault(while_turning))
-        localise(link, rover)
         return odometry(data)
 
     link.change["odom"] = press_bumper
     monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
     monitor.wait()
     expected = load_description(model) if isinstance(model, str) else model
-    preflight = Preflight(
-        link, measurements, monitor, battery, robot=expected, on_floor=on_floor, clock=bridge
-    )
+    preflight = Preflight(link, measurements, monitor, battery, robot=expected, clock=bridge)
     return preflight.run(), link, rover

@@ -107,17 +107,12 @@ def test_noisy_odometry_at_rest_starts_if_its_noise_is_declared():
     assert virtual.link.sent_ns[0] < 3.0 * NS_PER_S
 
 
-def moving(virtual, way, until_s=math.inf):
-    """Have odometry move by ``way`` a second until then."""
-    virtual.link.change_odometry(
-        lambda sample: (Pose(*np.array(way) * min(virtual.bridge.monotonic(), until_s)), STANDSTILL)
-    )
-
-
 @pytest.mark.parametrize("way", [(0.0, -0.02, 0.0), (0.0, 0.0, 0.03)])
 def test_moving_rover_does_not_start(way):
     virtual = VirtualDrive()
-    moving(virtual, way)
+    virtual.link.change_odometry(
+        lambda sample: (Pose(*np.array(way) * virtual.bridge.monotonic()), STANDSTILL)
+    )
     result = virtual.run()
     assert (result.exit_code, result.stopped_by, virtual.link.requests) == (4, "not-standing", 0)
 

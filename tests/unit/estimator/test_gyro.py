@@ -30,7 +30,6 @@ def drive(
     period=0.1,
     until=8.0,
     pushed=standing,
-    settings=None,
     late=lambda tick: False,
     read=lambda tick: True,
 ):
@@ -40,7 +39,7 @@ def drive(
     A ``late`` reading comes after the odometry of the same moment. The gyro reports the mean rate at ticks
     at which it is ``read``.
     """
-    random, estimator = np.random.default_rng(7), started(settings)
+    random, estimator = np.random.default_rng(7), started()
     own = true = 0.0
     rates = []
     for tick in range(1, round(until / period) + 1):

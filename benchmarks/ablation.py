@@ -19,7 +19,7 @@ from rover_ncp.course.scoring import Parked
 from rover_ncp.robot.description import load_description
 from sim.evaluate.evaluate import trial_count
 from sim.evaluate.options import Sensors
-from sim.learn.policies import load_driver
+from sim.learn.policies import any_policy
 from sim.stack.estimates import summary
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
@@ -68,7 +68,7 @@ def main() -> None:
     gyro = given.sensors in {Sensors.GYRO, Sensors.BOTH}
     camera = given.sensors in {Sensors.CAMERA, Sensors.BOTH}
     course = (load_course(given.course),)
-    stack = Stack(load_driver(given.driver), course, ranges, given.seed, gyro, camera, given.identify, robot)
+    stack = Stack(any_policy(given.driver), course, ranges, given.seed, gyro, camera, given.identify, robot)
     pairs = [[change.split("=") for change in text.split(",")] for text in given.set]
     chosen = [{name: float(value) for name, value in row} for row in pairs]
     trials = trial_count(given.trials, 1, ranges, stack.varies)

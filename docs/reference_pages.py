@@ -76,8 +76,8 @@ MODELS: dict[str, tuple[str, type[BaseModel]]] = {
 RESULTS = {
     "park": "sim.park.park:ParkResult",
     "park --dock": "sim.park.dock:DockedResult",
-    "train": "sim.learn.results:TrainResult",
-    "train --randomize": "sim.learn.results:RobustResult",
+    "train": "sim.learn.ensemble:TrainResult",
+    "train --randomize": "sim.learn.robust:RobustResult",
     "eval": "sim.evaluate.results:EvalResult",
     "mock": "sim.mock.run:MockResult",
     "bridge": "bridge.node:BridgeResult",

@@ -75,7 +75,7 @@ class ClaimsFile(StrictModel):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Finding:
     """Result of a test before Holm's correction."""
 
     figure: str = ""
@@ -109,46 +109,46 @@ def load_claims() -> ClaimsFile:
 
 def judge_claims(store: ResultStore, claims: Sequence[Claim]) -> list[Judged]:
     """Return the verdicts on claims. Raises FileError."""
-    outcomes = [
-        _TESTS[claim.test](store, **claim.arguments) if claim.test else Outcome(verdict=Verdict.NOT_TESTED)
+    findings = [
+        _TESTS[claim.test](store, **claim.arguments) if claim.test else Finding(verdict=Verdict.NOT_TESTED)
         for claim in claims
     ]
     for number, claim in enumerate(claims):
         if not claim.comparable:
-            outcomes[number] = replace(outcomes[number], verdict=Verdict.NOT_TESTED, p=None)
+            findings[number] = replace(findings[number], verdict=Verdict.NOT_TESTED, p=None)
     places: dict[tuple[str, str | None], dict[int, float]] = {}
-    for number, (claim, outcome) in enumerate(zip(claims, outcomes, strict=True)):
-        if outcome.p is not None:
-            places.setdefault((claim.where, claim.test), {})[number] = outcome.p
+    for number, (claim, finding) in enumerate(zip(claims, findings, strict=True)):
+        if finding.p is not None:
+            places.setdefault((claim.where, claim.test), {})[number] = finding.p
     for found in places.values():
         for number, p in zip(found, holm(list(found.values())), strict=True):
-            outcomes[number] = replace(outcomes[number], p=p)
-    return [_judged(claim, outcome) for claim, outcome in zip(claims, outcomes, strict=True)]
+            findings[number] = replace(findings[number], p=p)
+    return [_judged(claim, finding) for claim, finding in zip(claims, findings, strict=True)]
 
 
-def _judged(claim: Claim, outcome: Outcome) -> Judged:
-    verdict, why = outcome.verdict, claim.why
+def _judged(claim: Claim, finding: Finding) -> Judged:
+    verdict, why = finding.verdict, claim.why
     if verdict is None:
-        assert outcome.p is not None
-        verdict = outcome.significant if outcome.p < LEVEL else Verdict.UNDECIDED
+        assert finding.p is not None
+        verdict = finding.significant if finding.p < LEVEL else Verdict.UNDECIDED
     if verdict is Verdict.UNDECIDED:
-        why = outcome.why if outcome.p is None else f"p = {outcome.p:.2g}, {outcome.why}"
+        why = finding.why if finding.p is None else f"p = {finding.p:.2g}, {finding.why}"
     elif verdict is Verdict.NOT_TESTED:
-        why = claim.why or outcome.why
-    from_paper = outcome.against and claim.test != "compare"
-    against = f"{claim.where}: {outcome.against}" if from_paper else outcome.against
-    return Judged(claim.name, claim.words, claim.where, verdict, outcome.figure, against, why)
+        why = claim.why or finding.why
+    from_paper = finding.against and claim.test != "compare"
+    against = f"{claim.where}: {finding.against}" if from_paper else finding.against
+    return Judged(claim.name, claim.words, claim.where, verdict, finding.figure, against, why)
 
 
-def _too_few(count: int) -> Outcome:
-    return Outcome(
+def _too_few(count: int) -> Finding:
+    return Finding(
         verdict=Verdict.NOT_TESTED, why=f"{count} runs, {MIN_RUNS} are needed" if count else "no runs"
     )
 
 
 def rate(
     store: ResultStore, *, task: str, hits: int, of: int, budget: str = "published", within: int | None = None
-) -> Outcome:
+) -> Finding:
     """Compare the circuit's success rate with another one.
 
     ``within`` counts runs that end as successes and reached the task's return after so many iterations.
@@ -163,7 +163,7 @@ def rate(
     found, (low, high) = fisher(count, len(runs), hits, of), wilson(count, len(runs))
     figure = f"{count} of {len(runs)} [{low:.0%}, {high:.0%}]"
     verdict = Verdict.HOLDS if found.within(RATE_MARGIN) else None
-    return Outcome(figure, f"{hits} of {of}", verdict, f"n = {len(runs)} and {of}", found.p)
+    return Finding(figure, f"{hits} of {of}", verdict, f"n = {len(runs)} and {of}", found.p)
 
 
 def value(
@@ -176,7 +176,7 @@ def value(
     of: int = 10,
     rate: float | None = None,
     budget: str = "published",
-) -> Outcome:
+) -> Finding:
     """Compare mean and standard deviation of returns with the paper's.
 
     ``rate`` is what the paper's table says beside them.
@@ -188,7 +188,7 @@ def value(
     found = welch(ours, Summary(mean, std, of))
     verdict = Verdict.HOLDS if found.within(TASKS[task].margin) else None
     texts = mean_text(ours.mean, ours.std), mean_text(mean, std)
-    return Outcome(*texts, verdict, f"n = {ours.runs} and {of}", found.p)
+    return Finding(*texts, verdict, f"n = {ours.runs} and {of}", found.p)
 
 
 def compare(
@@ -199,7 +199,7 @@ def compare(
     budget: str = "published",
     other_budget: str | None = None,
     better: bool = False,
-) -> Outcome:
+) -> Finding:
     """Compare the circuit's returns with another agent's: ``better``, or not worse by the task's margin."""
     ours, theirs = store.returns(task, "circuit", budget), store.returns(task, other, other_budget or budget)
     if min(len(ours), len(theirs)) < MIN_RUNS:
@@ -208,7 +208,7 @@ def compare(
     margin = 0.0 if better else TASKS[task].margin
     on_par = welch(summary(ours + margin), summary(theirs))
     reproduced = on_par.value > 0.0  # else p is of the opposite; each p is of both tails
-    return Outcome(
+    return Finding(
         f"{mean_text(float(ours.mean()))} against {mean_text(float(theirs.mean()))}",
         f"difference {found.text()}",
         None,
@@ -218,7 +218,7 @@ def compare(
     )
 
 
-def sign(store: ResultStore, *, source: str, destination: str, expected: str) -> Outcome:
+def sign(store: ResultStore, *, source: str, destination: str, expected: str) -> Finding:
     """Ask whether most of the circuits in which all readings agree have the paper's sign (sign test)."""
     found = [readings(policy, drive, source, destination) for policy, drive in drives(store)]
     if len(found) < MIN_RUNS:
@@ -228,21 +228,21 @@ def sign(store: ResultStore, *, source: str, destination: str, expected: str) ->
     figure = f"{hits} of {count}, {len(found) - count} unclear"
     if count < MIN_CLEAR:
         why = f"{count} clear, {MIN_CLEAR} needed"
-        return Outcome(figure, verdict=Verdict.NOT_TESTED, why=why)
+        return Finding(figure, verdict=Verdict.NOT_TESTED, why=why)
     significant = Verdict.HOLDS if 2 * hits > count else Verdict.DIFFERS
-    return Outcome(figure, "", None, f"n = {count}", even_odds(hits, count), significant)
+    return Finding(figure, "", None, f"n = {count}", even_odds(hits, count), significant)
 
 
-def parameters(_: ResultStore, *, task: str, other: str) -> Outcome:
+def parameters(_: ResultStore, *, task: str, other: str) -> Finding:
     """Ask whether the circuit has fewer parameters than a network of as many cells."""
     circuit = TASKS[task].policy(TASKS[task].circuit())
     net = Net(other, len(circuit.sensing.inputs), len(circuit.motors.outputs), cells=11)
     ours, theirs = circuit.layout().size, net.layout().size
     verdict = Verdict.HOLDS if ours < theirs else Verdict.DIFFERS
-    return Outcome(f"{ours} against {theirs}", verdict=verdict)
+    return Finding(f"{ours} against {theirs}", verdict=verdict)
 
 
-_TESTS: Mapping[str, Callable[..., Outcome]] = {
+_TESTS: Mapping[str, Callable[..., Finding]] = {
     "rate": rate,
     "value": value,
     "compare": compare,

@@ -166,7 +166,7 @@ class Lanes:
         library().step_episodes(ctypes.byref(self.episodes), c_void_p(self.started.ctypes.data))
 
 
-class Evaluator:
+class PlantEvaluator:
     """Scores parameter vectors of one agent by episodes of a benchmark. One thread at a time."""
 
     def __init__(

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from pydantic import ConfigDict, ValidationError, model_validator
 
-from paper.episodes import Evaluator, library
+from paper.episodes import PlantEvaluator, library
 from paper.gradients import score_actor, train_actor
 from paper.search import Budget, ParkingEvaluator, run_search
 from paper.tasks import (
@@ -322,7 +322,7 @@ def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int, war
     if agent is None:
         returns, plain = score_actor(task, vector, seeds)
     else:
-        evaluator = Evaluator(task, agent, warm_up=warm_up)
+        evaluator = PlantEvaluator(task, agent, warm_up=warm_up)
         found = evaluator.run(np.tile(vector, (_EPISODES, 1)), seeds)
         returns, plain = found[:, :2].sum(axis=1), found[:, 0]
     plain_mean = float(plain.mean())

@@ -15,15 +15,15 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from paper.episodes import Evaluator
+from paper.episodes import PlantEvaluator
 from paper.tasks import Benchmark, Net, Task, Vector, draw_seeds, rng_of
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout, Policy
 from rover_ncp.course.course import load_course
-from sim.learn import evaluator as engine
+from sim.learn.evaluator import Evaluator
+from sim.learn.search import Batch
 from sim.learn.search.algorithm1 import ALPHA, ESTIMATE_AFTER, START_SCALE
 from sim.learn.search.published import FAILURES_TO_WIDEN, RULES, KindRule, perturb
-from sim.learn.search.strategies import Batch
 
 _SEARCH, _ROLLOUTS = 0, 1
 """Streams of random numbers."""
@@ -222,7 +222,7 @@ class Found(NamedTuple):
     curve: tuple[tuple[int, int, float], ...] = ()
 
 
-class BenchmarkEstimator(Evaluator):
+class BenchmarkEstimator(PlantEvaluator):
     """The paper's estimate on a benchmark: the mean of the worst k of N rollouts."""
 
     def __init__(self, task: Benchmark, agent: Policy | Net, seed: int, budget: Budget) -> None:
@@ -259,7 +259,7 @@ class ParkingEvaluator:
 
     def __init__(self, task: Task, policy: Policy) -> None:
         self.task, self.steps = task, 0
-        self._engine = engine.Evaluator(policy, load_course("parking"))
+        self._engine = Evaluator(policy, load_course("parking"))
         self._stream = self._engine.stream(1)
 
     def outcome(self, vector: Vector) -> tuple[float, bool]:

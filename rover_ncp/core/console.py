@@ -220,3 +220,33 @@ def unwritten() -> str:
     if not lines.drained():
         return "the reader takes no data"
     return str(lines.failure.strerror) if lines.failure else ""
+
+
+LINE_S = 15.0
+"""Time between two lines of progress."""
+
+
+@contextlib.contextmanager
+def progress(total: int, unit: str) -> Iterator[Callable[[int, object], None]]:
+    """Give a function that shows how many of ``total`` are done, and a text: a bar, or a line now and then.
+
+    It writes to stderr, a bar on a terminal.
+    """
+    from rich.console import Console
+    from rich.progress import MofNCompleteColumn, Progress, TextColumn
+
+    console, printed_s = Console(stderr=True), time.monotonic()
+
+    def line(done: int, text: object) -> None:
+        nonlocal printed_s
+        if time.monotonic() - printed_s >= LINE_S:
+            printed_s = time.monotonic()
+            print(f"{done} of {total} {unit} {text}".rstrip(), file=sys.stderr, flush=True)
+
+    if not console.is_terminal:
+        yield line
+        return
+    columns = (MofNCompleteColumn(), TextColumn(unit), TextColumn("{task.fields[text]}"))
+    with Progress(*Progress.get_default_columns(), *columns, console=console) as bar:
+        task = bar.add_task("", total=total, text="")
+        yield lambda done, text: bar.update(task, completed=done, text=str(text))

@@ -19,7 +19,7 @@ from rover_ncp.course.scoring import Failure
 from rover_ncp.course.slowdown import rounded_up, slowed
 from rover_ncp.robot.description import RobotDescription, load_description
 from sim.learn.evaluator import Evaluator
-from sim.learn.policies import Driver, circuit_driver, function_driver, load_driver
+from sim.learn.policies import AnyPolicy, any_policy
 from sim.learn.rollout import rollout
 from sim.world.bodies import Body
 from sim.world.described import default_rover, ranges_for
@@ -109,21 +109,18 @@ def evaluate(
     """
     from sim.stack.trials import Stack, drive_all  # slow to load
 
-    if isinstance(policy, str | Path):
-        driver = load_driver(str(policy))
-    else:
-        driver = circuit_driver(policy) if isinstance(policy, Policy) else function_driver(policy)
+    tested = any_policy(policy)
     named = [course] if isinstance(course, str | Path) or not isinstance(course, Sequence) else course
     courses = [load_course(each) if isinstance(each, str | Path) else each for each in named]
     ranges = ranges_for(randomize, None)
     if stack:
         # A function may be unknown to other processes.
-        return tally(drive_all(Stack(driver, tuple(courses), ranges, seed).drive, trials, 1))
-    return tally(drive_trials(driver, courses, ranges, trials=trials, seed=seed))
+        return tally(drive_all(Stack(tested, tuple(courses), ranges, seed).drive, trials, 1))
+    return tally(drive_trials(tested, courses, ranges, trials=trials, seed=seed))
 
 
 def drive_trials(
-    driver: Driver,
+    policy: AnyPolicy,
     courses: Sequence[Course],
     ranges: Randomization,
     *,
@@ -136,10 +133,10 @@ def drive_trials(
         raise UsageError(f"at least one trial must be driven, got {trials}")
     model = model or default_rover()
     ticks = max(course.ticks for course in courses)
-    if driver.circuit and trials > _FEW:
-        drive = _drive_lanes(driver.circuit, courses, model)
+    if policy.circuit and trials > _FEW:
+        drive = _drive_lanes(policy.circuit, courses, model)
     else:
-        drive = _drive_runner(driver, courses, model)
+        drive = _drive_runner(policy, courses, model)
     found = list[Ended]()
     for first in range(0, trials, _BATCH):
         count = min(_BATCH, trials - first)
@@ -150,7 +147,7 @@ def drive_trials(
 def _drive_lanes(
     policy: Policy, courses: Sequence[Course], model: RoverModel
 ) -> Callable[[Trials, int], list[Ended]]:
-    """Return what drives trials, of which the first has a number, in the lanes of an episode kernel."""
+    """Return what drives trials, of which the first has a number, in the lanes of an evaluator."""
     engine, vector = Evaluator(policy, courses, model), policy.parameters()
 
     def drive(trials: Trials, first: int) -> list[Ended]:
@@ -180,16 +177,16 @@ def _drive_lanes(
 
 
 def _drive_runner(
-    driver: Driver, courses: Sequence[Course], model: RoverModel
+    policy: AnyPolicy, courses: Sequence[Course], model: RoverModel
 ) -> Callable[[Trials, int], list[Ended]]:
     """Return what drives trials one after the other with a runner; arguments as in `_drive_lanes`."""
-    needs_reference = RoverInterface(driver.signals).needs_reference
+    needs_reference = RoverInterface(policy.signals).needs_reference
     references = [plan_reference(course) if needs_reference else None for course in courses]
-    runner = driver.runner()
+    runner = policy.runner()
 
     def ended(trials: Trials, row: int, place: int) -> Ended:
         run = rollout(
-            driver.signals,
+            policy.signals,
             courses[place],
             model,
             trials=trials,

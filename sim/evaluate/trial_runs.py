@@ -5,17 +5,14 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
-from rich.console import Console
-from rich.progress import Progress
-
 from deploy.place.place import load_place
 from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.console import progress
 from rover_ncp.course.course import Course
 from rover_ncp.robot.description import RobotDescription
 from sim.evaluate.evaluate import Ended, drive_trials, trial_count
 from sim.evaluate.options import EvalOptions
-from sim.learn.policies import load_driver
-from sim.learn.progress import progress_lines
+from sim.learn.policies import any_policy
 from sim.stack.docking import Docked, DockTrials
 from sim.stack.tag_camera import TagLocaliser
 from sim.stack.trials import Driven, Stack, drive_all
@@ -30,7 +27,7 @@ def drive_courses(
     trials = trial_count(options.trials, len(courses), ranges, ranges.varies)
     model = described_rover(robot) if robot else None
     return drive_trials(
-        load_driver(options.policy), courses, ranges, trials=trials, seed=options.seed, model=model
+        any_policy(options.policy), courses, ranges, trials=trials, seed=options.seed, model=model
     )
 
 
@@ -45,11 +42,11 @@ def drive_stack(
 
     Raises UsageError as `drive_courses`, and WorkerDied.
     """
-    driver = load_driver(options.policy)
-    stack = Stack(driver, tuple(courses), ranges, options.seed, *sensors, options.identify, robot)
+    policy = any_policy(options.policy)
+    stack = Stack(policy, tuple(courses), ranges, options.seed, *sensors, options.identify, robot)
     count = trial_count(options.trials, len(courses), ranges, stack.varies)
     began = time.monotonic()
-    with progress(count) as done:
+    with trial_progress(count) as done:
         driven = drive_all(stack.drive, count, options.processes, done)
     return driven, sum(stack.course(number).horizon_s for number in range(count)), time.monotonic() - began
 
@@ -74,18 +71,13 @@ def drive_dockings(
         localiser=localiser,
     )
     count = options.trials or 1
-    with progress(count) as done:
+    with trial_progress(count) as done:
         return place.name, drive_all(trials.drive, count, options.processes, done)
 
 
 @contextmanager
-def progress(total: int) -> Iterator[Callable[[], None]]:
-    """Show the progress of trials on stderr, of which the block reports each."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        counted, line = itertools.count(1), progress_lines()
-        yield lambda: line(f"{next(counted)} of {total} trials")
-        return
-    with Progress(console=console, transient=True) as bar:
-        task = bar.add_task("trials", total=total)
-        yield lambda: bar.advance(task)
+def trial_progress(total: int) -> Iterator[Callable[[], None]]:
+    """Show the progress of trials, of which the block reports each."""
+    counted = itertools.count(1)
+    with progress(total, "trials") as show:
+        yield lambda: show(next(counted), "")

@@ -24,7 +24,7 @@ from rover_ncp.neurons.interpretation import Contribution, Interpretation, TimeC
 from rover_ncp.neurons.phases import ExplainedPhase
 from rover_ncp.neurons.trace import Trace
 from rover_ncp.robot.description import RobotDescription
-from sim.explain.what_if import Knockout, Outcome, Sensitivity, knock_outs, sensitivities
+from sim.explain.what_if import Knockout, Sensitivity, knock_outs, sensitivities
 from sim.learn.evaluator import Evaluator
 from sim.learn.rollout import Rollout, rollout
 from sim.world.described import described_rover
@@ -174,9 +174,8 @@ def explain_drive(
     run = rollout(policy, course, model)
     trace, verdict = recorded or (traced(policy, run), run.verdict)
 
-    def simulate(other: Policy) -> Outcome:
-        found = rollout(other, course, model)
-        return Outcome(found.total, found.verdict)
+    def simulate(other: Policy) -> Rollout:
+        return rollout(other, course, model)
 
     parts = policy.circuit.size + policy.circuit.synapse_count
     on_progress(f"simulating without each of {parts} neurons and synapses")

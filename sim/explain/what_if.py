@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,19 +9,12 @@ from numpy.typing import NDArray
 from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.config import ResultModel
-from rover_ncp.course.scoring import Verdict
+from sim.learn.rollout import Rollout
 
 FloatArray = NDArray[np.float64]
 
 STEP = 0.01
 """Step of a parameter, as a fraction of the range between its bounds."""
-
-
-class Outcome(NamedTuple):
-    """Return and verdict of a drive."""
-
-    total: float
-    verdict: Verdict
 
 
 class Knockout(ResultModel):
@@ -82,13 +74,13 @@ class Sensitivity(ResultModel):
         return f"{self.kind.replace('_', ' ')}, {self.name.replace('->', '→')}"
 
 
-def knock_outs(policy: Policy, simulate: Callable[[Policy], Outcome], intact: float) -> tuple[Knockout, ...]:
+def knock_outs(policy: Policy, simulate: Callable[[Policy], Rollout], intact: float) -> tuple[Knockout, ...]:
     """Simulate a policy without each neuron and each synapse; ``intact`` is the return with all parts."""
     found = []
     for kind, name, rest in _damaged(policy):
-        total, verdict = simulate(rest)
-        ending = {key: getattr(verdict, key) for key in ("error_m", "error_rad", "parked")}
-        found.append(Knockout(kind=kind, name=name, total=total, change=total - intact, **ending))
+        run = simulate(rest)
+        ending = {key: getattr(run.verdict, key) for key in ("error_m", "error_rad", "parked")}
+        found.append(Knockout(kind=kind, name=name, total=run.total, change=run.total - intact, **ending))
     return tuple(found)
 
 

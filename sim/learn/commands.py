@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rover_ncp.core.console import MAX_SEED, Json, Output, command
+from rover_ncp.core.console import MAX_SEED, Json, Output, command, progress, reject
 from rover_ncp.core.errors import UsageError
-from sim.learn.search.strategies import SearchName
 from sim.world.bodies import PRESETS, Body
 
 if TYPE_CHECKING:
-    from sim.learn.results import RobustResult, TrainResult
+    from sim.learn.ensemble import TrainResult
+    from sim.learn.robust import RobustResult
     from sim.learn.settings import RobustSettings, Settings, TrainSettings
 
 
@@ -57,7 +57,7 @@ class TrainOptions:
         ),
     ] = None
     search: Annotated[
-        SearchName | None,
+        str | None,
         typer.Option(
             help="gauss-newton (ours): descents on the residuals of all checkpoints. published (the "
             "paper's): a few random entries change. algorithm1 (the paper's): all change, by an "
@@ -173,15 +173,12 @@ def train(options: TrainOptions) -> None:
     from sim.learn.settings import RobustSettings
 
     output, settings = Output(options.json), _settings(options)
-    if options.cluster is not None and (
-        options.processes is not None or isinstance(settings, RobustSettings)
-    ):
-        other = "processes" if options.processes is not None else "randomize"
-        raise UsageError(f"--{other} and --cluster do not go together")
-    found: TrainResult | RobustResult
     if isinstance(settings, RobustSettings):
+        reject("is for trainings without --randomize", cluster=options.cluster)
         found, words = _train_robust(output, options, settings)
     else:
+        if options.cluster is not None:
+            reject("does not go together with --cluster", processes=options.processes)
         found, words = _train_ensemble(output, options, settings)
     output.result(found, f"{words}\n{found.policy}")
 
@@ -193,28 +190,23 @@ _OF_THE_RUN = ("out", "resume", "processes", "cluster", "json")
 def _settings(options: TrainOptions) -> "Settings":
     """Return the settings of a command's options, and of the run to go on with."""
     from rover_ncp.core.config import validated
-    from sim.learn.folder import saved_settings
+    from sim.learn.folder import read_record
     from sim.learn.settings import RobustSettings, TrainSettings
 
     given: dict[str, Any] = {
-        name: str(value) if isinstance(value, Path | SearchName) else value
+        name: str(value) if isinstance(value, Path) else value
         for name, value in dataclasses.asdict(options).items()
         if value is not None and name not in _OF_THE_RUN
     }
-    out, saved = options.out, None
+    kind: type[Settings] = RobustSettings if "randomize" in given else TrainSettings
+    before: dict[str, Any] = {}
     if options.resume:
-        if out is None:
+        if options.out is None:
             raise UsageError("--resume needs --out, the folder of the run to go on with")
-        saved = saved_settings(out)
-    kind: type[Settings] = type(saved) if saved is not None else TrainSettings
-    if "randomize" in given:
-        kind = RobustSettings
-    if foreign := [name for name in given if name not in kind.model_fields]:
-        option = f"--{foreign[0].replace('_', '-')}"
-        if kind is TrainSettings:
-            raise UsageError(f"{option} needs --randomize")
-        raise UsageError(f"--randomize and {option} do not go together")
-    before = saved.model_dump() if isinstance(saved, kind) else {}
+        saved = read_record(options.out).settings
+        kind, before = type(saved), saved.model_dump()
+    foreign = {name: given[name] for name in given if name not in kind.model_fields}
+    reject(f"is for trainings {'with' if kind is TrainSettings else 'without'} --randomize", **foreign)
     return validated(before | given, kind, "train")
 
 
@@ -224,12 +216,11 @@ def _progress(
 ) -> Iterator[tuple[Path, Callable[[int, object], None]]]:
     """Give the folder and a function that shows progress; say how to go on after an interruption."""
     from sim.learn.folder import new_run_path
-    from sim.learn.progress import train_progress
     from sim.learn.workers import WorkerDied
 
     out = options.out or new_run_path()
     try:
-        with train_progress(total, unit) as show:
+        with progress(total, unit) as show:
             yield out, show
     except (KeyboardInterrupt, WorkerDied):
         output.say(f"Go on with: rover-ncp train --out {out} --resume")
@@ -238,13 +229,13 @@ def _progress(
 
 def _train_ensemble(
     output: Output, options: TrainOptions, settings: "TrainSettings"
-) -> "tuple[TrainResult, str]":
+) -> "tuple[TrainResult | RobustResult, str]":
     """Train agents on one course."""
+    from sim.learn.ensemble import TrainResult
     from sim.learn.ensemble import train as run_training
-    from sim.learn.results import TrainResult
-    from sim.learn.settings import resolve_task
+    from sim.learn.settings import load_task
 
-    resolve_task(settings)  # before a folder is made, so that a typo leaves none behind
+    load_task(settings)  # before a folder is made, so that a typo leaves none behind
     with _progress(output, options, settings.agents, "agents") as (out, show):
         result = run_training(
             settings,
@@ -275,21 +266,20 @@ def _train_ensemble(
 
 def _train_robust(
     output: Output, options: TrainOptions, settings: "RobustSettings"
-) -> "tuple[RobustResult, str]":
+) -> "tuple[TrainResult | RobustResult, str]":
     """Train on random trials."""
-    from sim.learn.results import RobustResult
-    from sim.learn.robust import start_of, train_robust
+    from sim.learn.robust import RobustResult, train_robust
+    from sim.learn.settings import load_task
 
-    start_of(settings)  # before a folder is made, so that a typo leaves none behind
+    load_task(settings)  # before a folder is made, so that a typo leaves none behind
     with _progress(output, options, settings.iterations, "generations") as (out, show):
-        _, path, last = train_robust(
+        policy, cost = train_robust(
             settings,
             out,
             resume=options.resume,
             processes=options.processes,
-            on_generation=lambda now: show(now.iterations, now),
+            on_generation=lambda done, cost: show(done, f"cost {cost:.4g}"),
         )
-    found = RobustResult(
-        **settings.model_dump(), generations=last.iterations, cost=last.best, policy=str(path)
-    )
-    return found, f"cost {last.best:.3f} after {last.iterations} generations"
+    generations = settings.iterations
+    found = RobustResult(**settings.model_dump(), generations=generations, cost=cost, policy=str(policy))
+    return found, f"cost {cost:.3f} after {generations} generations"

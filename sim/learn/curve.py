@@ -6,24 +6,22 @@ Both are a function of the agents alone: same run, same bytes.
 import io
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+
+from rover_ncp.core.config import StrictModel
 
 _MIN_LOSS = 1e-4
 
 
-@dataclass(frozen=True)
-class Agent:
-    """An agent at the end of its search."""
+class Agent(StrictModel):
+    """An agent at the end of its search, as its file holds it."""
 
     number: int
-    vector: Sequence[float]
+    vector: tuple[float, ...]
     """(P,) the best parameters."""
-    improvements: Sequence[tuple[int, float]]
-    """(iteration, return) where the best return changed, the last one before each `curve_point`; iteration 0
-    is the start."""
+    improvements: tuple[tuple[int, float], ...]
+    """(iteration, return) where the best return changed; iteration 0 is the start."""
 
     @property
     def value(self) -> float:
@@ -31,29 +29,17 @@ class Agent:
         return self.improvements[-1][1]
 
     def value_at(self, iteration: int) -> float:
-        """Return the best return after ``iteration``, a `curve_point` or the last one."""
+        """Return the best return after ``iteration``."""
         known = bisect_right(self.improvements, iteration, key=lambda change: change[0])
         return self.improvements[known - 1][1]
-
-
-def curve_point(iteration: int) -> int:
-    """Return the first point of a learning curve from ``iteration`` on: at most two significant digits."""
-    step = int(10 ** max(len(str(iteration - 1)) - 2, 0))
-    return -(-iteration // step) * step
-
-
-def note_improvement(improvements: list[tuple[int, float]], iteration: int, value: float) -> None:
-    """Keep a change of the best return, and drop an earlier one before the same `curve_point`."""
-    if improvements and curve_point(improvements[-1][0]) == curve_point(iteration):
-        improvements.pop()
-    improvements.append((iteration, value))
 
 
 def curve_iterations(last: int) -> list[int]:
     """Return the iterations a curve shows: those of at most two significant digits, and the last one."""
     shown = [0]
     while shown[-1] < last:
-        shown.append(min(curve_point(shown[-1] + 1), last))
+        step = 10 ** max(len(str(shown[-1])) - 2, 0)
+        shown.append(min(shown[-1] + step, last))
     return shown
 
 
@@ -95,11 +81,6 @@ def curve_png(agents: Sequence[Agent], last: int, title: str) -> bytes:
     axes.grid(alpha=0.3)
     axes.set(xlabel="iteration", ylabel="best return so far", title=title, xlim=(0, max(last, 1)))
     axes.legend(loc="lower right")
-    return png_of(figure)
-
-
-def png_of(figure: Any) -> bytes:
-    """Return a figure as PNG, without version or time, so that the same curves give the same bytes."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
+    figure.savefig(buffer, format="png", metadata={"Software": None})  # a version would change the bytes
     return buffer.getvalue()

@@ -7,8 +7,8 @@ evaluator, and a block is saved when it and all blocks before it have ended.
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -16,18 +16,19 @@ from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
+from pydantic import BaseModel, Field
 
 from rover_ncp.circuit.compiled import dead_parameters
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.config import validated
 from rover_ncp.core.streams import Domain, random_stream
-from rover_ncp.course.scoring import Verdict
-from sim.learn.curve import Agent, curve_csv, curve_png, note_improvement
+from rover_ncp.course.scoring import Failure, Verdict
+from sim.learn.curve import Agent, curve_csv, curve_png
 from sim.learn.evaluator import Evaluator
 from sim.learn.folder import RunFolder, open_run
 from sim.learn.rollout import rollout
-from sim.learn.search.strategies import Batch, Scores, start_search
-from sim.learn.settings import Record, Task, TrainSettings, resolve_task
+from sim.learn.search import Batch, Scores, start_search
+from sim.learn.settings import Task, TrainSettings, load_task
 from sim.learn.workers import available_processes, cluster_workers, local_workers, made_in_each_process
 
 BLOCK = 6
@@ -37,25 +38,12 @@ _CLUSTER_BLOCK = 2
 
 
 @dataclass(frozen=True)
-class Plan:
-    """Data that every process needs; it is passed between processes by pickle."""
-
-    root_seed: int
-    search: str
-    iterations: int
-    """Candidates of each agent after its start."""
-    start: Policy
-    """Its parameters are the defaults of the search."""
-    build_evaluator: Callable[[], Evaluator]
-
-
-@dataclass(frozen=True)
 class Ensemble:
     """The agents that have ended, by number."""
 
     agents: tuple[Agent, ...]
-    accepted: bool = False
-    """Whether the last one ended the training."""
+    accepted: Agent | None = None
+    """The one that ended the training."""
 
     @property
     def returns(self) -> list[float]:
@@ -65,7 +53,7 @@ class Ensemble:
     @property
     def best(self) -> Agent:
         """The agent that ended the training, otherwise that of the highest return, the first of equals."""
-        return self.agents[-1] if self.accepted else max(self.agents, key=lambda agent: agent.value)
+        return self.accepted or max(self.agents, key=lambda agent: agent.value)
 
     @property
     def median_return(self) -> float:
@@ -76,60 +64,27 @@ class Ensemble:
         return f"best {self.best.value:.4f}  median {self.median_return:.4f}"
 
 
-@dataclass
-class _Path:
-    """An agent on its way through its iterations."""
+class TrainResult(BaseModel):
+    """Result of the command; the verdict is the best agent's."""
 
-    plan: Plan
-    number: int
-    vector: list[float] = field(default_factory=list)
-    value: float = -math.inf
-    improvements: list[tuple[int, float]] = field(default_factory=list)
-    done: int = 0
-    """Candidates scored, with the start."""
-
-    def __post_init__(self) -> None:
-        start, rng = self.plan.start, random_stream(self.plan.root_seed, Domain.AGENT, self.number)
-        self._search = start_search(
-            self.plan.search, start.layout(), start.parameters(), rng, dead_parameters(start)
-        )
-        self.batch = self._within_limit(next(self._search))
-
-    def _within_limit(self, batch: Batch) -> Batch:
-        left = self.plan.iterations + 1 - self.done
-        return Batch(batch.vectors[:left], batch.to_beat[:left])
-
-    def take(self, scores: Scores) -> bool:
-        """Take the scores of the batch and propose the next one; return whether there is one."""
-        for vector, value in zip(self.batch.vectors, scores.returns.tolist(), strict=True):
-            if value > self.value:
-                self.vector, self.value = vector.tolist(), value
-                note_improvement(self.improvements, self.done, value)
-            self.done += 1
-        if self.done > self.plan.iterations:
-            return False
-        self.batch = self._within_limit(self._search.send(scores))
-        return True
+    parked: bool = Field(description="whether the rover parked")
+    error_m: float = Field(description="final position error")
+    error_rad: float = Field(description="final heading error")
+    reason: str = Field(description="why it did not park, or empty")
+    failure: Failure = Field(description="the first condition that was missed, or empty")
+    returns: list[float] = Field(description="by agent")
+    best_return: float = Field(description="of all agents")
+    median_return: float = Field(description="of all agents")
+    wall_s: float = Field(description="how long it took")
+    iterations_per_s: float | None = Field(description="of all agents together")
+    seed: int = Field(description="root seed")
+    agents: int = Field(description="how many")
+    iterations: int = Field(description="of each agent")
+    out: str = Field(description="the folder")
+    policy: str = Field(description="the best agent's file")
 
 
-def train_block(plan: Plan, evaluator: Evaluator, numbers: Sequence[int]) -> list[Agent]:
-    """Train agents side by side: their pending batches share one queue, which keeps its lanes busy."""
-    paths = [_Path(plan, number) for number in numbers]
-    stream = evaluator.stream(len(paths))
-    for place, path in enumerate(paths):
-        stream.submit(place, path.batch)
-    while answers := stream.collect():
-        for place, scores in answers:
-            if paths[place].take(scores):
-                stream.submit(place, paths[place].batch)
-    return [Agent(path.number, path.vector, path.improvements) for path in paths]
-
-
-def _block_trainer(plan: Plan) -> Callable[[Sequence[int]], list[Agent]]:
-    return partial(train_block, plan, plan.build_evaluator())
-
-
-class TrainResult(NamedTuple):
+class Trained(NamedTuple):
     """How a training run ended. Times in s of this call alone, which may have resumed an older run."""
 
     policy: Policy
@@ -143,17 +98,6 @@ class TrainResult(NamedTuple):
     """Iterations of all agents per second; None if none were done."""
 
 
-def training_plan(settings: TrainSettings, task: Task) -> Plan:
-    """Return what the agents of a run need to know."""
-    return Plan(
-        root_seed=settings.seed,
-        search=settings.search,
-        iterations=settings.iterations,
-        start=task.policy,
-        build_evaluator=partial(Evaluator, task.policy, task.course, settings.rover),
-    )
-
-
 def train(
     settings: TrainSettings | Mapping[str, Any],
     out: str | Path,
@@ -164,7 +108,7 @@ def train(
     on_progress: Callable[[Ensemble], None] = lambda ensemble: None,
     accept: Callable[[Policy], bool] = lambda policy: False,
     block: int = BLOCK,
-) -> TrainResult:
+) -> Trained:
     """Train ``settings.agents`` agents and leave the run in the folder ``out``.
 
     ``settings`` are `sim.learn.settings.TrainSettings` or a mapping with some of their fields: course,
@@ -180,29 +124,29 @@ def train(
     """
     began = time.monotonic()
     settings = validated(settings, TrainSettings, "train")
-    task = resolve_task(settings)
-    plan = training_plan(settings, task)
-    with open_run(Path(out), Record[TrainSettings].of(settings, task.policy, task.course), resume) as folder:
-        run = _Run(folder, task)
-        missing = run.missing
+    task = load_task(settings)
+    with open_run(Path(out), settings, task, resume) as folder:
+        run = _Run(folder, settings, task)
+        missing, before = run.missing, len(run.ensemble.agents)
         count = min(processes or available_processes(), max(len(missing), 1))
         blocks = _blocks(missing, count, block) if cluster is None else _blocks(missing, 1, _CLUSTER_BLOCK)
+        make = partial(_block_trainer, settings, task)
         with cluster_workers(cluster) if cluster is not None and blocks else local_workers(count) as workers:
-            trained = workers.map(made_in_each_process(partial(_block_trainer, plan)), blocks)
-            for agents in trained:
+            for agents in workers(made_in_each_process(make), blocks):
                 run.take(agents, accept)
                 on_progress(run.ensemble)
                 if run.ensemble.accepted:
                     break
         wall_s = time.monotonic() - began
         run.finish()
-        return TrainResult(
-            policy=run.policy(run.ensemble.best),
+        best, trained = run.policy(run.ensemble.best), len(run.ensemble.agents) - before
+        return Trained(
+            policy=best,
             policy_path=folder.policy_path,
-            verdict=rollout(run.policy(run.ensemble.best), task.course, settings.rover).verdict,
+            verdict=rollout(best, task.course, task.rover).verdict,
             agents=run.ensemble,
             wall_s=wall_s,
-            iterations_per_s=run.trained * settings.iterations / wall_s if run.trained else None,
+            iterations_per_s=trained * settings.iterations / wall_s if trained else None,
         )
 
 
@@ -213,56 +157,88 @@ def _blocks(numbers: Sequence[int], processes: int, most: int) -> list[Sequence[
     return [numbers[a:b] for a, b in pairwise(bounds) if a < b]
 
 
+def _block_trainer(settings: TrainSettings, task: Task) -> Callable[[Sequence[int]], list[Agent]]:
+    return partial(_train_block, settings, task.policy, Evaluator(task.policy, task.course, task.rover))
+
+
+def _train_block(
+    settings: TrainSettings, start: Policy, evaluator: Evaluator, numbers: Sequence[int]
+) -> list[Agent]:
+    """Train agents side by side: their pending batches share one queue, which keeps its lanes busy."""
+    running = [_run_agent(settings, start, number) for number in numbers]
+    stream, ended = evaluator.stream(len(running)), {}
+    for place, agent in enumerate(running):
+        stream.submit(place, next(agent))
+    while answers := stream.collect():
+        for place, scores in answers:
+            try:
+                stream.submit(place, running[place].send(scores))
+            except StopIteration as end:
+                ended[place] = end.value
+    return [ended[place] for place in range(len(numbers))]
+
+
+def _run_agent(settings: TrainSettings, start: Policy, number: int) -> Generator[Batch, Scores, Agent]:
+    """Search from a policy's parameters; return the agent after as many candidates as it has iterations."""
+    search = start_search(
+        settings.search,
+        start.layout(),
+        start.parameters(),
+        random_stream(settings.seed, Domain.AGENT, number),
+        dead_parameters(start),
+    )
+    batch, vector, best = next(search), start.parameters(), -math.inf
+    improvements: list[tuple[int, float]] = []
+    done, end = 0, settings.iterations + 1  # the start is no iteration
+    while True:
+        batch = Batch(batch.vectors[: end - done], batch.to_beat[: end - done])
+        scores = yield batch
+        for candidate, value in zip(batch.vectors, scores.returns.tolist(), strict=True):
+            if value > best:
+                vector, best = candidate.copy(), value
+                improvements.append((done, value))
+            done += 1
+        if done == end:
+            return Agent(number=number, vector=vector.tolist(), improvements=tuple(improvements))
+        batch = search.send(scores)
+
+
 class _Run:
     """The agents of a run that have ended, and their files."""
 
-    def __init__(self, folder: RunFolder[TrainSettings], task: Task) -> None:
-        self._folder, self._task = folder, task
-        self._agents: dict[int, Agent] = {}
-        self._accepted = False
-        self.trained = 0
-        """Agents of this call."""
-        for number in range(folder.record.settings.agents):
-            if state := folder.read_state(_file_of(number)):
-                changes = tuple((iteration, value) for iteration, value in state["improvements"])
-                self._agents[number] = Agent(number, state["vector"], changes)
-
-    @property
-    def ensemble(self) -> Ensemble:
-        """The agents so far."""
-        return Ensemble(tuple(self._agents[number] for number in sorted(self._agents)), self._accepted)
+    def __init__(self, folder: RunFolder, settings: TrainSettings, task: Task) -> None:
+        self._folder, self._settings, self._task = folder, settings, task
+        saved = (folder.read(_file_of(number), Agent) for number in range(settings.agents))
+        self.ensemble = Ensemble(tuple(agent for agent in saved if agent))
 
     @property
     def missing(self) -> list[int]:
         """The agents to train."""
-        agents = range(self._folder.record.settings.agents)
-        return [number for number in agents if number not in self._agents]
+        ended = {agent.number for agent in self.ensemble.agents}
+        return [number for number in range(self._settings.agents) if number not in ended]
 
     def take(self, agents: Sequence[Agent], accept: Callable[[Policy], bool]) -> None:
         """Save the agents of a block, up to the first one that is accepted."""
         try:
             for agent in agents:
-                state = {"vector": agent.vector, "improvements": agent.improvements}
-                self._folder.write_state(_file_of(agent.number), state)
-                self._agents[agent.number] = agent
-                self.trained += 1
-                if accept(self.policy(agent)):
-                    self._accepted = True
+                self._folder.write(_file_of(agent.number), agent)
+                ended = sorted([*self.ensemble.agents, agent], key=lambda each: each.number)
+                self.ensemble = Ensemble(tuple(ended), agent if accept(self.policy(agent)) else None)
+                if self.ensemble.accepted:
                     break
         finally:  # also when a Ctrl-C comes in between
-            if self._agents:
-                self._write_best()
+            self._write_best()
 
     def _write_best(self) -> None:
         """Write the best policy and the table of the curves."""
-        self._folder.write("policy.yaml", self.policy(self.ensemble.best))
-        table = curve_csv(self.ensemble.agents, self._folder.record.settings.iterations)
-        self._folder.write("curve.csv", table)
+        if self.ensemble.agents:
+            self._folder.write("policy.yaml", self.policy(self.ensemble.best))
+            self._folder.write("curve.csv", curve_csv(self.ensemble.agents, self._settings.iterations))
 
     def finish(self) -> None:
         """Write each agent's policy and the picture."""
         self._write_best()
-        agents, settings = self.ensemble.agents, self._folder.record.settings
+        agents, settings = self.ensemble.agents, self._settings
         for agent in agents:
             self._folder.write(f"agents/{agent.number:02}.yaml", self.policy(agent))
         title = f"{self._task.course.name}, {settings.search} search, seed {settings.seed}"
@@ -270,9 +246,8 @@ class _Run:
 
     def policy(self, agent: Agent) -> Policy:
         """Return an agent's best parameters as a policy with its provenance."""
-        settings = self._folder.record.settings
         provenance = self._folder.record.provenance(
-            settings.iterations, **{"agent": agent.number, "return": agent.value}
+            self._settings.iterations, **{"agent": agent.number, "return": agent.value}
         )
         policy = self._task.policy.with_parameters(np.array(agent.vector))
         return replace(policy, provenance=provenance)

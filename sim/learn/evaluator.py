@@ -10,7 +10,7 @@ therefore be truncated without any effect on a comparison with that threshold.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,22 +22,115 @@ from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.hold import hold_from_s
 from rover_ncp.course.reference import Reference, plan_reference
 from rover_ncp.course.scoring import due_checkpoints
-from rover_ncp.native.core import bound_episodes
-from sim.learn.lanes import IDLE, RESULTS, FloatArray, IntArray, Lanes, Queue, Tasks, Waiting
-from sim.learn.search.strategies import Batch, Scores
+from rover_ncp.native.core import Axes, FloatArray, bound_episodes
+from sim.learn.search import Batch, Scores
 from sim.world.described import default_rover
 from sim.world.fleet import Fleet
 from sim.world.pymunk_rover import require_free_start
 from sim.world.randomization import Trials, nominal_trials
 from sim.world.rover import SUBSTEP_S, RoverModel
 
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
 _MAX_LANES = 24
 """More gain nothing: all numbers should stay in a core's first cache."""
 
-STREAM_LANES = 8
+_STREAM_LANES = 8
 """One vector; with more, lanes idle while agents wait for their last episode."""
 _MIN_ROOM = 100
 """Candidates that a search may submit at once, or as many as it has parameters."""
+
+IDLE = -1
+WARMING_UP = -1
+
+RESULTS = 8
+"""Numbers an episode ends in, in this order: return; distance (m) and angle (rad) to the goal; the farthest
+that pose and heading were, in the time to be still, from where they ended (m, rad); touched (0 or 1); means
+over all ticks of the squared distance (m²) and angle (rad²) to the reference."""
+
+
+class Tasks(NamedTuple):
+    """Courses, of up to ``ticks`` ticks, up to ``still`` of them to be still."""
+
+    ticks: Annotated[IntArray, Axes("courses", below="ticks+1")]
+    still: Annotated[IntArray, Axes("courses")]
+    hold: Annotated[IntArray, Axes("courses")]
+    """The first tick in which a rover may hold."""
+    near: Annotated[FloatArray, Axes("courses", 2)]
+    """Position in m and heading in rad within which it may."""
+    signal: Annotated[FloatArray, Axes("courses", "ticks+1")]
+    """Start signal at the start of each tick."""
+    due: Annotated[IntArray, Axes("courses", "ticks", below="checkpoints", lowest=-1)]
+    """Checkpoint judged at the end of each tick, or -1."""
+    checkpoints: Annotated[FloatArray, Axes("courses", "checkpoints", 3)]
+    """Poses, the last one the goal."""
+    goal: Annotated[FloatArray, Axes("courses", 3)]
+    has_reference: bool
+    reference: Annotated[FloatArray, Axes("courses", "ticks+1", 5)]
+    """x, y, theta, v, omega at the start of each tick; 0 where no policy asks for it."""
+    limits: Annotated[FloatArray, Axes(4)]
+    """The model's accel, decel, alpha, alpha_decel."""
+
+
+class Lanes(NamedTuple):
+    """L lanes at work, beside the circuits and the fleet."""
+
+    observations: Annotated[FloatArray, Axes("inputs", "lanes")]
+    commands: Annotated[FloatArray, Axes(2, "lanes")]
+    poses: Annotated[FloatArray, Axes(3, "lanes")]
+    held: Annotated[FloatArray, Axes(2, "lanes")]
+    driven: Annotated[FloatArray, Axes(2, "lanes")]
+    """The command that arrived last, and the motion that the base makes of it."""
+    pulses: Annotated[FloatArray, Axes(2, 3, "lanes")]
+    """The driver's ``Pulse`` of v and of omega."""
+    near_goal: Annotated[BoolArray, Axes("lanes")]
+    holds: Annotated[BoolArray, Axes("lanes")]
+    """Whether the observed pose is near the goal, and whether the rover holds."""
+    odometry: Annotated[FloatArray, Axes(3, "lanes")]
+    earlier: Annotated[FloatArray, Axes(3, "lanes")]
+    """The pose by odometry, heading not wrapped, now and a tick ago."""
+    episode: Annotated[IntArray, Axes("lanes", below="episodes", lowest=IDLE)]
+    task: Annotated[IntArray, Axes("lanes", below="courses")]
+    trial: Annotated[IntArray, Axes("lanes", below="trials")]
+    """Of its episode."""
+    tick: Annotated[IntArray, Axes("lanes", below="ticks+1", lowest=WARMING_UP)]
+    total: Annotated[FloatArray, Axes("lanes")]
+    """Running return."""
+    tail: Annotated[FloatArray, Axes("lanes", "poses_kept", 3)]
+    """Ring of the last poses, one more than the ticks to be still."""
+    latest: Annotated[IntArray, Axes("lanes", below="poses_kept")]
+    """Where the last of them is."""
+    tracking: Annotated[FloatArray, Axes(2, "lanes")]
+    """Running sums."""
+    before: Annotated[IntArray, Axes("lanes")]
+    """Work: the lanes' episodes before a tick."""
+
+
+class Waiting(NamedTuple):
+    """The episodes of a queue in groups of equal size, group by group."""
+
+    episodes: Annotated[IntArray, Axes("episodes", below="episodes")]
+    """Ring of episodes that wait for a lane."""
+    ring: Annotated[IntArray, Axes(2, below="episodes+1")]
+    """Where the ring begins, and how many wait."""
+    left: Annotated[IntArray, Axes("groups")]
+    """Episodes of each group that have not ended."""
+
+
+class Queue(NamedTuple):
+    """Episodes and their results."""
+
+    vectors: Annotated[FloatArray, Axes("vectors", "parameters")]
+    vector: Annotated[IntArray, Axes("episodes", below="vectors")]
+    task: Annotated[IntArray, Axes("episodes", below="courses")]
+    trial: Annotated[IntArray, Axes("episodes", below="trials")]
+    stop_below: Annotated[FloatArray, Axes("episodes")]
+    """An episode is truncated as soon as its running return is below."""
+    results: Annotated[FloatArray, Axes("episodes", RESULTS)]
+    residuals: Annotated[FloatArray, Axes("episodes", "checkpoints", 3)]
+    """x, y and heading from each checkpoint when it was judged; 0 where none was."""
+    waiting: Waiting
 
 
 class Outcomes(NamedTuple):
@@ -50,11 +143,11 @@ class Outcomes(NamedTuple):
     moved_m: FloatArray
     turned_rad: FloatArray
     """The most in the time to be still."""
-    touched: NDArray[np.bool_]
+    touched: BoolArray
     tracking_m2: FloatArray
     tracking_rad2: FloatArray
     """Mean squared distance and angle to the reference; of no meaning without one."""
-    parked: NDArray[np.bool_]
+    parked: BoolArray
 
 
 class _LaneSet(NamedTuple):
@@ -97,14 +190,14 @@ class Evaluator:
         self._tasks = _tasks(courses, references, self.model)
         self._lane_sets: dict[tuple[int, int], _LaneSet] = {}
         self._delays = (0.0, 0.0)
-        self.change_trials(trials or nominal_trials(self.model, int(self._tasks.ticks.max())))
-        self._nominal = trials is None
+        ticks = int(self._tasks.ticks.max())
+        self.change_trials(trials or nominal_trials(self.model, ticks, len(courses)))
 
     def change_trials(self, trials: Trials, first_course: int = 0) -> None:
         """Drive other trials from now on, trial i on course ``first_course`` + i modulo their number."""
         if trials.noise.shape[1] <= int(self._tasks.ticks.max()):
             raise ValueError(f"trials of {trials.noise.shape[1] - 1} ticks are too short for the courses")
-        self._nominal, self._trials, self._first_course = False, trials, first_course
+        self._trials, self._first_course = trials, first_course
         delays = tuple(SUBSTEP_S * trials.delay.max(axis=0))
         longest = tuple(map(max, delays, self._delays))
         if longest != self._delays:
@@ -113,78 +206,78 @@ class Evaluator:
 
     def returns(self, vectors: ArrayLike) -> FloatArray:
         """Return the returns (k,) of parameter vectors (k, P) in bounds: means over the trials or courses."""
-        mean: FloatArray = self._drive(vectors)[1][:, :, 0].mean(axis=1)
-        return mean
+        return np.asarray(self.outcomes(vectors).total.mean(axis=1))
 
     def outcomes(self, vectors: ArrayLike) -> Outcomes:
         """Return how the episodes of parameter vectors (k, P) in bounds end."""
         tasks, found = self._drive(vectors)
-        total, error_m, error_rad, moved_m, turned_rad, touches, tracking_m2, tracking_rad2 = np.moveaxis(
-            found, 2, 0
-        )
-        touched = touches > 0
+        total, error_m, error_rad, moved_m, turned_rad, touches, away_m2, away_rad2 = np.moveaxis(found, 2, 0)
         rules = [self.courses[task].parked for task in tasks]
         position, heading, still_m, still_rad = np.array(
             [[rule.position_m, rule.heading_rad, rule.still_m, rule.still_rad] for rule in rules]
         ).T
-        parked = (error_m <= position) & (error_rad <= heading) & ~touched
-        parked &= (moved_m < still_m) & (turned_rad < still_rad)
+        parked = (error_m <= position) & (error_rad <= heading) & (moved_m < still_m)
+        parked &= (turned_rad < still_rad) & (touches == 0)
         return Outcomes(
-            total=total,
-            error_m=error_m,
-            error_rad=error_rad,
-            moved_m=moved_m,
-            turned_rad=turned_rad,
-            touched=touched,
-            tracking_m2=tracking_m2,
-            tracking_rad2=tracking_rad2,
-            parked=parked,
+            total, error_m, error_rad, moved_m, turned_rad, touches > 0, away_m2, away_rad2, parked
         )
 
     def stream(self, agents: int) -> "Stream":
         """Return a stream for so many agents. Raises ValueError for several courses or trials."""
         if len(self.courses) > 1 or self._trials.size > 1:
             raise ValueError("a stream drives one trial on one course")
-        lane_set = self._build_lanes(STREAM_LANES, 0)
-        size, checkpoints = self._policy.layout().size, self._tasks.checkpoints.shape[1]
-        return Stream(agents, size, checkpoints, lambda queue: self._bind(lane_set, queue))
+        lane_set, size = self._build_lanes(_STREAM_LANES, 0), self._policy.layout().size
+        vectors = np.zeros((agents * max(_MIN_ROOM, size), size))
+        none = np.zeros(len(vectors), np.int64)
+        waiting = Waiting(none.copy(), np.zeros(2, np.int64), np.zeros(agents, np.int64))
+        queue = self._build_queue(vectors, waiting, vector=np.arange(len(vectors)), task=none, trial=none)
+        return Stream(queue, lane_set, self._bind(lane_set, queue))
 
     def _drive(self, vectors: ArrayLike) -> tuple[IntArray, FloatArray]:
         """Return the courses (E,) and results (k, E, RESULTS) of vectors (k, P)."""
         rows = np.ascontiguousarray(np.atleast_2d(np.asarray(vectors, np.float64)))
         _require_finite(rows)
-        if self._nominal:
-            tasks = np.arange(len(self.courses))
-            trials = np.zeros(len(tasks), np.int64)
-        else:
-            trials = np.arange(self._trials.size)
-            tasks = (self._first_course + trials) % len(self.courses)
+        trials = np.arange(self._trials.size)
+        tasks = (self._first_course + trials) % len(self.courses)
         results = np.zeros((len(rows), len(tasks), RESULTS))
         for ground in range(len(self._grounds)):
             (chosen,) = np.nonzero(self._ground[tasks] == ground)
             count = len(rows) * len(chosen)
             if not count:
                 continue
-            queue = Queue(
-                vectors=rows,
+            queue = self._build_queue(
+                rows,
+                Waiting(np.arange(count), np.array([0, count]), np.array([count])),
                 vector=np.repeat(np.arange(len(rows)), len(chosen)),
                 task=np.tile(tasks[chosen], len(rows)),
                 trial=np.tile(trials[chosen], len(rows)),
-                stop_below=np.full(count, -np.inf),
-                results=np.zeros((count, RESULTS)),
-                residuals=np.zeros((count, *self._tasks.checkpoints.shape[1:])),
-                waiting=Waiting(np.arange(count), np.array([0, count]), np.array([count])),
             )
-            width = _width(count)
+            rounds = -(-count // _MAX_LANES)
+            width = -(-count // rounds)  # all rounds are evenly full
             if (width, ground) not in self._lane_sets:
                 self._lane_sets[width, ground] = self._build_lanes(width, ground)
             self._bind(self._lane_sets[width, ground], queue)()
             results[:, chosen] = queue.results.reshape(len(rows), len(chosen), RESULTS)
         return tasks, results
 
-    def _bind(self, lane_set: _LaneSet, queue: Queue) -> Callable[[], None]:
-        """Return what runs a queue; it keeps the rovers, of which the library has no more than addresses."""
-        run = bound_episodes(
+    def _build_queue(
+        self, vectors: FloatArray, waiting: Waiting, *, vector: IntArray, task: IntArray, trial: IntArray
+    ) -> Queue:
+        """Return a queue of episodes (E,), none of which is truncated."""
+        return Queue(
+            vectors=vectors,
+            vector=vector,
+            task=task,
+            trial=trial,
+            stop_below=np.full(len(vector), -np.inf),
+            results=np.zeros((len(vector), RESULTS)),
+            residuals=np.zeros((len(vector), *self._tasks.checkpoints.shape[1:])),
+            waiting=waiting,
+        )
+
+    def _bind(self, lane_set: _LaneSet, queue: Queue) -> Callable[[], object]:
+        """Return what runs a queue, as long as the lanes exist: it has their addresses alone."""
+        return bound_episodes(
             self._signal_at,
             circuits=lane_set.circuits,
             tasks=self._tasks,
@@ -193,11 +286,6 @@ class Evaluator:
             fleet=lane_set.fleet.arrays,
             queue=queue,
         )
-
-        def run_queue(fleet: Fleet = lane_set.fleet) -> None:
-            run()
-
-        return run_queue
 
     def _build_lanes(self, width: int, ground: int) -> _LaneSet:
         lanes = Lanes(
@@ -235,23 +323,10 @@ class Stream:
     returns are those of ``Evaluator.returns``.
     """
 
-    def __init__(
-        self, agents: int, size: int, checkpoints: int, bind: Callable[[Queue], Callable[[], None]]
-    ) -> None:
-        self._room = max(_MIN_ROOM, size)
-        episodes = agents * self._room
-        zeros = np.zeros(episodes, np.int64)
-        self._queue = Queue(
-            vectors=np.zeros((episodes, size)),
-            vector=np.arange(episodes),
-            task=zeros,
-            trial=zeros,
-            stop_below=np.zeros(episodes),
-            results=np.zeros((episodes, RESULTS)),
-            residuals=np.zeros((episodes, checkpoints, 3)),
-            waiting=Waiting(zeros.copy(), np.zeros(2, np.int64), np.zeros(agents, np.int64)),
-        )
-        self._run_queue = bind(self._queue)
+    def __init__(self, queue: Queue, lane_set: _LaneSet, run: Callable[[], object]) -> None:
+        self._queue, self._lane_set, self._run_queue = queue, lane_set, run
+        agents = len(queue.waiting.left)
+        self._room = len(queue.vectors) // agents
         self._submitted = [0] * agents
 
     def submit(self, agent: int, batch: Batch) -> None:
@@ -322,9 +397,3 @@ def _tasks(courses: Sequence[Course], references: Sequence[Reference] | None, mo
 def _hold_tick(course: Course) -> int:
     """Return the first tick in which a rover on the course may hold."""
     return next(tick for tick in range(course.ticks + 1) if TICK_S * tick > hold_from_s(course))
-
-
-def _width(count: int) -> int:
-    """Return how many lanes serve so many episodes: in as few rounds as can be, evenly full."""
-    rounds = -(-count // _MAX_LANES)
-    return -(-count // rounds)

@@ -10,32 +10,31 @@ search.json     a search by generations, between two of them
 """
 
 import fcntl
-import hashlib
-import json
 import logging
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Generic
+from typing import TypeVar
 
-import numpy as np
-from pydantic import BaseModel
+from pydantic import ValidationError
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_to_yaml
-from rover_ncp.core.config import dump_yaml, load_yaml
+from rover_ncp.core.config import StrictModel, dump_yaml, load_yaml
 from rover_ncp.core.console import printable
 from rover_ncp.core.errors import FileError, UsageError
 from rover_ncp.core.files import read_text, write_atomic
-from sim.learn.settings import Record, RobustSettings, Settings, SettingsT, TrainSettings
+from sim.learn.settings import Record, Settings, Task
 
 _LOGGER = logging.getLogger(__name__)
 _RUNS = Path("runs")
 _RECORD = "settings.yaml"
-_LEFTOVER = re.compile(r"\.(settings|policy|curve|search|\d+)\.(yaml|csv|png|json)\.\w+")
+_LEFTOVER = re.compile(r"\.\w+\.(yaml|csv|png|json)\.\w+")
 """Temporary files that ``write_atomic`` leaves when a run is killed while it writes."""
+
+StateT = TypeVar("StateT", bound=StrictModel)
 
 
 def new_run_path() -> Path:
@@ -55,84 +54,49 @@ def new_run_path() -> Path:
             return path
 
 
-class _Kind(BaseModel):
-    settings: dict[str, Any]
+def read_record(path: Path) -> Record:
+    """Return the record of the run in a folder. Raises UsageError (no run), FileError, ConfigError."""
+    if not (path / _RECORD).exists():
+        raise UsageError(f"{path}: holds no training run to resume; begin one without --resume")
+    return load_yaml(path / _RECORD, Record)
 
 
-def saved_settings(path: Path) -> Settings:
-    """Return the settings of the run in a folder. Raises UsageError (none), FileError, ConfigError."""
-    saved = path / _RECORD
-    if not saved.exists():
-        raise _nothing_to_resume(path)
-    kind = load_yaml(saved, _Kind).settings
-    if "randomize" in kind:
-        return load_yaml(saved, Record[RobustSettings]).settings
-    return load_yaml(saved, Record[TrainSettings]).settings
-
-
-class RunFolder(Generic[SettingsT]):
+class RunFolder:
     """The folder of one run, open while this process holds its lock; made by ``open_run``."""
 
-    def __init__(self, path: Path, record: Record[SettingsT]) -> None:
-        self.path = path
-        self.record: Record[SettingsT] = record
-        self._settings = dump_yaml(record.settings.model_dump())
+    def __init__(self, path: Path, record: Record) -> None:
+        self.path, self.record = path, record
         self.policy_path = path / "policy.yaml"
 
-    def write(self, name: str, content: str | bytes | Policy) -> None:
+    def write(self, name: str, content: str | bytes | StrictModel | Policy) -> None:
         """Write a file. Raises FileError, also if the folder was moved: a new one would lack its settings."""
         if not (self.path / _RECORD).is_file():
             problem = "was moved or removed during the training; go on with --resume where it is"
             raise FileError(f"{self.path}: {problem}")
-        text = policy_to_yaml(content) if isinstance(content, Policy) else content
-        write_atomic(self.path / name, text)
+        if isinstance(content, StrictModel):
+            content = content.model_dump_json()
+        elif isinstance(content, Policy):
+            content = policy_to_yaml(content)
+        write_atomic(self.path / name, content)
 
-    def write_state(self, name: str, state: Mapping[str, Any]) -> None:
-        """Write what resuming needs, with a digest of it and of the run's settings."""
-        self.write(name, dump_checked(state, f"{self._settings}{name}"))
-
-    def read_state(self, name: str) -> dict[str, Any] | None:
-        """Return what ``write_state`` wrote, None without such a file. Raises FileError for another file."""
+    def read(self, name: str, kind: type[StateT]) -> StateT | None:
+        """Return the state in a file, None without such a file. Raises FileError for a damaged one."""
         path = self.path / name
-        return load_checked(path, f"{self._settings}{name}") if path.is_file() else None
-
-
-def dump_checked(state: Mapping[str, Any], owner: str) -> str:
-    """Return a state as a line of JSON, with a digest of it and of ``owner``, a text that names its run."""
-    text = _text(state)
-    return f'{{"sha256": "{_digest(owner, text)}", "state": {text}}}\n'
-
-
-def load_checked(path: Path, owner: str) -> dict[str, Any]:
-    """Return a state that ``dump_checked`` made. Raises FileError for a damaged file, or of another owner."""
-    try:
-        data = json.loads(read_text(path))
-        state: dict[str, Any] = data["state"]
-        if data["sha256"] == _digest(owner, _text(state)):
-            return state
-    except (ValueError, KeyError, TypeError, RecursionError):
-        pass
-    raise FileError(f"{path}: damaged, or not of this run; delete it to begin it again")
-
-
-def _text(state: Mapping[str, Any]) -> str:
-    """Return a state as JSON, arrays as nested lists; it keeps every bit."""
-    return json.dumps(state, allow_nan=False, default=np.ndarray.tolist)
-
-
-def _digest(owner: str, text: str) -> str:
-    return hashlib.sha256(f"{owner}\n{text}".encode()).hexdigest()
+        try:
+            return kind.model_validate_json(read_text(path)) if path.is_file() else None
+        except ValidationError as error:
+            raise FileError(f"{path}: not a state of this version; delete it to begin it again") from error
 
 
 @contextmanager
-def open_run(path: Path, record: Record[SettingsT], resume: bool) -> Iterator[RunFolder[SettingsT]]:
+def open_run(path: Path, settings: Settings, task: Task, resume: bool) -> Iterator[RunFolder]:
     """Begin a run in an empty or missing folder or, if ``resume``, go on with the one it holds.
 
     The folder has the record that the run began with. Raises UsageError or ConfigError if the folder holds
     something else, nothing to resume, or a run of other settings or files. Other versions are logged as a
     warning. A folder whose run was killed before it wrote anything counts as empty.
     """
-    saved = path / _RECORD
+    record, saved = Record.of(settings, task), path / _RECORD
     try:
         path.mkdir(parents=True, exist_ok=True)
         handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
@@ -144,29 +108,22 @@ def open_run(path: Path, record: Record[SettingsT], resume: bool) -> Iterator[Ru
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise UsageError(f"{path}: another process is training in this folder") from error
-        if saved.exists():
-            if not resume:
-                raise UsageError(
-                    f"{path}: holds a training run; go on with --resume, or choose another --out"
-                )
-            began = load_yaml(saved, type(record))
+        if resume:
+            began = read_record(path)
             began.require_same(record, str(saved))
-            if versions := began.other_versions(record):
-                warning = f"{path}: the run began with {versions}; its result will mix both"
-                _LOGGER.warning("%s", printable(warning))
+            if others := set(began.made_with.items()) - set(record.made_with.items()):
+                versions = printable(", ".join(" ".join(each) for each in sorted(others)))
+                _LOGGER.warning("%s: the run began with %s; its result will mix versions", path, versions)
             record = began
-        elif resume:
-            raise _nothing_to_resume(path)
+        elif saved.exists():
+            raise UsageError(f"{path}: holds a training run; go on with --resume, or choose another --out")
         elif foreign := [each.name for each in path.iterdir() if not _LEFTOVER.fullmatch(each.name)]:
             raise UsageError(f"{path}: is not empty ({min(foreign)}) and holds no training run")
         for file in (*path.glob(".*"), *path.glob("agents/.*")):
             if _LEFTOVER.fullmatch(file.name):
                 file.unlink(missing_ok=True)
-        write_atomic(saved, dump_yaml(record.model_dump()))
+        if not resume:
+            write_atomic(saved, dump_yaml(record.model_dump()))
         yield RunFolder(path, record)
     finally:
         os.close(handle)
-
-
-def _nothing_to_resume(path: Path) -> UsageError:
-    return UsageError(f"{path}: holds no training run to resume; begin one without --resume")

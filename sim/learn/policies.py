@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -19,7 +20,7 @@ AnyRunner: TypeAlias = Runner | FunctionRunner
 
 
 @dataclass(frozen=True, eq=False)
-class Driver:
+class AnyPolicy:
     """A policy under test: it observes signals by name and commands v and omega."""
 
     name: str
@@ -27,7 +28,7 @@ class Driver:
     runner: Callable[[], AnyRunner]
     """Return a runner of the policy; other processes may call this, too."""
     circuit: Policy | None = None
-    """The policy of a circuit, which an episode kernel can drive; None for a policy of a user."""
+    """The policy of a circuit, which an evaluator can drive; None for a policy of a user."""
 
     @property
     def neurons(self) -> tuple[str, ...]:
@@ -35,23 +36,18 @@ class Driver:
         return self.circuit.circuit.neurons if self.circuit else ()
 
 
-def load_driver(name: str) -> Driver:
-    """Load a policy of a user as ``module:name``, or a circuit's policy by name or file.
+def any_policy(given: Policy | Callable[[FloatArray], Any] | str | Path) -> AnyPolicy:
+    """Return a policy under test: a circuit's, or a user's function, or the name of one of them.
 
-    Raises ConfigError, FileError or UsageError.
+    A name is ``module:name``, a shipped policy or a file. Raises ConfigError, also for a policy that drives
+    no rover, FileError or UsageError.
     """
-    if is_own(name):
-        return Driver(*load_own_policy(name))
-    return circuit_driver(load_policy(name))
-
-
-def circuit_driver(policy: Policy) -> Driver:
-    """Return a circuit's policy under test. Raises ConfigError for one that drives no rover."""
-    RoverInterface(policy)
-    return Driver(policy.circuit.name, policy.sensing.inputs, partial(Runner, policy), policy)
-
-
-def function_driver(policy: Callable[[FloatArray], Any]) -> Driver:
-    """Return a policy of a user under test. Raises ConfigError or UsageError."""
-    name = getattr(policy, "__name__", type(policy).__name__)
-    return Driver(*own_policy(name, lambda: policy))
+    if isinstance(given, str | Path):
+        if is_own(str(given)):
+            return AnyPolicy(*load_own_policy(str(given)))
+        given = load_policy(given)
+    if isinstance(given, Policy):
+        RoverInterface(given)
+        return AnyPolicy(given.circuit.name, given.sensing.inputs, partial(Runner, given), given)
+    policy = given
+    return AnyPolicy(*own_policy(getattr(policy, "__name__", type(policy).__name__), lambda: policy))

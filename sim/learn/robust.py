@@ -10,7 +10,7 @@ Parameters are searched in the unit box, at whose walls the search is reflected.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import repeat
@@ -18,22 +18,21 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from cmaes import CMA
 from numpy.typing import NDArray
+from pydantic import Field
 
 from rover_ncp.circuit.compiled import dead_parameters
-from rover_ncp.circuit.policy import Policy, course_policy
-from rover_ncp.circuit.policy_file import load_start
-from rover_ncp.circuit.rover_interface import RoverInterface
-from rover_ncp.core.errors import UsageError
-from rover_ncp.core.streams import Domain, stream_seed
+from rover_ncp.circuit.policy import Policy
+from rover_ncp.core.config import StrictModel
+from rover_ncp.core.streams import Domain, integer_seed, stream_seed
 from rover_ncp.course.course import Course, ParkedRule
 from rover_ncp.course.reference import Reference, plan_reference
 from sim.learn.evaluator import Evaluator, Outcomes
 from sim.learn.folder import open_run
-from sim.learn.search.cma import Cma, default_population
 from sim.learn.search.unit_box import UnitBox, reflected
-from sim.learn.settings import Record, RobustSettings, course_of
-from sim.learn.workers import Workers, available_processes, local_workers, made_in_each_process
+from sim.learn.settings import RobustSettings, Task, load_task
+from sim.learn.workers import Map, available_processes, local_workers, made_in_each_process
 from sim.world.random_course import mirrored, mirrored_reference, random_course
 from sim.world.randomization import Randomization, draw_trials
 from sim.world.rover import RoverModel
@@ -113,22 +112,6 @@ _AVERAGED, _AVERAGED_SHARE = 100, 4
 """The winner is the average of so many last means, yet of no more than that fraction of all."""
 _RANDOM_BETWEEN = 2
 """The number of random courses after each turn of the given one, which goes to the left and to the right."""
-
-
-class Generation(NamedTuple):
-    """State of a search after some generations."""
-
-    iterations: int
-    """Generations done."""
-    winner: FloatArray
-    """(P,)."""
-    sigma: float
-    """Step size of CMA-ES."""
-    best: float
-    """Lowest cost of the generation."""
-
-    def __str__(self) -> str:
-        return f"cost {self.best:.4g}"
 
 
 def policy_box(policy: Policy) -> UnitBox:
@@ -218,8 +201,39 @@ def drive_trials(engine: Evaluator, ranges: Randomization, model: RoverModel, se
     return drive
 
 
+class SearchState(StrictModel):
+    """State of a search between two generations, as its file holds it."""
+
+    generation: int
+    sigma: float
+    mean: list[float]
+    covariance: list[list[float]]
+    path: list[float]
+    sigma_path: list[float]
+    """Evolution paths of the covariance and of sigma."""
+    means: list[list[float]]
+    """After the last generations."""
+    curve: list[tuple[float, float]]
+    """The lowest cost and sigma of each generation."""
+
+
+# ``cmaes`` offers no state but its pickle, which lacks the random generator and must not be read from a file.
+_STATE_OF_CMA = {
+    "generation": "_g",
+    "sigma": "_sigma",
+    "mean": "_mean",
+    "covariance": "_C",
+    "path": "_pc",
+    "sigma_path": "_p_sigma",
+}
+
+
 class RobustSearch:
-    """A search from the box's start, generation by generation. The same seed gives the same search."""
+    """A search by CMA-ES from the box's start, generation by generation.
+
+    Every generation draws from a random stream of its own. The same seed therefore gives the same search,
+    also from a restored state on.
+    """
 
     def __init__(
         self,
@@ -230,39 +244,37 @@ class RobustSearch:
         worst: int,
         schedule: Schedule = TRAINING,
     ) -> None:
-        self._box, self._schedule = box, schedule
+        self._box, self._schedule, self._seed = box, schedule, seed
         self._rollouts, self._worst = rollouts, worst
-        start = box.start
-        self.population = round(_POPULATION * default_population(len(start)))
-        self._cma = Cma(start, schedule.first_sigma, seed=seed, population=self.population)
+        # The usual number is that of Hansen 2016, arXiv:1604.00772, eq. 48.
+        self.population = round(_POPULATION * (4 + math.floor(3.0 * math.log(box.size))))
+        self._cma = CMA(box.start, schedule.first_sigma, population_size=self.population)
         self._means: list[list[float]] = []
+        self.curve: list[tuple[float, float]] = []
+        """The lowest cost and sigma of each generation."""
 
     @property
     def number(self) -> int:
         """Generations done."""
-        return self._cma.generation
+        return int(self._cma.generation)
 
-    def advance(self, drive: Drive) -> Generation:
+    def advance(self, drive: Drive) -> None:
         """Do one generation, whose trials are driven by ``drive``."""
         stage = self._stage(self.number)
-        self._cma.limits = stage.min_sigma, self._schedule.max_sigma
-        vectors = self._box.vectors(reflected(self._cma.ask()))
         count, worst = self._rollouts // stage.divisor, self._worst // stage.divisor
+        self._cma.reseed_rng(integer_seed(self._seed, Domain.CMA_GENERATION, self.number))
+        points = np.array([self._cma.ask() for _ in range(self.population)])
+        vectors = self._box.vectors(reflected(points))
         found = drive(vectors, self.number * self._rollouts, max(count, 1), stage)
-        values = np.array([-mean_of_worst((-row).tolist(), max(worst, 1)) for row in found])
-        self._cma.tell(values)
+        values = [-mean_of_worst((-row).tolist(), max(worst, 1)) for row in found]
+        self._cma.tell(list(zip(points, values, strict=True)))
+        self._cma._sigma = min(max(float(self._cma._sigma), stage.min_sigma), self._schedule.max_sigma)
         self._means = [*self._means, self._cma.mean.tolist()][-_AVERAGED:]
-        return Generation(self.number, self.winner, self._cma.sigma, float(values.min()))
+        self.curve.append((min(values), self._cma._sigma))
 
     def _stage(self, number: int) -> Stage:
         stage = [stage for stage in self._schedule.stages if stage.since <= number][-1]
         return stage._replace(rounded=stage.rounded and number % 2 == 1)
-
-    @property
-    def episodes(self) -> int:
-        """Episodes driven so far."""
-        rollouts = (max(self._rollouts // self._stage(number).divisor, 1) for number in range(self.number))
-        return self.population * sum(rollouts)
 
     @property
     def winner(self) -> FloatArray:
@@ -274,52 +286,28 @@ class RobustSearch:
         winner: FloatArray = self._box.vectors(found + self._schedule.kept * (self._box.start - found))[0]
         return winner
 
-    def state(self) -> dict[str, Any]:
-        """Return, between two generations, all that follows depends on, as JSON can keep it."""
-        return {"cma": self._cma.state(), "means": self._means}
+    @property
+    def state(self) -> SearchState:
+        """What all further generations depend on."""
+        cma = {key: np.asarray(getattr(self._cma, name)).tolist() for key, name in _STATE_OF_CMA.items()}
+        return SearchState(**cma, means=self._means, curve=self.curve)
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Continue from a ``state()``."""
-        self._cma.restore(state["cma"])
-        self._means = state["means"]
-
-
-class RobustResult(NamedTuple):
-    """The trained policy, its file, and where the search stood at the end."""
-
-    policy: Policy
-    path: Path
-    last: Generation
+    def restore(self, state: SearchState) -> None:
+        """Continue from a ``state``."""
+        for key, name in _STATE_OF_CMA.items():
+            value = getattr(state, key)
+            setattr(self._cma, name, np.array(value) if isinstance(value, list) else value)
+        # The eigenvalues are those of another covariance.
+        self._cma._D = self._cma._B = None
+        self._means, self.curve = list(state.means), list(state.curve)
 
 
-def _drive(settings: RobustSettings, start: Policy, course: Course, ranges: Randomization) -> Drive:
-    """Return what drives the trials of a training; it is made in each process."""
-    courses, references = training_courses(
-        course, plan_reference(course), settings.seed, settings.random_courses
-    )
-    engine = Evaluator(start, courses, settings.rover, references=references)
-    return drive_trials(engine, ranges, settings.rover, settings.seed)
+class RobustResult(RobustSettings):
+    """Result of the command."""
 
-
-def _drive_parts(workers: Workers, count: int, drive: Drive, vectors: FloatArray, *which: Any) -> FloatArray:
-    """Drive trials in workers, each of which takes its part of the vectors (k, P)."""
-    parts = np.array_split(vectors, count)
-    return np.concatenate(list(workers.map(drive, parts, *map(repeat, which))))
-
-
-def start_of(settings: RobustSettings) -> tuple[Policy, Course, Randomization]:
-    """Return the policy to start from, the course and the randomization.
-
-    Raises UsageError, ConfigError or FileError.
-    """
-    ranges, loaded = settings.ranges, load_start(settings.circuit)
-    if settings.refine and not isinstance(loaded, Policy):
-        raise UsageError(
-            f"--refine needs a policy in --circuit, and {settings.circuit} is an untrained circuit"
-        )
-    start = loaded if isinstance(loaded, Policy) else course_policy(loaded)
-    RoverInterface(start)  # raises for a policy that drives none
-    return start, course_of(settings), ranges
+    generations: int = Field(description="how many were made")
+    cost: float = Field(description="lowest of the last generation")
+    policy: str = Field(description="its file")
 
 
 def train_robust(
@@ -328,50 +316,60 @@ def train_robust(
     *,
     resume: bool = False,
     processes: int | None = None,
-    on_generation: Callable[[Generation], None] = lambda _: None,
-) -> RobustResult:
+    on_generation: Callable[[int, float], None] = lambda number, cost: None,
+) -> tuple[Path, float]:
     """Train a course-relative circuit and leave the run in the folder ``out``.
 
-    ``processes`` defaults to one for each core; it changes the speed, never the result. A run that is
-    interrupted, however it dies, goes on after its last generation and ends in the same files. Raises
-    UsageError, ConfigError or FileError, WorkerDied if one of its processes was killed, KeyboardInterrupt.
+    Returns the policy's file and the lowest cost of the last generation. ``processes`` defaults to one for
+    each core; it changes the speed, never the result. A run that is interrupted, however it dies, goes on
+    after its last generation and ends in the same files. After each one ``on_generation`` gets its number and
+    lowest cost. Raises UsageError, ConfigError or FileError, WorkerDied if one of its processes was killed,
+    KeyboardInterrupt.
     """
-    start, course, ranges = start_of(settings)
-    courses = (course.name, *(["random"] if settings.random_courses else []))
+    task = load_task(settings)
     search = RobustSearch(
-        policy_box(start),
+        policy_box(task.policy),
         seed=settings.seed,
         rollouts=settings.rollouts,
         worst=settings.worst,
         schedule=REFINING if settings.refine else TRAINING,
     )
-    curve: list[tuple[float, float]] = []
-    with open_run(out, Record[RobustSettings].of(settings, start, course), resume) as folder:
-        if saved := folder.read_state(_STATE):
-            search.restore(saved["search"])
-            curve = [(best, sigma) for best, sigma in saved["curve"]]
-
-        def policy() -> Policy:
-            provenance = folder.record.provenance(search.number, cost=curve[-1][0])
-            return replace(start.with_parameters(search.winner), courses=courses, provenance=provenance)
+    with open_run(out, settings, task, resume) as folder:
+        if saved := folder.read(_STATE, SearchState):
+            search.restore(saved)
 
         def save() -> None:
-            folder.write_state(_STATE, {"search": search.state(), "curve": curve})
-            folder.write("policy.yaml", policy())
-            rows = [f"{number},{best!r},{sigma!r}" for number, (best, sigma) in enumerate(curve, 1)]
+            folder.write(_STATE, search.state)
+            provenance = folder.record.provenance(search.number, cost=search.curve[-1][0])
+            policy = task.policy.with_parameters(search.winner)
+            folder.write("policy.yaml", replace(policy, provenance=provenance))
+            rows = [f"{number},{best!r},{sigma!r}" for number, (best, sigma) in enumerate(search.curve, 1)]
             folder.write("curve.csv", "\n".join(["generation,cost,spread", *rows, ""]))
 
-        count = min(processes or available_processes(), search.population)
-        if search.number == settings.iterations:
+        left = settings.iterations - search.number
+        if not left:
             save()  # a run may have died between two files
-            count = 1
+        count = min(processes or available_processes(), search.population) if left else 1
         with local_workers(count) as workers:
-            make = made_in_each_process(partial(_drive, settings, start, course, ranges))
-            while search.number < settings.iterations:
-                last = search.advance(partial(_drive_parts, workers, count, make))
-                curve.append((last.best, last.sigma))
+            make = made_in_each_process(partial(_drive, settings, task))
+            for _ in range(left):
+                search.advance(partial(_drive_parts, workers, count, make))
                 save()
-                on_generation(last)
-        best, sigma = curve[-1]
-        last = Generation(search.number, search.winner, sigma, best)
-        return RobustResult(policy(), folder.policy_path, last)
+                on_generation(search.number, search.curve[-1][0])
+        return folder.policy_path, search.curve[-1][0]
+
+
+def _drive(settings: RobustSettings, task: Task) -> Drive:
+    """Return what drives the trials of a training; it is made in each process."""
+    courses, references = training_courses(
+        task.course, plan_reference(task.course), settings.seed, settings.random_courses
+    )
+    engine = Evaluator(task.policy, courses, task.rover, references=references)
+    assert task.ranges is not None  # the settings name them
+    return drive_trials(engine, task.ranges, task.rover, settings.seed)
+
+
+def _drive_parts(workers: Map, count: int, drive: Drive, vectors: FloatArray, *which: Any) -> FloatArray:
+    """Drive trials in workers, each of which takes its part of the vectors (k, P)."""
+    parts = np.array_split(vectors, count)
+    return np.concatenate(list(workers(drive, parts, *map(repeat, which))))

@@ -12,20 +12,20 @@ from dataclasses import replace
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any, Generic, Literal, NamedTuple, Self, TypeAlias, TypeVar
+from typing import Any, Literal, NamedTuple, Self, TypeAlias
 
 import yaml
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
-from rover_ncp.circuit.policy import Policy, absolute_policy
+from rover_ncp.circuit.policy import Policy, absolute_policy, course_policy
 from rover_ncp.circuit.policy_file import circuit_to_yaml, load_start, policy_data
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.core.config import StrictModel, dump_yaml
-from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.errors import ConfigError, UsageError
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.slowdown import slowed
 from rover_ncp.robot.description import RobotDescription, load_description
-from sim.learn.search.strategies import SearchName
+from sim.learn.search import SearchName
 from sim.world.described import default_rover, described_rover, ranges_for
 from sim.world.pymunk_rover import require_free_start
 from sim.world.randomization import Randomization
@@ -33,17 +33,16 @@ from sim.world.rover import RoverModel
 
 _LIBRARIES = ("rover-ncp", "numpy", "scipy", "pymunk")
 _GIT_TIMEOUT_S = 5.0
-_FILES = {
-    "course": "course",
-    "circuit": "circuit",
-    "model": "robot description",
-    "randomize": "randomization",
-    "profile": "profile",
-}
-"""Settings that name a file, with the words for each; a record has the file's content by the same name."""
+_FILES = ("course", "circuit", "model", "randomize", "profile")
+"""Settings that name a file; a record has the file's content by the same name."""
 
 
 class _Settings(StrictModel):
+    course: str = Field(default="parking", description="its name")
+    model: str | None = Field(
+        default=None, exclude_if=lambda name: name is None, description="the robot, if it is not a 3-AT"
+    )
+
     def command(self) -> str:
         """Return the command line that makes the same circuits again."""
         options = [
@@ -54,41 +53,17 @@ class _Settings(StrictModel):
         return shlex.join(["rover-ncp", "train", *options])
 
 
-class _CourseSettings(_Settings):
-    course: str = Field(default="parking", description="its name")
-    model: str | None = Field(
-        default=None, exclude_if=lambda name: name is None, description="the robot, if it is not a 3-AT"
-    )
-
-    @property
-    def robot(self) -> RobotDescription | None:
-        """The robot's description; None for the 3-AT."""
-        return None if self.model is None else load_description(self.model)
-
-    @property
-    def rover(self) -> RoverModel:
-        """The simulated robot."""
-        robot = self.robot
-        return default_rover() if robot is None else described_rover(robot)
-
-
-def _known_search(name: str) -> str:
-    if name not in list(SearchName):
-        raise ValueError(f"no search {name!r}; expected {', '.join(SearchName)}")
-    return name
-
-
-class TrainSettings(_CourseSettings):
+class TrainSettings(_Settings):
     """Settings that decide a training run's result; the number of processes does not."""
 
     circuit: str = "parking"
     seed: int = Field(default=0, ge=0)
     agents: int = Field(default=12, ge=1, le=1000)
     iterations: int = Field(default=20_000, ge=1)
-    search: Annotated[str, AfterValidator(_known_search)] = SearchName.GAUSS_NEWTON.value
+    search: SearchName = "gauss-newton"
 
 
-class RobustSettings(_CourseSettings):
+class RobustSettings(_Settings):
     """Settings that decide the result of a training on random trials."""
 
     circuit: str = Field(default="tracking", description="its name")
@@ -107,11 +82,6 @@ class RobustSettings(_CourseSettings):
         description="whether the start was trained before",
     )
 
-    @property
-    def ranges(self) -> Randomization:
-        """The ranges of the trials, with the profile."""
-        return ranges_for(self.randomize, Path(self.profile) if self.profile else None)
-
     @model_validator(mode="before")
     @classmethod
     def _all_rollouts(cls, data: Any) -> Any:
@@ -126,23 +96,61 @@ class RobustSettings(_CourseSettings):
         return self
 
 
+Settings: TypeAlias = TrainSettings | RobustSettings
+
+
 class Task(NamedTuple):
-    """The course, and the policy whose parameters are the untuned start."""
+    """Content of the files that the settings of a run name."""
 
     course: Course
+    """As slow as the robot asks for."""
     policy: Policy
+    """Its parameters are the start of the search."""
+    robot: RobotDescription | None
+    """None for the 3-AT."""
+    ranges: Randomization | None
+    """Ranges of the trials, with the profile; None for a training without random trials."""
+
+    @property
+    def rover(self) -> RoverModel:
+        """The simulated robot."""
+        return default_rover() if self.robot is None else described_rover(self.robot)
 
 
-Settings: TypeAlias = TrainSettings | RobustSettings
-SettingsT = TypeVar("SettingsT", TrainSettings, RobustSettings)
+def load_task(settings: Settings) -> Task:
+    """Load what the settings name.
+
+    Raises UsageError, FileError or ConfigError, also for a circuit that cannot drive and a course that cannot
+    begin.
+    """
+    robot = None if settings.model is None else load_description(settings.model)
+    course, start, ranges = load_course(settings.course), load_start(settings.circuit), None
+    if robot is not None:
+        course = slowed(course, robot)[0]
+    courses = [course.name]
+    if isinstance(settings, RobustSettings):
+        ranges = ranges_for(settings.randomize, Path(settings.profile) if settings.profile else None)
+        courses += ["random"] if settings.random_courses else []
+        if settings.refine and not isinstance(start, Policy):
+            raise UsageError(
+                f"--refine needs a policy in --circuit, and {settings.circuit} is an untrained circuit"
+            )
+    if isinstance(start, Policy):
+        policy = start
+    else:
+        policy = absolute_policy(start, course) if ranges is None else course_policy(start)
+    task = Task(course, replace(policy, courses=tuple(courses)), robot, ranges)
+    RoverInterface(task.policy)  # raises for a policy that drives none
+    require_free_start(task.rover, course)
+    return task
 
 
-class Record(StrictModel, Generic[SettingsT]):
+class Record(StrictModel):
     """The file ``settings.yaml`` of a run: everything that was asked for, resolved."""
 
     format: Literal[1] = 1
     command: str
-    settings: SettingsT
+    settings: TrainSettings | RobustSettings
     made_with: dict[str, str]
     course: dict[str, Any]
     circuit: dict[str, Any]
@@ -153,22 +161,22 @@ class Record(StrictModel, Generic[SettingsT]):
     profile: dict[str, Any] | None = Field(default=None, exclude_if=lambda profile: profile is None)
 
     @classmethod
-    def of(cls, settings: SettingsT, policy: Policy, course: Course) -> Self:
-        """Record a run that starts now. Raises FileError, ConfigError or UsageError for a file it names."""
-        robot = settings.robot
-        ranges = settings.ranges if isinstance(settings, RobustSettings) else None
+    def of(cls, settings: Settings, task: Task) -> Self:
+        """Record a run that starts now."""
+        start = load_start(settings.circuit)
+        text = dump_yaml(policy_data(start)) if isinstance(start, Policy) else circuit_to_yaml(start)
         return cls(
             command=settings.command(),
             settings=settings,
             made_with=made_with(),
-            course=course.model_dump(mode="json"),
-            circuit=_start_data(settings.circuit, policy),
-            model=_content(robot, "sources"),
-            randomize=_content(ranges, "rover"),
-            profile=_content(ranges.rover if ranges else None),
+            course=task.course.model_dump(mode="json"),
+            circuit=yaml.safe_load(text),
+            model=_content(task.robot, "sources"),
+            randomize=_content(task.ranges, "rover"),
+            profile=_content(task.ranges.rover if task.ranges else None),
         )
 
-    def require_same(self, other: "Record[SettingsT]", source: str) -> None:
+    def require_same(self, other: "Record", source: str) -> None:
         """Raise ConfigError, naming every difference, unless ``other`` asks for the run recorded here."""
         saved, asked = self.settings.model_dump(), other.settings.model_dump()
         problems = [
@@ -176,22 +184,13 @@ class Record(StrictModel, Generic[SettingsT]):
             for name in {**saved, **asked}
             if saved.get(name) != asked.get(name)
         ]
-        problems += [
-            f"the {words} {asked[name]} has changed since this run began"
-            for name, words in _FILES.items()
-            if saved.get(name) == asked.get(name) and getattr(self, name) != getattr(other, name)
+        problems = problems or [
+            f"--{name} {asked[name]}: the file has changed since this run began"
+            for name in _FILES
+            if getattr(self, name) != getattr(other, name)
         ]
         if problems:
             raise ConfigError(source, problems)
-
-    def other_versions(self, other: "Record[SettingsT]") -> str:
-        """Return the versions here that differ from those of ``other``, in words; "" if none does."""
-        began, now = self.made_with, other.made_with
-        return ", ".join(
-            f"{name} {began.get(name, 'none')} (now {now.get(name, 'none')})"
-            for name in {**began, **now}
-            if began.get(name) != now.get(name)
-        )
 
     def provenance(self, iterations: int, **found: float) -> dict[str, Any]:
         """Return how a policy came about that was ``found`` so, with the command that makes it again."""
@@ -209,35 +208,6 @@ def _content(file: StrictModel | None, *without: str) -> dict[str, Any] | None:
     if file is None:
         return None
     return file.model_dump(mode="json", exclude_defaults=True, exclude=set(without))
-
-
-def _start_data(name: str, policy: Policy) -> dict[str, Any]:
-    """Return the content of the file that a run starts from: a circuit's, or a policy's."""
-    if isinstance(load_start(name), Policy):
-        data: dict[str, Any] = yaml.safe_load(dump_yaml(policy_data(policy)))
-        return data
-    circuit: dict[str, Any] = yaml.safe_load(circuit_to_yaml(policy.circuit))
-    return circuit
-
-
-def course_of(settings: _CourseSettings) -> Course:
-    """Load the course, as slow as the robot asks for. Raises FileError or ConfigError."""
-    course, robot = load_course(settings.course), settings.robot
-    return course if robot is None else slowed(course, robot)[0]
-
-
-def resolve_task(settings: TrainSettings) -> Task:
-    """Load the course and the circuit that the settings name.
-
-    Raises FileError, or ConfigError also for a circuit that cannot drive and a course that cannot begin.
-    """
-    course = course_of(settings)
-    require_free_start(settings.rover, course)
-    start = load_start(settings.circuit)
-    if isinstance(start, Policy):
-        RoverInterface(start)  # raises for a policy that drives none
-        return Task(course, replace(start, courses=(course.name,)))
-    return Task(course, absolute_policy(start, course))
 
 
 @cache

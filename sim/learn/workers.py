@@ -12,16 +12,15 @@ import logging
 import multiprocessing
 import os
 import pickle
-import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import lru_cache, partial
 from multiprocessing.context import SpawnContext, SpawnProcess
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, TypeAlias
 
 from rover_ncp.core.errors import RoverNcpError, UsageError
 from rover_ncp.core.spawned import end_with_parent, starting_processes
@@ -32,33 +31,15 @@ CONNECT_S = 10.0
 _RETRIES = 1000
 """Workers that may die on one task; Dask's own three would end a run on machines that come and go."""
 
+Map: TypeAlias = Callable[..., Iterator[Any]]
+"""Calls a function with each row of arguments, as the built-in ``map``, in workers."""
+
 # A Dask worker may have several threads, but evaluators serve one at a time.
 _one_task = threading.Lock()
 
 
 class WorkerDied(RoverNcpError):
     """A worker process ended while it had work, or a cluster is gone."""
-
-
-class Workers(Protocol):
-    """The part of an executor of ``concurrent.futures`` that trainings need."""
-
-    def map(self, function: Callable[..., Any], /, *arguments: Iterable[Any]) -> Iterator[Any]:
-        """Call a function with each row of arguments; return the results in order."""
-
-
-class Inline:
-    """Calls each function in this process, when its result is needed."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass
-
-    def map(self, function: Callable[..., Any], /, *arguments: Iterable[Any]) -> Iterator[Any]:
-        """Call a function with each row of arguments; its exceptions are raised here."""
-        return map(function, *arguments)
 
 
 class _Spawning(SpawnContext):
@@ -74,81 +55,62 @@ class _Spawning(SpawnContext):
         return self.started[-1]
 
 
-class ProcessPool:
+class ProcessPool(ProcessPoolExecutor):
     """Processes on this machine. Its context kills those that still work at its end, and no others.
 
-    Raises WorkerDied, with some advice, if one of them dies. They end when this process dies.
+    Raises WorkerDied if one of them dies. They end when this process dies. Errors of this project arrive as
+    UsageError.
     """
 
-    def __init__(self, count: int, advice: str = "") -> None:
-        self._advice = advice
-        self._context = _Spawning()
-        self._executor = ProcessPoolExecutor(count, self._context, end_with_parent)
+    def __init__(self, count: int) -> None:
+        self._spawning = _Spawning()
         self._calls: list[Future[Any]] = []
+        super().__init__(count, self._spawning, end_with_parent)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
-        """Call a function in the next idle process; errors of this project arrive as UsageError."""
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **options: Any) -> Future[Any]:
+        """Call a function in the next idle process."""
         with starting_processes():  # the executor starts a process where none is idle
-            self._calls.append(self._executor.submit(_call, function, *arguments))
+            self._calls.append(super().submit(_call, function, *arguments, **options))
         return self._calls[-1]
-
-    def map(self, function: Callable[..., Any], /, *arguments: Iterable[Any]) -> Iterator[Any]:
-        """Call a function with each row of arguments; return the results in order."""
-        calls = [self.submit(function, *row) for row in zip(*arguments, strict=False)]
-        return (call.result() for call in calls)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         broken = isinstance(error, BrokenProcessPool)  # then the executor ends the other processes
         if not broken and not all(call.done() for call in self._calls):
-            self._executor.shutdown(wait=False, cancel_futures=True)
-            for process in self._context.started:
+            self.shutdown(wait=False, cancel_futures=True)
+            for process in self._spawning.started:
                 process.kill()  # it holds nothing that could be left half-done
-        self._executor.shutdown()
+        self.shutdown()
         if broken:
-            raise WorkerDied(f"a worker process {self._ending()} unexpectedly{self._advice}") from error
-
-    def _ending(self) -> str:
-        """Return how the process ended that the executor did not end."""
-        for process in self._context.started:
-            code = process.exitcode
-            if code is not None and code not in {0, -signal.SIGTERM}:
-                how = f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
-                return f"ended {how}"
-        return "ended"
+            raise WorkerDied("a worker process was killed (out of memory?) or crashed") from error
 
 
-def _call(function: Callable[..., Any], *arguments: Any) -> Any:
+def _call(function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
     try:
-        return function(*arguments)
+        return function(*arguments, **options)
     except RoverNcpError as error:  # not all of them can be unpickled
         raise UsageError(str(error)) from None
 
 
-def local_workers(count: int) -> Inline | ProcessPool:
-    """Return so many workers on this machine; one is this process."""
-    return Inline() if count == 1 else ProcessPool(count)
+@contextmanager
+def local_workers(count: int) -> Iterator[Map]:
+    """Give so many workers on this machine; one is this process."""
+    if count == 1:
+        yield map
+    else:
+        with ProcessPool(count) as pool:
+            yield partial(_map, pool)
 
 
-class _Cluster:
-    """The workers of a Dask cluster."""
-
-    def __init__(self, executor: Executor) -> None:
-        self._executor = executor
-
-    def map(self, function: Callable[..., Any], /, *arguments: Iterable[Any]) -> Iterator[Any]:
-        """Call a function with each row of arguments; return the results in order."""
-        call = partial(_call_if_same, versions(), function)
-        calls = [self._executor.submit(call, *row) for row in zip(*arguments, strict=False)]
-        return (future.result() for future in calls)
+def _map(pool: ProcessPool, function: Callable[..., Any], *arguments: Iterable[Any]) -> Iterator[Any]:
+    # Executor.map cancels calls when it is left early: its thread fails if processes are killed then.
+    calls = [pool.submit(function, *row) for row in zip(*arguments, strict=False)]
+    return (call.result() for call in calls)
 
 
 @contextmanager
-def cluster_workers(address: str) -> Iterator[_Cluster]:
+def cluster_workers(address: str) -> Iterator[Map]:
     """Give the workers of a Dask cluster; what still runs there at the end is cancelled.
 
     Raises UsageError for a scheduler or workers that are missing or unsuitable, and WorkerDied.
@@ -166,7 +128,11 @@ def cluster_workers(address: str) -> Iterator[_Cluster]:
         raise UsageError(f"no Dask scheduler answers at {address}") from error
     try:
         client.wait_for_workers(1, timeout=CONNECT_S)
-        yield _Cluster(client.get_executor(pure=False, retries=_RETRIES))
+        executor, check = (
+            client.get_executor(pure=False, retries=_RETRIES),
+            partial(_call_if_same, versions()),
+        )
+        yield lambda function, *arguments: executor.map(partial(check, function), *arguments)
     except TimeoutError as error:
         raise UsageError(f"the Dask scheduler at {address} has no workers") from error
     except (ModuleNotFoundError, pickle.PickleError) as error:

@@ -14,7 +14,7 @@ from pydantic import BaseModel, Field
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.rover_interface import RoverInterface
-from rover_ncp.core.console import Output, reject
+from rover_ncp.core.console import Output, progress, reject
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import DEFAULT_ROBOT, require_writable, write_atomic
 from rover_ncp.course.course import Course, load_course
@@ -23,9 +23,8 @@ from rover_ncp.course.shapes import outline_of
 from rover_ncp.course.slowdown import slowed
 from rover_ncp.robot.description import load_description
 from sim.learn.ensemble import train
-from sim.learn.progress import train_progress
 from sim.learn.rollout import rollout
-from sim.learn.settings import TrainSettings, course_of
+from sim.learn.settings import TrainSettings, load_task
 from sim.park.live import PIONEER, ROS2DDS, LiveRun
 from sim.park.truth import TRUTH, add_truth, judge_truth
 from sim.world.rover import RoverModel
@@ -177,13 +176,13 @@ def _train(
     settings = TrainSettings(course=course, model=described, seed=seed, agents=AGENTS, iterations=ITERATIONS)
     _clear(folder, overwrite=overwrite)
     output.say(f"training up to {AGENTS} agents until one parks in simulation")
-    driven, rover = course_of(settings), settings.rover
-    with train_progress(AGENTS, "agents") as show:
+    task = load_task(settings)
+    with progress(AGENTS, "agents") as show:
         result = train(
             settings,
             folder,
             on_progress=lambda ensemble: show(len(ensemble.agents), ensemble),
-            accept=lambda trained: _parks_well(trained, driven, rover),
+            accept=lambda trained: _parks_well(trained, task.course, task.rover),
             block=_BLOCK,
         )
     training = ParkTraining(

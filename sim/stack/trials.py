@@ -32,7 +32,7 @@ from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import RobotDescription, load_description
 from rover_ncp.robot.profile import RoverProfile
 from sim.base.trial import BaseTrial, Drawn, draw_rover
-from sim.learn.policies import Driver
+from sim.learn.policies import AnyPolicy
 from sim.learn.workers import ProcessPool, available_processes, made_in_each_process
 from sim.stack.camera import CeilingCamera
 from sim.stack.estimates import Belief, belief_of
@@ -66,7 +66,7 @@ class Driven(NamedTuple):
 class Stack:
     """Settings of the trials: trial i of a seed on course i modulo their number."""
 
-    driver: Driver
+    policy: AnyPolicy
     courses: tuple[Course, ...]
     ranges: Randomization
     seed: int
@@ -161,7 +161,7 @@ class Stack:
             known,
             self.robot,
             robot=link.robot,
-            policy=self.driver.name,
+            policy=self.policy.name,
             # Rates are measured from any start of the randomization.
             start_m=ANYWHERE_M,
             start_rad=math.pi,
@@ -169,7 +169,7 @@ class Stack:
         changed = config.estimator.model_copy(update=dict(self.estimator))
         config = config.model_copy(update={"estimator": changed})
         mission = CourseMission(self._controller(number, config), config)
-        drive = new_drive(link, mission, self.driver.neurons, config)
+        drive = new_drive(link, mission, self.policy.neurons, config)
         drive_whole(drive)
         report = drive.keeper.report()
         verdict = truth.judge(course, link.first_command_ns)
@@ -188,9 +188,9 @@ class Stack:
         """Return a driver that has not started yet."""
         place = number % len(self.courses)
         if self.identify or place not in self._controllers:
-            runner = self.driver.runner()
+            runner = self.policy.runner()
             self._controllers[place] = Controller(
-                self.driver.signals,
+                self.policy.signals,
                 self.courses[place],
                 config.estimator,
                 config.rover,

@@ -175,9 +175,9 @@ def load_randomization(name_or_path: str | Path, body: Body = Body.PYMUNK) -> Ra
     return ranges
 
 
-def nominal_trials(model: RoverModel, ticks: int) -> Trials:
-    """Return the one trial in which everything is as the model says."""
-    return draw_trials(Randomization(name="none"), model, 0, count=1, ticks=ticks)
+def nominal_trials(model: RoverModel, ticks: int, count: int = 1) -> Trials:
+    """Return trials in which everything is as the model says."""
+    return draw_trials(Randomization(name="none"), model, 0, count=count, ticks=ticks)
 
 
 def draw_trials(

@@ -5,7 +5,7 @@ import numpy as np
 from rover_ncp.circuit.compiled import dead_parameters
 from rover_ncp.circuit.policy import parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
-from sim.learn.search.strategies import Scores, start_search
+from sim.learn.search import Scores, start_search
 
 POLICY = parking_policy(load_circuit("parking"))
 LAYOUT = POLICY.layout()

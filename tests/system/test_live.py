@@ -16,7 +16,7 @@ from rover_ncp.recording.recording import read_recording, rewrite
 from rover_ncp.wire.key_table import key
 from rover_ncp.wire.messages import read_text
 from rover_ncp.wire.protocol import GateStatus, parse_json
-from sim.learn.policies import load_driver
+from sim.learn.policies import any_policy
 from sim.park.live import LiveRun
 from sim.park.truth import during, recorded_truth
 from sim.stack.camera import start_pose
@@ -47,7 +47,7 @@ class StartPosePublisher(Peer):
 
 def test_live_and_virtual_trials_end_at_the_same_pose(tmp_path):
     course, ranges = load_course(SHORT), load_randomization("full")
-    stack = Stack(load_driver("course"), (course,), ranges, SEED)
+    stack = Stack(any_policy("course"), (course,), ranges, SEED)
     # The driver knows the noise of its odometry and its start pose, and nothing else.
     assert set(stack.known.model_dump(exclude_none=True)) == {
         *("format", "name", "noise_m", "noise_rad", "std", "measured")

@@ -12,8 +12,8 @@ from rover_ncp.course.signals import SIGNALS
 from rover_ncp.native import core
 from rover_ncp.native.core import bound_tick, fill_lanes, structures
 from sim.learn.evaluator import Evaluator
+from sim.learn.search import Batch
 from sim.learn.search.least_squares import damped_steps
-from sim.learn.search.strategies import Batch
 
 COURSE = load_course("parking")
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import ParameterLayout
+from sim.learn.search import Batch, Search
 from sim.learn.search.published import perturb
-from sim.learn.search.strategies import Batch, Search
 from sim.learn.search.unit_box import Vector
 
 ALPHA = 1.05

@@ -108,7 +108,7 @@ CONSTANTS = GaussNewtonConstants()
 
 
 @dataclass
-class Outcome:
+class ScoredPoint:
     """A point (D,) of the unit box, its return, and its residuals (C, 3)."""
 
     point: Vector
@@ -154,7 +154,7 @@ def known_checkpoints(residuals: Vector, to_beat: float) -> int:
 class Descent:
     """A climb from point to point, with its history."""
 
-    at: Outcome
+    at: ScoredPoint
     survives: bool
     """Whether ``survival`` is climbed, not the return."""
     slopes: Vector
@@ -175,7 +175,7 @@ class Descent:
         """What a step's return must exceed, at each checkpoint; minus infinity if they always count."""
         return -math.inf if self.survives else self.at.value
 
-    def score(self, outcome: Outcome) -> float:
+    def score(self, outcome: ScoredPoint) -> float:
         """Return what is climbed."""
         return survival(outcome.residuals, CONSTANTS.lifetime) if self.survives else outcome.value
 
@@ -189,11 +189,11 @@ class Descent:
         targets: Vector = damped_steps(self.slopes, residuals.ravel(), weights, self.at.point, dampings)
         return targets
 
-    def measure(self, probe: Outcome) -> None:
+    def measure(self, probe: ScoredPoint) -> None:
         """Take the slopes of the one parameter in which a probe differs."""
         measure_slopes(self.slopes, self.at.point, self.at.residuals, probe.point, probe.residuals)
 
-    def take(self, steps: Sequence[Outcome]) -> bool:
+    def take(self, steps: Sequence[ScoredPoint]) -> bool:
         """Move to the best step if it is higher; return whether the descent continues."""
         scores = [self.score(step) for step in steps]
         best = max(range(len(steps)), key=scores.__getitem__)
@@ -210,7 +210,7 @@ class Descent:
         del self.scores[: -CONSTANTS.window - 1]
         return self._continues()
 
-    def _learn(self, step: Outcome) -> None:
+    def _learn(self, step: ScoredPoint) -> None:
         known = known_checkpoints(step.residuals, self.to_beat)
         at = self.at
         correct_slopes(self.slopes, at.point, at.residuals, step.point, step.residuals[:known])
@@ -266,7 +266,7 @@ class Descent:
                         probes[-1][parameter] = there
         return np.array(probes)
 
-    def revive_dead_parameters(self, probes: Sequence[Outcome]) -> bool:
+    def revive_dead_parameters(self, probes: Sequence[ScoredPoint]) -> bool:
         """Move to the probe with the most effect at a fair price, if any; then measure all slopes again."""
         self.revivals += 1
         price = CONSTANTS.revival_price * (len(self.at.residuals) - self.scores[-1])

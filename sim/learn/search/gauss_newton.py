@@ -32,8 +32,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import ParameterLayout
-from sim.learn.search.descent import CONSTANTS, Descent, Outcome
-from sim.learn.search.strategies import Batch, Scores, Search
+from sim.learn.search import Batch, Scores, Search
+from sim.learn.search.descent import CONSTANTS, Descent, ScoredPoint
 from sim.learn.search.unit_box import UnitBox, Vector, reflected
 
 _FoundT = TypeVar("_FoundT")
@@ -70,22 +70,22 @@ class _Tried:
 
     def __init__(self, box: UnitBox) -> None:
         self._box = box
-        self._best: Outcome | None = None
+        self._best: ScoredPoint | None = None
         self.count = 0
 
     @property
-    def best(self) -> Outcome:
+    def best(self) -> ScoredPoint:
         """The best outcome; the first of equals."""
         assert self._best is not None  # the start is evaluated first
         return self._best
 
-    def evaluate(self, points: Vector, to_beat: Vector | float = -math.inf) -> _Part[list[Outcome]]:
+    def evaluate(self, points: Vector, to_beat: Vector | float = -math.inf) -> _Part[list[ScoredPoint]]:
         """Return the outcomes of points (n, D); those whose return is below ``to_beat`` may be truncated."""
         thresholds = np.empty(len(points))
         thresholds[:] = to_beat
         scores = yield Batch(self._box.vectors(points), thresholds)
         # A copy, because an evaluator may use its array again.
-        found = list(map(Outcome, points, scores.returns.tolist(), scores.residuals.copy()))
+        found = list(map(ScoredPoint, points, scores.returns.tolist(), scores.residuals.copy()))
         if np.isnan(scores.returns).any():
             raise ValueError("a return is not a number")
         self.count += len(points)
@@ -95,7 +95,7 @@ class _Tried:
         return found
 
 
-def _highest(outcomes: list[Outcome]) -> Outcome:
+def _highest(outcomes: list[ScoredPoint]) -> ScoredPoint:
     """Return the outcome of the highest return, the first of equals."""
     return max(outcomes, key=lambda outcome: outcome.value)
 
@@ -136,12 +136,12 @@ class _Draw:
 class _Origin:
     """Where restarts begin."""
 
-    at: Outcome
+    at: ScoredPoint
     without_gain: int = 0
     """Restarts since the last gain."""
 
 
-def _next_origin(last: Outcome, best: Outcome, restarted_from: _Origin | None) -> _Origin:
+def _next_origin(last: ScoredPoint, best: ScoredPoint, restarted_from: _Origin | None) -> _Origin:
     """Return the origin of further restarts, ``last`` being where a descent ended.
 
     ``restarted_from`` is the origin of that descent, None if it began at samples.
@@ -156,11 +156,11 @@ def _next_origin(last: Outcome, best: Outcome, restarted_from: _Origin | None) -
     return _Origin(last if last.value > before else restarted_from.at, restarted_from.without_gain + 1)
 
 
-def _is_good(best: Outcome, checkpoints: int) -> bool:
+def _is_good(best: ScoredPoint, checkpoints: int) -> bool:
     return -best.value < CONSTANTS.good_loss * checkpoints
 
 
-def _restarts(best: Outcome, origin: _Origin, checkpoints: int) -> bool:
+def _restarts(best: ScoredPoint, origin: _Origin, checkpoints: int) -> bool:
     """Return whether the next descent begins at restarts from the origin, and not at samples."""
     if _is_good(best, checkpoints):
         return True
@@ -169,7 +169,7 @@ def _restarts(best: Outcome, origin: _Origin, checkpoints: int) -> bool:
     return -best.value < CONSTANTS.fair_loss * checkpoints and origin.without_gain < patience
 
 
-def _race(tried: _Tried, draw: _Draw, origin: Outcome, checkpoints: int) -> _Part[list[Outcome]]:
+def _race(tried: _Tried, draw: _Draw, origin: ScoredPoint, checkpoints: int) -> _Part[list[ScoredPoint]]:
     """Return the best of a batch of restarts; where the best is good, others race against it."""
     wide = _is_good(tried.best, checkpoints)
     found = yield from tried.evaluate(draw.restarts(origin.point, wide=wide))
@@ -182,7 +182,9 @@ def _race(tried: _Tried, draw: _Draw, origin: Outcome, checkpoints: int) -> _Par
     return [leader]
 
 
-def _descend(tried: _Tried, draw: _Draw, samples: list[Outcome], origin: Outcome | None) -> _Part[Outcome]:
+def _descend(
+    tried: _Tried, draw: _Draw, samples: list[ScoredPoint], origin: ScoredPoint | None
+) -> _Part[ScoredPoint]:
     """Descend from the best of the samples; return where the descent ends.
 
     ``origin`` is that of a restart, which the descent must overtake; without one it is the best of all.

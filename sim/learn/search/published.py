@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout
-from sim.learn.search.strategies import Batch, Search
+from sim.learn.search import Batch, Search
 from sim.learn.search.unit_box import Vector
 
 FAILURES_TO_WIDEN = 51
@@ -95,7 +95,7 @@ def search(
 ) -> Search:
     """Search from the perturbed defaults (P,); inert parameters are changed like all others."""
     changes = Changes(layout, RULES)
-    caps, failures = [rule.first or rule.least for rule in changes.rules], 0
+    caps, failures = [rule.least for rule in changes.rules], 0
     incumbent = perturb(layout, defaults, rng)
     value = (yield Batch(incumbent[None].copy(), np.array([-math.inf]))).returns[0]
     while True:

@@ -20,7 +20,7 @@ from rover_ncp.course.reference import plan_reference
 from rover_ncp.course.scoring import due_checkpoints
 from sim.learn.evaluator import Evaluator
 from sim.learn.rollout import rollout
-from sim.learn.search.strategies import Batch
+from sim.learn.search import Batch
 from sim.world.described import default_rover
 from sim.world.env import ENV_ID
 from sim.world.random_course import mirrored, random_course
@@ -253,10 +253,6 @@ def test_blocked_start_of_a_later_course_is_rejected():
         Evaluator(POLICY, [COURSE, blocked])
 
 
-def test_no_candidates_no_returns():
-    assert Evaluator(POLICY, COURSE).returns(np.empty((0, POLICY.layout().size))).shape == (0,)
-
-
 def test_a_rollout_shows_what_happened():
     run = rollout(POLICY, FENCED)
     assert run.times[[0, -1]] == pytest.approx([0.0, 12.0])
@@ -269,17 +265,7 @@ def test_a_rollout_shows_what_happened():
     assert run.verdict.error_m == pytest.approx(np.hypot(*(run.poses[-1, :2] - COURSE.goal[:2])))
 
 
-def test_a_policy_that_cannot_drive_is_refused():
-    bench = load_circuit("tap_withdrawal")
-    odd = POLICY.sensing.model_copy(update={"inputs": ("warmth", "x", "theta", "start")})
-    for build in (Evaluator, rollout):
-        with pytest.raises(ConfigError, match=r"no neuron 'LFT'"):
-            build(parking_policy(bench), COURSE)
-        with pytest.raises(ConfigError, match=r"unknown signals: warmth"):
-            other = parking_policy(load_circuit("parking"))
-            object.__setattr__(other, "sensing", odd)
-            build(other, COURSE)
-        with pytest.raises(ConfigError, match=r"its tick is 0.2 s, expected 0.1 s"):
-            slow = parking_policy(load_circuit("parking"))
-            object.__setattr__(slow, "substeps", 20)
-            build(slow, COURSE)
+@pytest.mark.parametrize("build", [Evaluator, rollout])
+def test_a_policy_that_cannot_drive_is_rejected(build):
+    with pytest.raises(ConfigError, match=r"no neuron 'LFT'"):
+        build(parking_policy(load_circuit("tap_withdrawal")), COURSE)

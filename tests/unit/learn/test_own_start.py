@@ -36,7 +36,7 @@ def test_a_run_is_not_resumed_after_its_start_has_changed(tmp_path):
     settings = {"course": SHORT, "circuit": str(mine), "agents": 1, "iterations": 3}
     train(settings, tmp_path / "run", processes=1)
     mine.write_text(mine.read_text().replace("maximum: 0.18}", "maximum: 0.1}"))
-    with pytest.raises(ConfigError, match=r"circuit .*mine.yaml has changed"):
+    with pytest.raises(ConfigError, match=r"--circuit .*mine.yaml: the file has changed"):
         train(settings, tmp_path / "run", processes=1, resume=True)
 
 
@@ -45,8 +45,9 @@ def test_robust_training_goes_on_from_a_shipped_policy_in_small_steps(tmp_path):
     start, moved = load_policy("course"), []
     for refine in (True, False):
         asked = RobustSettings(**settings, refine=refine)
-        found = train_robust(asked, tmp_path / f"{refine}", processes=1)
-        assert found.policy.sensing == start.sensing
-        assert ("--refine" in found.policy.provenance["command"].split()) == refine
-        moved.append(np.linalg.norm(policy_box(found.policy).start - policy_box(start).start))
+        path, _ = train_robust(asked, tmp_path / f"{refine}", processes=1)
+        found = load_policy(path)
+        assert found.sensing == start.sensing
+        assert ("--refine" in found.provenance["command"].split()) == refine
+        moved.append(np.linalg.norm(policy_box(found).start - policy_box(start).start))
     assert 0.0 < moved[0] < 0.5 * moved[1]

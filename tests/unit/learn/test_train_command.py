@@ -1,6 +1,7 @@
 """The train command in this process: what it prints, and what it refuses."""
 
 import json
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,7 @@ from kit.paths import DATA, content
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
-from sim.learn import progress
+from sim.learn import commands
 
 COURSE = DATA / "short_course.yaml"
 TRAIN = f"train --course {COURSE} --processes 1"
@@ -58,15 +59,15 @@ def test_resume_needs_no_options_and_refuses_others(tmp_path, capsys):
     assert content(tmp_path) == before
 
 
-@pytest.mark.parametrize("kind", ["--agents 2", "--randomize mild --rollouts 2 --random-courses 0"])
+@pytest.mark.parametrize("kind", ["--agents 8", "--randomize mild --rollouts 2 --random-courses 0"])
 def test_moved_folder_of_a_run_is_an_error(kind, tmp_path, capsys, monkeypatch):
     folder, moved = tmp_path / "run", tmp_path / "moved"
 
-    def move(*_, **__):
-        if folder.exists():
-            folder.rename(moved)
+    @contextmanager
+    def moving(total, unit):
+        yield lambda *_: folder.exists() and folder.rename(moved)
 
-    monkeypatch.setattr(progress, "progress_lines", lambda: move)
+    monkeypatch.setattr(commands, "progress", moving)
     assert run(f"{TRAIN} --iterations 60 {kind} --out {folder}".split()) == 2
     said = capsys.readouterr().err
     assert f"rover-ncp: {folder}: was moved or removed during the training" in said

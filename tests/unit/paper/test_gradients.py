@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from paper.episodes import Evaluator
+from paper.episodes import PlantEvaluator
 from paper.gradients import WithBonus
 from paper.tasks import TASKS, draw_seeds
 
@@ -12,7 +12,9 @@ def test_environment_starts_and_pays_as_the_searches_do():
     task = TASKS["pendulum"]
     seeds = draw_seeds(3, (1,), 2)
     world = WithBonus(task)
-    for seed, start in zip(seeds, Evaluator(task, task.policy(task.circuit())).starts(seeds), strict=True):
+    for seed, start in zip(
+        seeds, PlantEvaluator(task, task.policy(task.circuit())).starts(seeds), strict=True
+    ):
         seen, _ = world.reset(seed=int(seed))
         assert seen.tolist() == start.tolist()
     rewards, places, over = [], [], False

@@ -4,7 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from paper.episodes import Evaluator
+from paper.episodes import PlantEvaluator
 from paper.tasks import TASKS, build_agent
 
 
@@ -43,7 +43,7 @@ def test_an_episode_is_that_of_the_textbooks_network_in_gymnasiums_environment(k
             seen, reward, *_ = env.step(act(seen))
             total += reward
         expected.append(total)
-    assert Evaluator(task, net).run(vectors, seeds)[:, 0] == pytest.approx(expected, rel=1e-9)
+    assert PlantEvaluator(task, net).run(vectors, seeds)[:, 0] == pytest.approx(expected, rel=1e-9)
 
 
 def test_networks_are_those_of_the_published_code():

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from paper import episodes
-from paper.episodes import Evaluator, Lanes
+from paper.episodes import Lanes, PlantEvaluator
 from paper.tasks import TASKS, build_agent, draw_seeds
 from rover_ncp.core.errors import UsageError
 
@@ -166,8 +166,8 @@ def test_an_episode_depends_neither_on_its_lane_nor_on_the_others(name):
     agent = build_agent(task, "mlp", 0)
     vectors = np.random.default_rng(3).normal(0.0, 0.7, (40, agent.layout().size))
     seeds = draw_seeds(0, (1,), len(vectors))
-    together = Evaluator(task, agent).run(vectors, seeds)
-    alone = Evaluator(task, agent).run(vectors[7:9], seeds[7:9])
+    together = PlantEvaluator(task, agent).run(vectors, seeds)
+    alone = PlantEvaluator(task, agent).run(vectors[7:9], seeds[7:9])
     assert alone.tolist() == together[7:9].tolist()
     assert len(set(together[:, 2 if name != "half-cheetah" else 0].tolist())) > 1
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from kit import paper_reference as reference
 
-from paper.episodes import Evaluator
+from paper.episodes import PlantEvaluator
 from paper.runs import BudgetName, budget_for
 from paper.search import STRATEGIES, BenchmarkEstimator, climb, run_search
 from paper.tasks import TASKS, build_agent, draw_seeds
@@ -127,7 +127,7 @@ def test_rollouts_that_cannot_matter_change_no_decision():
 def test_unstable_simulation_is_never_the_best(monkeypatch):
     task = TASKS["half-cheetah"]
     agent = build_agent(task, "circuit", 0)
-    place = Evaluator(task, agent)
+    place = PlantEvaluator(task, agent)
     starts = place.starts(np.arange(2, dtype=np.uint64))
     starts[0, -1] = 1e11
     monkeypatch.setattr(place, "starts", lambda seeds: starts)

@@ -1,11 +1,8 @@
 """The Gauss-Newton search on toy objectives: what it measures and decides, and that it repeats to the bit."""
 
-import math
-
 import numpy as np
 import pytest
 from kit.toy_search import CHECKPOINTS, DEFAULTS, INERT, LAYOUT, WIDTH, ToySearch, returns
-from kit.toy_search import SAMPLES as RANDOM_VECTORS
 
 from rover_ncp.circuit.circuit import ParameterKind
 from sim.learn.search.descent import CONSTANTS
@@ -45,14 +42,6 @@ def begin(seed=0):
 # -- the search --------------------------------------------------------------------------------------------
 
 
-def test_narrow_valley_beats_random_sampling():
-    for seed in range(3):
-        search = begin(seed)
-        search.advance(2000, valley)
-        # Returns are negative: a quarter of the loss.
-        assert search.value > 0.25 * float(returns(valley(RANDOM_VECTORS)).max())
-
-
 def test_one_descent_reaches_the_goal_of_linear_misses():
     box = UnitBox.of(LAYOUT, DEFAULTS, INERT)
     target = np.random.default_rng(3).uniform(0.2, 0.8, box.size)
@@ -72,36 +61,11 @@ def test_one_descent_reaches_the_goal_of_linear_misses():
     assert search.best == pytest.approx(box.vectors(target[None])[0], rel=1e-4, abs=1e-4)
 
 
-def test_samples_come_first_then_all_slopes_then_steps_with_a_probe():
-    search = begin()
-    search.step()
-    assert len(search.step()) == SAMPLES
-    probes = search.step()
-    moved = probes != np.median(probes, axis=0)
-    assert moved[:, ~INERT].sum(axis=0).tolist() == [1] * len(probes)
-    assert not moved[:, INERT].any()
-    sizes = [len(search.step()) for _ in range(10)]
-    far = sizes.count(2)
-    assert 0 < far < 10
-    assert sizes == [2] * far + [3] * (10 - far)  # close to the goal a second step
-
-
 def test_candidates_move_every_parameter_but_the_inert_ones():
     search = begin(3)
     seen = np.concatenate([search.step(valley) for _ in range(200)])
     assert np.all(seen[:, INERT] == DEFAULTS[INERT])
     assert np.all(np.ptp(seen[:, ~INERT], axis=0) > 0)
-
-
-def test_descent_without_gain_tries_to_revive_and_then_gives_way_to_new_samples():
-    def hopeless(vectors):
-        return np.ones((len(vectors), CHECKPOINTS, 3)) + 1e-6 * np.sin(1e3 * vectors[:, :1, None])
-
-    search = begin()
-    sizes = [len(search.step(hopeless)) for _ in range(CONSTANTS.window + 6)]
-    revival = sizes.pop(CONSTANTS.window + 3)
-    assert sizes == [1, SAMPLES, len(FREE), *[2] * CONSTANTS.window, SAMPLES, len(FREE)]
-    assert CONSTANTS.max_dead <= revival <= CONSTANTS.max_dead * 2 * len(CONSTANTS.revival_moves)
 
 
 def test_dead_motor_neuron_is_revived():
@@ -138,32 +102,6 @@ def test_restarts_take_more_turns_the_better_the_best_is(loss, expected):
         size = len(search.step(toy))
         starts += [size] if size in (SAMPLES, RESTARTS) else []
     assert starts == expected
-
-
-def distance(vectors):
-    """Residuals that grow with the distance (n,) from the untuned start, where the best is good."""
-    away = np.abs((vectors - DEFAULTS) / WIDTH).sum(axis=1)
-    return np.ones((len(vectors), CHECKPOINTS, 3)) * (0.01 * (1.0 + away))[:, None, None]
-
-
-def test_restarts_from_a_good_point_are_wide_and_race_against_the_best_of_them():
-    search = begin()
-    search.step(distance)
-    found = []
-    shares = []
-    for number in range(CONSTANTS.races + 1):
-        assert search.batch.to_beat.tolist() == [max(found) if number else -math.inf] * RESTARTS
-        candidates = search.step(distance)
-        assert len(candidates) == RESTARTS
-        found += returns(distance(candidates)).tolist()
-        shares.append((np.abs(candidates - DEFAULTS) > 1e-9).mean())
-    wide = CONSTANTS.wide_restart_share * (1.0 - INERT.mean())
-    assert np.mean(shares) == pytest.approx(wide, rel=0.05)
-    probes, to_beat = search.batch
-    assert len(probes) == len(FREE)
-    assert np.isneginf(to_beat).all()
-    start = np.median(probes, axis=0)  # each probe moves one parameter of it
-    assert returns(distance(start[None]))[0] == max(found)
 
 
 def truncated(residuals, to_beat):

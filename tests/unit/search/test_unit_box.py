@@ -9,7 +9,7 @@ from kit.toy_search import DEFAULTS, INERT, LAYOUT, POLICY, WIDTH
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.course.course import load_course
 from sim.learn.evaluator import Evaluator
-from sim.learn.search.strategies import Batch
+from sim.learn.search import Batch
 from sim.learn.search.unit_box import UnitBox, reflected
 
 

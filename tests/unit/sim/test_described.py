@@ -6,7 +6,7 @@ from kit.paths import DATA
 from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
 from rover_ncp.robot.description import load_description
-from sim.learn.policies import load_driver
+from sim.learn.policies import any_policy
 from sim.stack.trials import Stack
 from sim.world.bodies import Body
 from sim.world.described import described_rover, ranges_of
@@ -36,7 +36,7 @@ def test_a_fast_reporting_robot_with_late_odometry_is_driven():
     """Fifty reports a second, each up to 50 ms late: their age is known from their stamps."""
     robot = load_description("jackal-j100")
     late = ranges_of(robot).model_copy(update={"jitter_s": 0.05})
-    stack = Stack(load_driver("course"), (load_course(ARC),), late, 0, gyro=True, robot=robot)
+    stack = Stack(any_policy("course"), (load_course(ARC),), late, 0, gyro=True, robot=robot)
     assert stack.drive(0).reason == ""
 
 
@@ -44,7 +44,7 @@ def test_a_skid_steered_robot_has_a_rigid_body_of_its_own():
     robot = load_description("husky-a200")
     assert rigid_body_of(load_description("p3at-sh")) == SkidRobot()
     ranges = ranges_of(robot, Body.MUJOCO)
-    stack = Stack(load_driver("course"), (load_course(BRIEF),), ranges, 0, gyro=True, robot=robot)
+    stack = Stack(any_policy("course"), (load_course(BRIEF),), ranges, 0, gyro=True, robot=robot)
     assert stack.drawn(0).rover.robot.mass_kg == pytest.approx(50.0, rel=0.21)
     assert stack.drive(0).parked
 

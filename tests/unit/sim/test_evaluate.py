@@ -14,7 +14,7 @@ from rover_ncp.course.builder import PoseList, make_course
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
 from sim.evaluate import evaluate
-from sim.learn.policies import load_driver
+from sim.learn.policies import any_policy
 from sim.learn.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.randomization import draw_trials, load_randomization
@@ -126,6 +126,6 @@ def test_parked_rover_holds_against_the_noise_of_its_odometry():
     poses = [(0.0, 0.0, 0.0), (0.6, 0.2, 0.6), (1.2, 0.5, 0.2)]
     listed = PoseList(poses=[dict(zip(["x", "y", "theta"], pose, strict=True)) for pose in poses])
     course, _ = make_course("tutorial", "poses", listed)
-    full, policy = load_randomization("full"), load_driver("course")
+    full, policy = load_randomization("full"), any_policy("course")
     found = evaluate.drive_trials(policy, [course], full, trials=20, seed=0)
     assert [trial.reason for trial in found if trial.reason] == []

@@ -11,7 +11,7 @@ from rover_ncp.circuit.runner import Runner
 from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
 from sim.evaluate.evaluate import drive_trials, evaluate
-from sim.learn.policies import function_driver, load_driver
+from sim.learn.policies import any_policy
 from sim.stack.trials import Stack
 from sim.world.random_course import mirrored
 from sim.world.randomization import load_randomization
@@ -71,8 +71,8 @@ def test_a_function_is_judged_on_the_trials_of_a_circuit():
     own, arc, full = Circuit(), load_course(DATA / "arc_course.yaml"), load_randomization("full")
     courses = [arc, mirrored(arc)]
     given = {"courses": courses, "ranges": full, "trials": 3, "seed": 5}
-    found = drive_trials(function_driver(own), **given)
-    for one, other in zip(found, drive_trials(load_driver("course"), **given), strict=True):
+    found = drive_trials(any_policy(own), **given)
+    for one, other in zip(found, drive_trials(any_policy("course"), **given), strict=True):
         assert one == pytest.approx(other)
     assert own.resets == 3
     assert evaluate(own, courses[0], trials=1, randomize="full", seed=5).success_rate == 1.0
@@ -80,7 +80,7 @@ def test_a_function_is_judged_on_the_trials_of_a_circuit():
 
 def test_a_function_drives_through_the_stack_as_a_circuit():
     own, course, full = Circuit(), load_course(SHORT), load_randomization("full")
-    circuit = Stack(load_driver("course"), (course,), full, 5)
+    circuit = Stack(any_policy("course"), (course,), full, 5)
     errors_m = [circuit.drive(number).error_m for number in range(2)]
     found = evaluate(own, course, trials=2, randomize="full", seed=5, stack=True)
     assert own.resets == 2

@@ -8,7 +8,7 @@ from rover_ncp.core.console import Output
 from rover_ncp.course.course import load_course
 from rover_ncp.course.slowdown import slowed
 from rover_ncp.robot.description import load_description
-from sim.learn.settings import course_of
+from sim.learn.settings import load_task
 from sim.park import park
 from sim.world.described import default_rover, described_rover
 
@@ -63,8 +63,8 @@ def test_a_slow_robot_is_trained_and_judged_as_it_is_driven(asked, tmp_path):
     robot = load_description(model)
     course, pace = slowed(load_course("parking"), robot)
     assert pace
-    assert course_of(settings) == course
-    assert settings.rover == described_rover(robot)
+    task = load_task(settings)
+    assert (task.course, task.rover) == (course, described_rover(robot))
     accept(load_policy("parking"))
     assert asked["rollouts"] == [(course, described_rover(robot))]
 

@@ -13,7 +13,7 @@ from rover_ncp.robot.description import load_description
 from rover_ncp.robot.profile import RoverProfile
 from sim.base.drive_train import DriveTrain
 from sim.base.trial import BaseTrial
-from sim.learn.policies import load_driver
+from sim.learn.policies import any_policy
 from sim.learn.rollout import rollout
 from sim.stack.estimates import summary
 from sim.stack.trials import Stack, drive_all
@@ -28,13 +28,13 @@ SHORT, BRIEF, ARC = (str(DATA / f"{name}_course.yaml") for name in ("short", "br
 
 def stack(ranges="none", seed=1, course=SHORT, body=Body.PYMUNK, **sensors):
     known = ranges if isinstance(ranges, Randomization) else load_randomization(ranges, body)
-    return Stack(load_driver("course"), (load_course(course),), known, seed, **sensors)
+    return Stack(any_policy("course"), (load_course(course),), known, seed, **sensors)
 
 
 def drive_plainly(driven, number):
     """Drive a trial of a stack in plain simulation."""
-    driver, trials = driven.driver, driven.drawn(number).trials
-    return rollout(driver.signals, driven.course(number), trials=trials, runner=driver.runner())
+    policy, trials = driven.policy, driven.drawn(number).trials
+    return rollout(policy.signals, driven.course(number), trials=trials, runner=policy.runner())
 
 
 def apart(one, other):

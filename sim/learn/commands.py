@@ -252,7 +252,6 @@ def _train_ensemble(
         best_return=best,
         median_return=median,
         wall_s=result.wall_s,
-        iterations_per_s=result.iterations_per_s,
         seed=settings.seed,
         agents=settings.agents,
         iterations=settings.iterations,

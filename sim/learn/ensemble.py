@@ -76,7 +76,6 @@ class TrainResult(BaseModel):
     best_return: float = Field(description="of all agents")
     median_return: float = Field(description="of all agents")
     wall_s: float = Field(description="how long it took")
-    iterations_per_s: float | None = Field(description="of all agents together")
     seed: int = Field(description="root seed")
     agents: int = Field(description="how many")
     iterations: int = Field(description="of each agent")
@@ -85,7 +84,7 @@ class TrainResult(BaseModel):
 
 
 class Trained(NamedTuple):
-    """How a training run ended. Times in s of this call alone, which may have resumed an older run."""
+    """How a training run ended."""
 
     policy: Policy
     """The best agent's, as in ``policy_path``."""
@@ -94,8 +93,7 @@ class Trained(NamedTuple):
     """Of that policy on the course that it was trained on."""
     agents: Ensemble
     wall_s: float
-    iterations_per_s: float | None
-    """Iterations of all agents per second; None if none were done."""
+    """Time of this call alone, which may have resumed an older run."""
 
 
 def train(
@@ -127,7 +125,7 @@ def train(
     task = load_task(settings)
     with open_run(Path(out), settings, task, resume) as folder:
         run = _Run(folder, settings, task)
-        missing, before = run.missing, len(run.ensemble.agents)
+        missing = run.missing
         count = min(processes or available_processes(), max(len(missing), 1))
         blocks = _blocks(missing, count, block) if cluster is None else _blocks(missing, 1, _CLUSTER_BLOCK)
         make = partial(_block_trainer, settings, task)
@@ -137,16 +135,14 @@ def train(
                 on_progress(run.ensemble)
                 if run.ensemble.accepted:
                     break
-        wall_s = time.monotonic() - began
         run.finish()
-        best, trained = run.policy(run.ensemble.best), len(run.ensemble.agents) - before
+        best = run.policy(run.ensemble.best)
         return Trained(
             policy=best,
             policy_path=folder.policy_path,
             verdict=rollout(best, task.course, task.rover).verdict,
             agents=run.ensemble,
-            wall_s=wall_s,
-            iterations_per_s=trained * settings.iterations / wall_s if trained else None,
+            wall_s=time.monotonic() - began,
         )
 
 

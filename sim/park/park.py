@@ -45,7 +45,6 @@ class ParkTraining(BaseModel):
     best_return: float = Field(description="of all agents")
     returns: list[float] = Field(description="of each agent")
     iterations: int = Field(description="of each agent")
-    iterations_per_s: float | None = Field(description="of all agents together")
 
     def __str__(self) -> str:
         return f"best return {self.best_return:.4f} of {len(self.returns)} agents"
@@ -189,7 +188,6 @@ def _train(
         best_return=result.agents.best.value,
         returns=result.agents.returns,
         iterations=ITERATIONS,
-        iterations_per_s=result.iterations_per_s,
     )
     return training, str(result.policy_path), result.verdict.reason
 

@@ -83,10 +83,9 @@ def test_the_first_agent_that_is_accepted_ends_the_training(reference, tmp_path)
 def test_resuming_a_complete_run_writes_the_same_bytes(reference):
     before = content(reference)
     stamps = {name: (reference / name).stat().st_mtime_ns for name in before}
-    result = run(reference, resume=True)
+    run(reference, resume=True)
     assert content(reference) == before
     assert (reference / "policy.yaml").stat().st_mtime_ns > stamps["policy.yaml"]
-    assert result.iterations_per_s is None
 
 
 @pytest.mark.long

@@ -24,7 +24,6 @@ def test_json_is_one_object_with_the_result(tmp_path, capsys):
     assert (fields["seed"], fields["agents"], fields["iterations"]) == (4, 2, 20)
     assert fields["best_return"] == max(fields["returns"])
     assert fields["median_return"] == pytest.approx(sum(fields["returns"]) / 2)
-    assert fields["iterations_per_s"] > 0
     assert 0 < fields["wall_s"] < 120
     assert load_policy(fields["policy"]).provenance["return"] == fields["best_return"]
 

@@ -19,6 +19,7 @@ from rover_ncp.core.config import ResultModel
 from rover_ncp.core.errors import UsageError
 from rover_ncp.course.course import Course, load_course
 from rover_ncp.course.scoring import Parked, Verdict
+from rover_ncp.native.core import required
 from rover_ncp.neurons.findings import Findings, analyse, number
 from rover_ncp.neurons.interpretation import Contribution, Interpretation, TimeConstant, interpret
 from rover_ncp.neurons.phases import ExplainedPhase
@@ -133,8 +134,10 @@ def explain(
 ) -> Explanation:
     """Explain a policy (name or file) on a course, or a recording (``.mcap``) on its own course and robot.
 
-    Raises UsageError for the recording of a docking or a recording with a course, FileError and ConfigError.
+    Raises UsageError for the recording of a docking or a recording with a course, and without the native
+    library; FileError and ConfigError.
     """
+    required()
     source = str(source)
     command = command_line(source, course)
     if Path(source).suffix.lower() != ".mcap":

@@ -21,6 +21,7 @@ def client(locator, lease_s=1.0, config=None):
     """Open a Zenoh session as a driver would, with a configuration file if it needs one."""
     settings, _ = client_config(locator, config)
     settings.insert_json5("transport/link/tx/lease", str(round(lease_s * 1000)))
+    settings.insert_json5("connect/timeout_ms", "20000")  # as long as a busy machine may take
     return zenoh.open(settings)
 
 

@@ -15,6 +15,7 @@ class Peer(ClosedAtExit):
     """
 
     def __init__(self, config: zenoh.Config) -> None:
+        config.insert_json5("connect/timeout_ms", "20000")  # as long as a busy machine may take
         self.session = zenoh.open(config)
         self.closing = threading.Event()
         self._thread = threading.Thread(target=self.run, name=type(self).__name__, daemon=True)

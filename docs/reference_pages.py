@@ -167,9 +167,8 @@ def commands_page() -> str:
     context = group.make_context("rover-ncp", [], resilient_parsing=True)
     for name in group.list_commands(context):
         command = group.get_command(context, name)
-        parts.append(
-            get_docs_for_click(obj=command, ctx=context, indent=1, name=name, call_prefix="rover-ncp")
-        )
+        page = get_docs_for_click(obj=command, ctx=context, indent=1, name=name, call_prefix="rover-ncp")
+        parts.append(page.replace("][", r"]\["))  # two brackets are a link in Markdown
     return "\n\n".join(parts) + "\n"
 
 

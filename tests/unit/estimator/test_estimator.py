@@ -138,6 +138,19 @@ def test_values_that_are_not_finite_never_reach_the_filter(where, what, others):
     assert "not finite" in estimator.fault
 
 
+def test_declared_noise_does_not_move_a_standing_rover():
+    speed_noise = (0.02, 0.03)
+    declared = dict(zip(("noise_m_s", "noise_rad_s"), speed_noise, strict=True))
+    robot = described("husky-a200", odometry=declared | {"noise_m": 0.005, "noise_rad": 0.009})
+    rng, estimator = np.random.default_rng(4), Estimator(settings_for(None, robot))
+    estimator.start(Pose(1.0, 2.0, 0.5), 0.0, Pose(0.0, 0.0, 0.0))
+    for tick in range(1, 200):
+        reported_pose = Pose(*(rng.normal(size=3) * [0.005, 0.005, 0.009]))
+        velocity = Velocity(*(rng.normal(size=2) * speed_noise))
+        assert estimator.odometry(reported_pose, velocity, tick * DT) is Acceptance.ACCEPTED
+        assert estimator.at(tick * DT).pose == pytest.approx((1.0, 2.0, 0.5), abs=1e-9)
+
+
 def test_declared_noise_does_not_hide_that_a_rover_creeps():
     noise_m, noise_m_s, v = 0.001, 0.005, 0.02
     robot = described("husky-a200", odometry={"noise_m": noise_m, "noise_m_s": noise_m_s})

@@ -146,6 +146,12 @@ def test_a_pose_counts_for_the_moment_at_which_it_was_measured():
     assert early.poses[Acceptance.ACCEPTED] == 1
 
 
+def test_a_pose_beyond_half_a_turn_is_near():
+    estimator = started(heading=math.pi - 0.001, covariance=COVARIANCE)
+    estimator.odometry(Pose(0.0, 0.0, math.pi - 0.001), Velocity(0.0, 0.0), DT)
+    assert estimator.external(Pose(0.0, 0.0, 0.001 - math.pi), COVARIANCE, DT) is Acceptance.ACCEPTED
+
+
 def test_poses_beyond_those_that_may_wait_for_odometry_are_dropped():
     estimator = straight(1.0)
     found = [estimator.external(Pose(0, 0, 0), COVARIANCE, 1.5) for _ in range(WAITING_MAX + 1)]

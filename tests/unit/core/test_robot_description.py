@@ -55,7 +55,8 @@ def test_a_description_is_based_on_a_file_beside_it_whatever_the_working_folder(
         ("name: x\nbased_on: p3at\nspeed: 1\n", r"\$.speed: unknown key"),
         ("name: x\n", r"\$.footprint"),
         ("name: loop\nbased_on: bad.yaml\n", r"\$\.based_on: at most 4 steps .*: is a file based on itself"),
-        (f"name: x\nbased_on: {'x' * 5000}\n", r"\$\.based_on: .*File name too long"),
+        # From Python 3.14 on there is no such file: Path.is_file() has no error.
+        (f"name: x\nbased_on: {'x' * 5000}\n", r"\$\.based_on: .*(File name too long|xxx: no such file)"),
     ],
 )
 def test_bad_files_are_refused(tmp_path, monkeypatch, text, expected):

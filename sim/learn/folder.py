@@ -10,6 +10,7 @@ search.json     a search by generations, between two of them
 """
 
 import fcntl
+import itertools
 import logging
 import os
 import re
@@ -39,19 +40,18 @@ StateT = TypeVar("StateT", bound=StrictModel)
 
 def new_run_path() -> Path:
     """Make and return a folder for a run that was given none: ``runs/train-1``, ``runs/train-2``, ..."""
-    number = 1
-    while True:
+    for number in itertools.count(1):
         path = _RUNS / f"train-{number}"
         try:
             path.mkdir(parents=True)
+            break
         except FileExistsError:
-            number += 1
+            continue
         except OSError as error:
             raise FileError(
                 f"{path}: cannot be made: {error.strerror}; choose a folder with --out"
             ) from error
-        else:
-            return path
+    return path
 
 
 def read_record(path: Path) -> Record:

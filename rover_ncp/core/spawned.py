@@ -6,6 +6,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 
 
 def end_with_parent() -> None:
@@ -21,12 +22,13 @@ def end_with_parent() -> None:
 
 @contextmanager
 def starting_processes() -> Iterator[None]:
-    """Let processes that are spawned within ignore Ctrl-C, which a terminal sends to the whole group."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Keep Ctrl-C, which a terminal sends to the whole group, from processes that are spawned within.
+
+    The signal is blocked, which they inherit. One that arrives meanwhile is delivered at the end.
+    """
+    resource_tracker.ensure_running()  # its start within would unblock the signal
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

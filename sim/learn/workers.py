@@ -80,7 +80,8 @@ class ProcessPool(ProcessPoolExecutor):
         if not broken and not all(call.done() for call in self._calls):
             self.shutdown(wait=False, cancel_futures=True)
             for process in self._spawning.started:
-                process.kill()  # it holds nothing that could be left half-done
+                if process.is_alive():
+                    process.kill()  # it holds nothing that could be left half-done
         self.shutdown()
         if broken:
             raise WorkerDied("a worker process was killed (out of memory?) or crashed") from error

@@ -36,7 +36,7 @@ def children(pid):
     [
         pytest.param(TRAIN, "settings.yaml", marks=pytest.mark.long),
         ([*TRAIN, "--agents", "300"], "policy.yaml"),
-        pytest.param(ROBUST, "search.json", marks=pytest.mark.long),
+        pytest.param(ROBUST, "curve.csv", marks=pytest.mark.long),
     ],
 )
 def test_ctrl_c_ends_cleanly_with_130_and_a_state_to_resume(tmp_path, command, moment):

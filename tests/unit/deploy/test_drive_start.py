@@ -157,6 +157,14 @@ def test_an_uncertain_verdict_says_what_would_help_and_fails_only_where_certaint
     assert reason.endswith("external poses or a gyro would reduce it")
 
 
+def test_a_rover_that_stands_needs_no_further_poses():
+    waits = NEAR.model_copy(update={"start_signal_s": 2.0})
+    virtual = posed(policy=load_policy("course"), course=waits, pose_age_s=1.6)  # of 2 s it rests 0.5 s
+    virtual.link.after, virtual.link.harm = 1, virtual.link.change.clear
+    result = virtual.run()
+    assert (result.stopped_by, result.ticks) == (None, waits.ticks)
+
+
 def test_refusal_moves_nothing_and_has_its_reason():
     virtual = VirtualDrive()
     virtual.bridge.sleep(3.0)

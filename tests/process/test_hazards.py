@@ -33,6 +33,8 @@ ROBOT = "name: mine\nbased_on: turtlebot4\ntopics: {stop: {topic: stop, latched:
 FAULT_S = {"low-battery=9": 3.5}
 """How long the mock has a fault, where it is not 2 s."""
 OF_PEER = "of a false peer"
+PATIENCE_S = 20.0
+"""As long as a driver of the kit waits: a busy machine may be several times as slow."""
 
 
 class Sensors(Peer):
@@ -95,9 +97,9 @@ class Watcher(Driver):
         if robot.sensors is not None:
             robot.sensors.press(False)  # a pressed stop is named before an unknown one
         robot.lose_sensors()
-        wait_for(lambda: self.statuses and self.gate.held == "hazard-unknown")
+        wait_for(lambda: self.statuses and self.gate.held == "hazard-unknown", PATIENCE_S)
         robot.sensors = Sensors(robot.base).start()
-        wait_for(lambda: not self.gate.held)
+        wait_for(lambda: not self.gate.held, PATIENCE_S)
         self.statuses.clear()
 
 

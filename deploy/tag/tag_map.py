@@ -22,6 +22,8 @@ Turn = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi, description="rad"
 FAMILY = "tag36h11"
 IDS = 587
 """Number of tags in the family."""
+MAX_DISTORTION = 1e4
+"""Rational models of wide lenses have coefficients of some hundreds."""
 FOCAL = 0.1, 20.0
 """Least and largest focal length, in longer sides of the picture: views of 157° and 3°."""
 
@@ -110,8 +112,8 @@ class Intrinsics(StrictModel):
             raise ValueError(
                 f"{len(self.distortion)} coefficients of a {self.model} camera, expected {expected}"
             )
-        if not np.isfinite(self.distortion).all():
-            raise ValueError("a coefficient of the distortion is not finite")
+        if not (np.abs(self.distortion) <= MAX_DISTORTION).all():
+            raise ValueError(f"a coefficient of the distortion is beyond ±{MAX_DISTORTION:g}")
         least, most = (share * max(self.width, self.height) for share in FOCAL)
         if not (least <= self.fx <= most and 0.5 <= self.fy / self.fx <= 2.0):
             raise ValueError(

@@ -63,6 +63,8 @@ def test_the_gate_keeps_the_limits_of_a_pioneers_description(checked, tmp_path):
         "omega_max: 1e-320",
         "fence: {x_min: -1e300, x_max: 1e300, y_min: -1, y_max: 1}",
         "lease_s: 1e-9",
+        "fence:",
+        "sonar_stop_m: null",
         "battery_min_v: 1e9",
     ],
 )

@@ -29,7 +29,7 @@ from bridge.ros2.connection import LOOP_KEY, RosConnection
 from bridge.ros2.discovery import LoopSeen
 from bridge.zenoh.link import ZenohLink
 from rover_ncp.core.config import load_yaml
-from rover_ncp.core.errors import NoRobot, RoverNcpError, UsageError
+from rover_ncp.core.errors import ConfigError, NoRobot, RoverNcpError, UsageError
 from rover_ncp.core.files import shipped_names
 from rover_ncp.robot.description import RobotDescription, load_description
 from rover_ncp.wire.address import ROS2
@@ -91,6 +91,16 @@ def gate_limits(file: Path | None, description: RobotDescription | None) -> Limi
     Raises FileError or ConfigError, and UsageError for a limit in the file that is wider than the robot's.
     """
     given = Limits() if file is None else load_yaml(file, Limits)
+    # Somebody who writes the key wants the rover to stop there.
+    empty = [
+        name
+        for name in ("fence", "sonar_stop_m")
+        if name in given.model_fields_set and getattr(given, name) is None
+    ]
+    if empty:
+        raise ConfigError(
+            str(file), [f"{name}: no value; leave the key out for no such stop" for name in empty]
+        )
     if (description is None or description.arcos is not None) and given.brake > MotionLimits.decel:
         raise UsageError(
             f"{file}: brake is {given.brake:g}; "

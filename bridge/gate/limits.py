@@ -4,9 +4,9 @@ Bounds keep a mistake in the file from undoing the first safety requirement: a r
 stands still within 0.5 s plus braking.
 """
 
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from rover_ncp.core.config import StrictModel
 from rover_ncp.robot.description import RobotDescription
@@ -71,14 +71,6 @@ class Limits(StrictModel):
     """Pioneer manual: charge below 12 V; the base's own alarm comes at 11.5 V, damage below 11 V."""
     battery_low_s: float = Field(default=2.0, ge=0, le=60)
     """How long the voltage must be low: it sags when the motors start."""
-
-    @field_validator("fence", "sonar_stop_m", mode="before")
-    @classmethod
-    def _has_a_value(cls, value: Any) -> Any:
-        # Somebody who writes the key wants the rover to stop there.
-        if value is None:
-            raise ValueError("it has no value: write one, or leave the key out for no such stop")
-        return value
 
     def within(self, robot: RobotDescription) -> Self:
         """Return the tighter of these limits and the robot's own.

@@ -23,7 +23,7 @@ class Setpoint(NamedTuple):
 
 @dataclass(frozen=True)
 class BaseReport:
-    """One report of the base, in SI units. The pose is in odom: where the base was at connect."""
+    """One report of the base, in SI units. Its pose is in odom, whose origin is the pose at connecting."""
 
     x: float = 0.0
     y: float = 0.0
@@ -72,7 +72,7 @@ class Ready:
 
 @dataclass(frozen=True)
 class TurnRate:
-    """Mean turn rate by the base's gyro since the last one, rad/s, with an unknown constant offset.
+    """Mean turn rate by the base's gyro since its previous reading, rad/s, with an unknown constant offset.
 
     Its time ends ``age_s`` before it arrives.
     """
@@ -91,7 +91,7 @@ class PassedOn:
 
 @dataclass(frozen=True)
 class Lost:
-    """A ready base was lost: it gets no setpoint, and its motors must be requested again."""
+    """A ready base was lost: it gets no speed but zero, and its motors must be requested again."""
 
     reason: str
 
@@ -103,7 +103,7 @@ class Recovered:
 
 @dataclass(frozen=True)
 class Failed:
-    """The base cannot be reached. It tries again unless it was never ready."""
+    """The base cannot be reached. One that was ready keeps trying; otherwise the bridge ends."""
 
     reason: str
 
@@ -122,7 +122,7 @@ class BaseTimeout(NamedTuple):
     """Time in s after which the base halts without commands; None = not known.
 
     With the state ``UNKNOWN`` it is the factory setting, which the base does not confirm. ``refusal`` is why
-    the gate grants no lease; "" = it does.
+    the bridge grants no lease; "" = it does.
     """
 
     state: TimeoutState

@@ -24,11 +24,11 @@ class OwnPolicy(NamedTuple):
     signals: tuple[str, ...]
     """What it observes."""
     runner: Callable[[], FunctionRunner]
-    """Return a runner of the policy; other processes may call this, too."""
+    """Makes a new runner, also in other processes, since it imports the policy again."""
 
 
 def is_own(name: str) -> bool:
-    """Return whether the name of a policy is a ``module:name`` and no file."""
+    """Return whether the name of a policy is a ``module:name`` and not an existing file."""
     return ":" in name and not Path(name).exists()
 
 
@@ -38,7 +38,7 @@ def load_own_policy(name: str) -> OwnPolicy:
 
 
 def own_policy(name: str, load: Callable[[], Any]) -> OwnPolicy:
-    """Return a policy of a user that ``load`` returns. Raises ConfigError or UsageError."""
+    """Check the function that ``load`` returns; return it as a policy. Raises ConfigError or UsageError."""
     policy = load()
     if not callable(policy):
         raise UsageError(f"policy {name}: expected a function of an observation, got {policy!r}")

@@ -3,7 +3,7 @@
 A channel x with range [x_min, x_max] sets its positive neuron to -70 + 50 x / x_max and its negative neuron
 to -70 + 50 x / x_min, in mV, where x counts from the channel's origin. Clamped, both stay within -70..-20
 mV. Unclamped, as in the published code (and so for circuits trained with it), a single neuron follows its
-line without end. Of an unclamped pair the neuron of x's sign does, and the other stays at -70 mV.
+line up to ±1000 mV. Of an unclamped pair the neuron of x's sign does, and the other stays at -70 mV.
 """
 
 from collections.abc import Collection, Sequence
@@ -20,22 +20,22 @@ from rover_ncp.native.core import Axes
 LOW_MV = -70.0
 HIGH_MV = -20.0
 SATURATION_MV = 1000.0
-"""An unclamped potential ends here: twenty times its range, yet harmless to the solver's arithmetic."""
+"""An unclamped potential ends at plus or minus this: twenty times its range, and no overflow."""
 
 
 class Channel(StrictModel):
     """One variable and the neurons it drives, one for its positive values, one for its negative, or both."""
 
     name: str = Field(min_length=1)
-    """The input or output that it carries, if no layer lies between."""
+    """The input or output that it carries, without a linear layer; with one, any name."""
     positive: str | None = None
     """Neuron of the values above 0."""
     maximum: float | None = Field(default=None, gt=0)
-    """Value at which that neuron is at the upper end of its range."""
+    """Distance above the origin at which that neuron is at the upper end of its range."""
     negative: str | None = None
     """Neuron of the values below 0."""
     minimum: float | None = Field(default=None, lt=0)
-    """Value at which that neuron is at the upper end of its range."""
+    """Distance from the origin, below it, at which that neuron is at the upper end of its range."""
     origin: float | None = None
     """Sensors only: the value, if not 0, at which its neurons are at the lower end, and its range begins."""
 
@@ -147,7 +147,7 @@ def parking_sensing(clamp: bool = True, downward: Collection[str] = ()) -> Sensi
 
 
 def course_sensing() -> Sensing:
-    """Return the sensing relative to a course: two mixtures of five signals, on the touch neurons in pairs.
+    """Return the sensing relative to a course: two mixtures of five signals, each on a pair of touch neurons.
 
     The pairs are those of the paper's benchmarks (PLM and AVM, ALM and PVD, each ±1). A range is a large
     value on the way: 0.2 m, 0.4 rad, and the motors' speeds.

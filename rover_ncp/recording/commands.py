@@ -1,4 +1,4 @@
-"""Commands of this package; heavy libraries load only when one runs."""
+"""The command ``recover``; heavy libraries load only when it runs."""
 
 from pathlib import Path
 from typing import Annotated
@@ -17,12 +17,12 @@ def recover(
     overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
-    """Make a recording whole that was cut off or damaged: every message before, and the index for viewers.
+    """Repair a recording that was cut off or damaged: keep each message before, and write viewers' index.
 
-    Messages that a killed process had not yet written are lost, half a second at most. The file is replaced
-    at once or not at all. A recording that is whole already stays as it is, and so does one that is still
-    being written. Memory does not grow with the length of the recording. Recordings of other software are
-    for 'mcap recover'.
+    Messages that a killed process had not yet written are lost, at most the last half second. The file is
+    replaced in one step or not at all. A recording that is whole already stays as it is, and so does one that
+    is still being written. Memory does not grow with the length of the recording. For recordings of other
+    software there is 'mcap recover'.
 
         rover-ncp recover run.mcap
     """

@@ -19,14 +19,15 @@ def mock(options: MockOptions) -> None:
 
     --truth writes t_ns (since the epoch), t_s, x, y, theta, v, omega, contact and clock_ns (the simulation's
     clock). With --fault - each fault is answered by a line "applied t_ns=... late_ns=... heard_ns=... FAULT":
-    when it began on that clock, the longest stall of the mock since the line before, and when the robot last
-    received anything.
+    t_ns is when it began on that clock, late_ns the longest stall of the mock since the line before, heard_ns
+    when the robot last received anything.
 
     With --randomize the mock has the errors of one random trial: its delays, gains, noise and start, lost
-    commands and a push, for as long as the --course lasts. They begin when the motors are first enabled.
+    commands and a push, for as long as the --course lasts. All but the start begin when the motors are first
+    enabled.
 
     --camera renders what a camera sees of the tags from the true pose, ten times a second, in a process of
-    its own; 'tag run --camera http://127.0.0.1:8102/' reads it. It needs the extra tag.
+    its own; 'tag run --camera http://127.0.0.1:8102/' reads it. --camera needs the extra 'tag'.
 
     --body mujoco simulates four wheels with friction, weight and motors, on level or sloped ground.
 

@@ -1,6 +1,7 @@
 """Errors of one trial between command, motion and odometry.
 
-The functions are compiled into the engine's kernel as they are, and called by the plain rollout.
+The plain rollout calls these functions. ``rover_ncp/native/episode.cpp`` repeats them in C++ with the same
+bits.
 """
 
 import math

@@ -1,0 +1,1 @@
+"""The native library in C++, and the one module that calls it."""

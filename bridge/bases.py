@@ -91,7 +91,7 @@ def gate_limits(file: Path | None, description: RobotDescription | None) -> Limi
     Raises FileError or ConfigError, and UsageError for a limit in the file that is wider than the robot's.
     """
     given = Limits() if file is None else load_yaml(file, Limits)
-    # Somebody who writes the key wants the rover to stop there.
+    # A user who writes the key wants the rover to stop there.
     empty = [
         name
         for name in ("fence", "sonar_stop_m")

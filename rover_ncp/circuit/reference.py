@@ -13,10 +13,10 @@ operations have the same order and the exponential is the same polynomial.
 import math
 from collections.abc import Iterator
 
-from rover_ncp.circuit.circuit import MIDPOINT_MV, FloatArray
+from rover_ncp.circuit.circuit import MIDPOINT_MV, REVERSAL_MV, FloatArray, SynapseKind
 from rover_ncp.circuit.compiled import LOG2_E, GapJunctions, Program, Synapses
 
-INHIBITORY_MV = -90.0
+INHIBITORY_MV = REVERSAL_MV[SynapseKind.INHIBITORY]
 # 2**f on [-1/2, 1/2], interpolated at Chebyshev nodes in 60 digits: relative error below 5e-18.
 EXP2 = (
     *(1.0, 0.6931471805599453, 0.24022650695910158, 0.055504108664821625, 0.009618129107587256),

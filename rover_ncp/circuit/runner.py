@@ -1,7 +1,7 @@
 """Runs one policy tick by tick, with the native library where it was built."""
 
+import logging
 import math
-import sys
 from collections.abc import Callable, Sequence
 from functools import cache, partial
 
@@ -13,6 +13,8 @@ from rover_ncp.circuit.compiled import make_circuits, make_program
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import UsageError
 from rover_ncp.native.core import bound_tick, library
+
+_LOGGER = logging.getLogger("rover_ncp")
 
 
 class Runner:
@@ -70,7 +72,4 @@ class Runner:
 
 @cache
 def _warn_once() -> None:
-    print(
-        "warning: the native library was not built: circuits run in Python, fast enough to drive",
-        file=sys.stderr,
-    )
+    _LOGGER.warning("warning: the native library was not built: circuits run in Python, fast enough to drive")

@@ -50,14 +50,19 @@ def load(suffix: str = "") -> ctypes.CDLL:
     """
     loaded = ctypes.CDLL(str(_FOLDER / f"librover_ncp{suffix}.so"))
     loaded.rover_ncp_sources.restype = ctypes.c_char_p
-    sources = sorted([*_SOURCES.glob("*.cpp"), *_SOURCES.glob("*.h")])
-    digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:16]
-    if loaded.rover_ncp_sources().decode() != digest:
+    if loaded.rover_ncp_sources().decode() != _digest(_SOURCES):
         raise UsageError(f"the native library is not that of its sources in {_SOURCES}: {_how_to_build()}")
     for name, (result, *arguments) in _FUNCTIONS.items():
         function = getattr(loaded, name)
         function.restype, function.argtypes = result, arguments
     return loaded
+
+
+@cache
+def _digest(folder: Path) -> str:
+    """Return the digest of the sources in a folder, as ``hatch_build.py`` makes it."""
+    sources = sorted([*folder.glob("*.cpp"), *folder.glob("*.h")])
+    return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:16]
 
 
 @cache
@@ -261,14 +266,14 @@ def fill_lanes(circuits: Any, vectors: FloatArray, first: int = 0) -> None:
     required().rover_ncp_fill_lanes(*arguments, first)
 
 
-def bound_episodes(signal_at: NDArray[np.int64], **tuples: Any) -> Callable[[], None]:
+def bound_episodes(circuits: Any, signal_at: NDArray[np.int64], **tuples: Any) -> Callable[[], None]:
     """Return what runs episodes until a group has ended and a lane is free, or until none is left.
 
     ``signal_at`` (inputs,) gives the signal of each input, a row of ``signals.TABLE``. The others are the
     named tuples of ``rover_ncp_run_episodes``, in its order.
     """
     packed = structures(
-        circuits=tuples.pop("circuits"),
+        circuits=circuits,
         signal_at=(signal_at, np.int64, Axes("inputs", below=str(required().rover_ncp_signals()))),
         **tuples,
     )

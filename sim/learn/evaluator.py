@@ -278,8 +278,8 @@ class Evaluator:
     def _bind(self, lane_set: _LaneSet, queue: Queue) -> Callable[[], object]:
         """Return what runs a queue, as long as the lanes exist: it has their addresses alone."""
         return bound_episodes(
+            lane_set.circuits,
             self._signal_at,
-            circuits=lane_set.circuits,
             tasks=self._tasks,
             trials=self._trials,
             lanes=lane_set.lanes,

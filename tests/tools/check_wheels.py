@@ -118,7 +118,7 @@ def check_installed(folder):
         venv.create(name, with_pip=True)
         python = f"{name}/bin/python"
         pip = [python, "-m", "pip", "install", "--quiet", "--constraint", ROOT / "constraints.txt"]
-        subprocess.run([*pip, "--no-index", "--no-deps", "--find-links", folder, "rover-ncp"], check=True)
+        subprocess.run([*pip, "--no-index", "--no-deps", "-f", folder, "rover-ncp"], check=True)
         subprocess.run([*pip, "rover-ncp"], check=True)
         subprocess.run([python, "-I", "-W", "ignore", "-c", TICK], check=True, cwd=name)
     return f"{TICKS} ticks in an environment of its own as the reference, bit by bit"

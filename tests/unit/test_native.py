@@ -50,8 +50,8 @@ def everything():
     evaluator = Evaluator(POLICY, COURSE)
     found = {}
 
-    def keep(signal_at, **tuples):
-        found.update(signal_at=signal_at, **tuples)
+    def keep(circuits, signal_at, **tuples):
+        found.update(circuits=circuits, signal_at=signal_at, **tuples)
         return lambda: None
 
     with pytest.MonkeyPatch.context() as patch:
@@ -64,14 +64,16 @@ def everything():
 def test_no_array_of_episodes_can_be_of_another_type_order_or_shape(everything):
     everything.pop("evaluator")
     signal_at = everything.pop("signal_at")
-    core.bound_episodes(signal_at, **everything)
+    core.bound_episodes(signal_at=signal_at, **everything)
     tried, taken = 0, set()
     for name, value in everything.items():
         for path, array in arrays(value):
             for other in wrong(array):
                 tried += 1
                 try:
-                    core.bound_episodes(signal_at, **everything | {name: replaced(value, path, other)})
+                    core.bound_episodes(
+                        signal_at=signal_at, **everything | {name: replaced(value, path, other)}
+                    )
                 except (TypeError, ValueError):
                     continue
                 taken.add((name, *path))

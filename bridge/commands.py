@@ -102,10 +102,10 @@ def bridge(
         rover-ncp bridge --base ros2/tcp/ROBOT --model robot.yaml --measure-timeout
         rover-ncp bridge --base ros2/tcp/ROBOT --model robot.yaml --listen tcp/127.0.0.1:7449
     """
+    from bridge.base_messages import gate_status
     from bridge.bases import choose_base, gate_limits, open_base
     from bridge.inbox import Inbox
     from bridge.node import BridgeResult, Node
-    from bridge.ros2.messages import gate_status
     from bridge.zenoh.link import ZenohLink
     from rover_ncp.core.process import Interrupts
 

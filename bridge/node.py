@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from pydantic import BaseModel, Field
 
+from bridge import base_messages as ros
 from bridge.base import (
     Base,
     BaseEvent,
@@ -29,6 +30,7 @@ from bridge.base import (
     Setpoint,
     TurnRate,
 )
+from bridge.covariance import Variances, odometry_variances
 from bridge.gate.gate import step
 from bridge.gate.limits import Limits
 from bridge.gate.state import (
@@ -45,8 +47,6 @@ from bridge.gate.state import (
 from bridge.guarded_base import GuardedBase
 from bridge.inbox import CommandMessage, Query, ThreadError
 from bridge.queries import Answers
-from bridge.ros2 import messages as ros
-from bridge.ros2.covariance import Variances, odometry_variances
 from rover_ncp.core.errors import FormatError, NoRobot, SafetyStop
 from rover_ncp.core.process import Clock, suspended_s
 from rover_ncp.robot.description import RobotDescription

@@ -9,9 +9,9 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from bridge.base import BaseReport, LinkHealth
+from bridge.covariance import MIN_VARIANCE, Variances
 from bridge.gate.state import GateState, Reason, describe
 from bridge.pioneer.packets import NO_ECHO_MM
-from bridge.ros2.covariance import MIN_VARIANCE, Variances
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire import messages

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
+from bridge import base_messages as ros
 from bridge.base import BaseReport, LinkHealth
+from bridge.covariance import Variances, odometry_variances
 from bridge.gate.state import NO_CONTACT, GateState, Lease, Reason
 from bridge.pioneer.odometry import ROBOTS
-from bridge.ros2 import messages as ros
-from bridge.ros2.covariance import Variances, odometry_variances
 from rover_ncp.core.files import shipped_names
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.key_table import spec

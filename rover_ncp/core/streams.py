@@ -30,6 +30,7 @@ class Domain(Enum):
     TRIAL_NOISE = (20,)
     TRIAL_LOSSES = (21,)
     TRIAL_AGES = (22,)
+    LOCALISER = (23,)
 
 
 def stream_seed(seed: int, domain: Domain, index: int = 0) -> np.random.SeedSequence:

@@ -28,7 +28,7 @@ from rover_ncp.robot.profile import RoverProfile
 from sim.base.trial import BaseTrial, draw_rover
 from sim.stack.lines import simulated_base
 from sim.stack.tag_camera import TagLocaliser, camera_direction
-from sim.stack.trials import drive_whole, new_drive
+from sim.stack.trials import drive_whole, localiser_errors, new_drive
 from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.randomization import Randomization
 
@@ -137,7 +137,8 @@ class DockTrials:
         bridge = VirtualBridge(base)
         link = VirtualLink(bridge, None)
         stream = random_stream(self.seed, Domain.CAMERA, number)
-        base.observe = self.localiser(rover, self.place, stream, link.localise).observe
+        errors = localiser_errors(self.ranges, self.seed, number)
+        base.observe = self.localiser(rover, self.place, stream, link.localise, errors).observe
         docking = copy.deepcopy(self._docking)
         drive = new_drive(link, docking, self.dock.circuit.neurons, self._config)
         try:

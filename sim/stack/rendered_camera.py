@@ -13,9 +13,9 @@ from deploy.tag.tag_map import CameraFile, Mount, TagMap
 from rover_ncp.core.config import load_yaml
 from rover_ncp.core.files import resolve
 from rover_ncp.core.geometry import Pose, compose
-from rover_ncp.wire.messages import pose_with_covariance
 from sim.camera.render import Renderer
 from sim.stack.tag_camera import TagLocaliser, camera_direction
+from sim.world.localiser_errors import LocaliserErrors, Measured
 from sim.world.rover import Rover
 
 PLACE_M = 1.6
@@ -48,9 +48,14 @@ class RenderedLocaliser(TagLocaliser):
     tags_ahead_m = 0.7
 
     def __init__(
-        self, rover: Rover, place: Place, stream: np.random.Generator, send: Callable[[bytes, int], None]
+        self,
+        rover: Rover,
+        place: Place,
+        stream: np.random.Generator,
+        send: Callable[[bytes, int], None],
+        errors: LocaliserErrors | None = None,
     ) -> None:
-        super().__init__(rover, place, stream, send)
+        super().__init__(rover, place, stream, send, errors)
         camera, tags = dock_camera(place)
         self.renderer, self.localiser = Renderer(camera, tags, stream), Localiser(camera, tags)
 
@@ -65,9 +70,7 @@ class RenderedLocaliser(TagLocaliser):
             within += bool(np.all((pixels > 0.0) & (pixels < np.array(size) - 1.0)))
         return within >= 2
 
-    def measure(self, wall_ns: int) -> bytes | None:
+    def measure(self, wall_ns: int) -> Measured | None:
         """Return the pose that a picture of the present moment gives."""
         found = self.localiser.take(Picture(self.renderer.picture(Pose(*self._rover.pose)), wall_ns))
-        if found is None:
-            return None
-        return pose_with_covariance(found.pose, found.covariance, wall_ns, self._frame)
+        return None if found is None else Measured(found.pose, found.covariance)

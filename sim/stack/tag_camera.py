@@ -14,8 +14,8 @@ import numpy as np
 
 from deploy.place.place import Place
 from rover_ncp.core.geometry import Pose, compose, relative, wrap_angle
-from rover_ncp.wire.messages import pose_with_covariance
 from sim.stack.camera import PoseSource
+from sim.world.localiser_errors import LocaliserErrors, Measured
 from sim.world.rover import Rover
 
 FULL_M = 3.0
@@ -47,10 +47,15 @@ class TagLocaliser(PoseSource):
     """Share of images without a pose."""
 
     def __init__(
-        self, rover: Rover, place: Place, stream: np.random.Generator, send: Callable[[bytes, int], None]
+        self,
+        rover: Rover,
+        place: Place,
+        stream: np.random.Generator,
+        send: Callable[[bytes, int], None],
+        errors: LocaliserErrors | None = None,
     ) -> None:
-        super().__init__(rover, stream, send)
-        self._frame = place.frame
+        super().__init__(rover, stream, send, errors)
+        self.frame = place.frame
         self._camera = camera_direction(place)
         self._toward = compose(place.goal, self._camera)
         """The place, turned to where a docked rover's camera looks."""
@@ -63,7 +68,7 @@ class TagLocaliser(PoseSource):
         """
         return True
 
-    def measure(self, wall_ns: int) -> bytes | None:
+    def measure(self, wall_ns: int) -> Measured | None:
         """Return the pose by the noise model."""
         tags = compose(self._toward, Pose(self.tags_ahead_m, 0.0, 0.0))
         eye = compose(self._rover.pose, self._camera)
@@ -84,6 +89,4 @@ class TagLocaliser(PoseSource):
             [[-ahead / distance, left, -left], [-left / distance, -ahead, ahead], [0.0, 0.0, -1.0]]
         )
         covariance = jacobian * sigmas**2 @ jacobian.T + 1e-9 * np.eye(3)
-        return pose_with_covariance(
-            Pose(tags.x - ahead, tags.y - left, theta), covariance, wall_ns, self._frame
-        )
+        return Measured(Pose(tags.x - ahead, tags.y - left, theta), covariance)

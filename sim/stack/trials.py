@@ -39,6 +39,7 @@ from sim.stack.estimates import Belief, belief_of
 from sim.stack.lines import simulated_base
 from sim.stack.virtual import TicklessPublisher, VirtualBridge, VirtualLink
 from sim.world.described import described_rover
+from sim.world.localiser_errors import LocaliserErrors
 from sim.world.randomization import Randomization
 from sim.world.rover import Rover, RoverModel
 
@@ -130,7 +131,8 @@ class Stack:
         bridge, received = VirtualBridge(base), list[Recorded]()
         link = VirtualLink(bridge, rover.pose, received.append)
         stream = random_stream(seed, Domain.IDENTIFICATION, number)
-        base.observe = CeilingCamera(rover, stream, link.localise).observe
+        errors = localiser_errors(self.ranges, seed, number)
+        base.observe = CeilingCamera(rover, stream, link.localise, errors).observe
         measurements = Measurements(link)
         monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
         monitor.wait()
@@ -149,7 +151,8 @@ class Stack:
         watching = [truth.note]
         if self.camera:
             stream = random_stream(self.seed, Domain.CAMERA, number)
-            watching.append(CeilingCamera(rover, stream, link.localise).observe)
+            errors = localiser_errors(self.ranges, self.seed, number)
+            watching.append(CeilingCamera(rover, stream, link.localise, errors).observe)
 
         def observe(now: float) -> None:
             for watch in watching:
@@ -198,6 +201,13 @@ class Stack:
                 runner=runner,
             )
         return copy.deepcopy(self._controllers[place])
+
+
+def localiser_errors(ranges: Randomization, seed: int, number: int) -> LocaliserErrors | None:
+    """Return the errors of a trial's external poses; None if they are those of the camera alone."""
+    if ranges.localiser is None:
+        return None
+    return LocaliserErrors(ranges.localiser, random_stream(seed, Domain.LOCALISER, number))
 
 
 class _Truth:

@@ -22,6 +22,7 @@ from rover_ncp.course.course import TICK_S
 from rover_ncp.native.core import Axes
 from rover_ncp.robot.profile import RoverProfile
 from sim.world.bodies import PRESETS, Body
+from sim.world.localiser_errors import LocaliserRanges
 from sim.world.rover import SUBSTEP_S, RoverModel
 from sim.world.skid_robot import Range, SkidRanges
 
@@ -88,6 +89,9 @@ class Randomization(StrictModel):
     )
     banded: float = Field(default=1.0, ge=0, le=1, description="share of robots with dead bands")
     sensors: Sensors = Field(default="encoders", description="of the observed pose, but for the stack")
+    localiser: LocaliserRanges | None = Field(
+        default=None, description="errors of the stack's external poses"
+    )
     rover: RoverProfile | None = Field(default=None, description="what is known, and so not drawn")
 
     @model_validator(mode="after")
@@ -113,7 +117,7 @@ class Randomization(StrictModel):
 
 _NOT_DRAWN = {
     *("format", "name", "body", "skid_steer", "burst", "speed_step_m_s", "turn_step_rad_s", "banded"),
-    *("sensors", "rover"),
+    *("sensors", "localiser", "rover"),
 }
 """Keys of a randomization that are not ranges of a value drawn for each trial."""
 

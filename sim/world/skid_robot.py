@@ -118,11 +118,11 @@ def draw_robot(ranges: SkidRanges, seed: int, number: int, usual: SkidRobot | No
     return usual.model_copy(
         update={
             "mass_kg": usual.mass_kg * (1.0 + ranges.mass * u[0]),
-            "friction": _between(ranges.friction, u[1]),
+            "friction": between(ranges.friction, u[1]),
             "mass_center_m": (off * math.cos(aside), off * math.sin(aside)),
             "half_track_m": usual.half_track_m * (1.0 + ranges.track * u[4]),
             "radius_factors": tuple((1.0 + ranges.wheel_radius * radii).tolist()),
-            "slope_rad": _between(ranges.slope_rad, u[5]),
+            "slope_rad": between(ranges.slope_rad, u[5]),
             "uphill_rad": math.pi * u[6],
             "cables": tuple((within * x, within * y, math.pi * turn) for x, y, turn in places.tolist()),
             "contact": ranges.contact,
@@ -130,5 +130,6 @@ def draw_robot(ranges: SkidRanges, seed: int, number: int, usual: SkidRobot | No
     )
 
 
-def _between(ends: tuple[float, float], u: float) -> float:
+def between(ends: tuple[float, float], u: float) -> float:
+    """Return the value in a range for a draw in −1..1."""
     return ends[0] + (ends[1] - ends[0]) * 0.5 * (1.0 + u)

@@ -9,7 +9,7 @@ from kit.virtual_docking import place
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.geometry import Pose, distance
-from rover_ncp.wire.messages import pose_with_covariance, read_pose
+from rover_ncp.wire.messages import read_pose
 from sim.evaluate.evaluate import tally
 from sim.evaluate.results import docking_result
 from sim.stack.docking import BEARING_RAD, DISTANCES_M, DockTrials
@@ -78,12 +78,8 @@ def test_docked_counts_by_the_true_pose(moved_m, reasons):
 
     class Moved(TagLocaliser):
         def measure(self, wall_ns):
-            data = super().measure(wall_ns)
-            if data is None:
-                return None
-            seen = read_pose(data)
-            there = seen.pose._replace(y=seen.pose.y + moved_m)
-            return pose_with_covariance(there, seen.covariance, wall_ns, seen.frame)
+            seen = super().measure(wall_ns)
+            return seen and seen._replace(pose=seen.pose._replace(y=seen.pose.y + moved_m))
 
     drawn = dataclasses.replace(trials(retries=0), localiser=Moved)
     driven = drive_all(drawn.drive, 1, 1)

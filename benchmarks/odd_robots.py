@@ -17,7 +17,6 @@ import math
 from dataclasses import dataclass
 from random import Random
 
-import mujoco
 import numpy as np
 
 from rover_ncp.core.geometry import Pose
@@ -110,7 +109,7 @@ class Four(Odd):
         data.qfrc_applied[WHEELS] = [
             0.5 * motor.torque(v) for motor, v in zip(self.motors, wanted, strict=True)
         ]
-        mujoco.mj_step(self._physics, data, nstep=self._steps)
+        self._step()
         angles, rates = data.qpos[7:11].tolist(), data.qvel[WHEELS].tolist()
         for motor, angle, rate in zip(self.motors, angles, rates, strict=True):
             motor.measure(angle, rate)

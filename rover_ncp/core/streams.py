@@ -31,6 +31,8 @@ class Domain(Enum):
     TRIAL_LOSSES = (21,)
     TRIAL_AGES = (22,)
     LOCALISER = (23,)
+    MASS_LEFT = (24,)
+    PATCHES = (25,)
 
 
 def stream_seed(seed: int, domain: Domain, index: int = 0) -> np.random.SeedSequence:

@@ -49,6 +49,7 @@ _WALLS_ONLY = np.array([0, 1, 0, 0, 0, 0], np.uint8)
 _YAW = 2
 """Index of the gyro's vertical axis among the sensors' values."""
 USUAL = SkidRobot()
+WHEELS = "front_left", "front_right", "rear_left", "rear_right"
 _CABLES, _WALLS = 1, 2
 """Bits of collisions: tyres roll over cables, walls stop tyres and shell."""
 _TYRES = _CABLES | _WALLS
@@ -72,11 +73,9 @@ def _model_xml(robot: SkidRobot, model: RoverModel, obstacles: Sequence[Obstacle
     inertia = " ".join(
         str(frame_kg / 12 * (a * a + b * b)) for a, b in ((width, height), (length, height), (length, width))
     )
-    corners = [
-        (f"{end}_{side}", x, y)
-        for end, x in (("front", robot.half_wheelbase_m), ("rear", -robot.half_wheelbase_m))
-        for side, y in (("left", robot.half_track_m), ("right", -robot.half_track_m))
-    ]
+    base, track = robot.half_wheelbase_m, robot.half_track_m
+    places = ((base, track), (base, -track), (-base, track), (-base, -track))
+    corners = [(name, x, y) for name, (x, y) in zip(WHEELS, places, strict=True)]
     tyre = f'solref="{contact.tyre_s} 1" solimp="{TYRE_IMPEDANCE} {TYRE_IMPEDANCE} 0.001"'
     heavy = wheel_kg * radius * radius / (USUAL.wheel_mass_kg * USUAL.wheel_radius_m * USUAL.wheel_radius_m)
     wheel_inertia = " ".join(str(heavy * each) for each in WHEEL_INERTIA)
@@ -92,7 +91,7 @@ def _model_xml(robot: SkidRobot, model: RoverModel, obstacles: Sequence[Obstacle
     )
     pairs = "".join(
         f"""
-    <pair geom1="ground" geom2="{name}" condim="3" friction="{robot.friction} {robot.friction}"
+    <pair name="{name}" geom1="ground" geom2="{name}" condim="3" friction="{robot.friction} {robot.friction}"
       solreffriction="{SLIP_S} 1" {tyre}/>"""
         for name, _, _ in corners
     )
@@ -166,6 +165,7 @@ class MujocoRover(Rover):
         self._physics = mujoco.MjModel.from_xml_string(_model_xml(robot, model, obstacles))
         self.data = mujoco.MjData(self._physics)
         self._steps = round(CONTROL_S / robot.contact.step_s)
+        self._tyres = [(self._physics.pair(name).id, self._physics.geom(name).id) for name in WHEELS]
         self._walls = set(np.flatnonzero(self._physics.geom_contype == _WALLS).tolist())
         self.set_pose(pose)
 
@@ -214,10 +214,20 @@ class MujocoRover(Rover):
         """Advance by a control period, toward speeds of the rims in m/s."""
         data = self.data
         data.ctrl[:] = self._left.torque(left), self._right.torque(right)
-        mujoco.mj_step(self._physics, data, nstep=self._steps)
+        self._step()
         for side, motor in enumerate((self._left, self._right)):
             motor.measure(float(data.ten_length[side]), float(data.ten_velocity[side]))
         self._turned += float(data.sensordata[_YAW]) * CONTROL_S
+
+    def _step(self) -> None:
+        """Advance the physics by a control period; each tyre has the friction of the floor below it."""
+        if self.robot.patches is not None:
+            for pair, geom in self._tyres:
+                x, y, _ = self.data.geom_xpos[geom].tolist()
+                patch = self.robot.patches.under(x, y)
+                friction = self.robot.patches.friction if patch else self.robot.friction
+                self._physics.pair_friction[pair, :2] = friction
+        mujoco.mj_step(self._physics, self.data, nstep=self._steps)
 
     def range_along(self, ray: Pose, most_m: float) -> float | None:
         start, hit = np.array([ray.x, ray.y, self.robot.height_m - RAY_BELOW_M]), np.zeros(1, np.int32)

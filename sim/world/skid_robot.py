@@ -22,6 +22,8 @@ Range = Annotated[tuple[ValueT, ValueT], AfterValidator(_rising)]
 """Least and greatest value of what is drawn."""
 Friction = Annotated[float, Field(gt=0, le=5)]
 Slope = Annotated[float, Field(ge=0, lt=0.5)]
+Aside = Annotated[float, Field(ge=-0.2, le=0.2)]
+PatchSize = Annotated[float, Field(ge=0.1, le=10)]
 
 
 class Contact(StrictModel):
@@ -30,6 +32,19 @@ class Contact(StrictModel):
     step_s: float = Field(default=0.0025, gt=0, le=0.005, description="of the simulation")
     tyre_s: float = Field(default=0.02, gt=0, description="in which a tyre springs back; less is stiffer")
     stickiness: float = Field(default=1.0, gt=0, description="more: friction is full at less slip")
+
+
+class Patches(StrictModel):
+    """A checkerboard on the floor: every second square has another friction than the floor."""
+
+    size_m: PatchSize = Field(description="side of a square, parallel to the axes of the course's frame")
+    friction: Friction
+    corner_m: tuple[float, float] = Field(default=(0.0, 0.0), description="lower left corner of a square")
+
+    def under(self, x: float, y: float) -> bool:
+        """Return whether a point lies on a square with the other friction."""
+        column, row = ((at - corner) // self.size_m for at, corner in zip((x, y), self.corner_m, strict=True))
+        return (column + row) % 2.0 == 0.0
 
 
 class SkidRobot(StrictModel):
@@ -42,6 +57,7 @@ class SkidRobot(StrictModel):
     )
     mass_height_m: float = Field(default=0.15, gt=0)
     friction: float = Field(default=0.7, gt=0, description="μ of the tyres in every direction")
+    patches: Patches | None = Field(default=None, description="of the floor with another friction")
     half_track_m: float = Field(default=0.197, gt=0, description="from the middle to the wheels")
     half_wheelbase_m: float = Field(default=0.135, gt=0)
     nominal_half_track_m: float = Field(
@@ -63,6 +79,13 @@ class SkidRobot(StrictModel):
     contact: Contact = Contact()
 
 
+class PatchRanges(StrictModel):
+    """Ranges of ``Patches``. Where the board begins is drawn too."""
+
+    size_m: Range[PatchSize] = Field(description="least and most")
+    friction: Range[Friction] = Field(description="least and most, of every second square")
+
+
 class SkidRanges(StrictModel):
     """Ranges of a ``SkidRobot``; ± unless stated otherwise. The defaults change nothing."""
 
@@ -71,6 +94,9 @@ class SkidRanges(StrictModel):
     mass_center_m: float = Field(
         default=0.0, ge=0, lt=0.1, description="0..: distance from the middle, in any direction"
     )
+    mass_left_m: Range[Aside] = Field(
+        default=(0.0, 0.0), description="least and most, beside mass_center_m: further to the left"
+    )
     wheel_radius: float = Field(default=0.0, ge=0, lt=0.1, description="share, each wheel")
     track: float = Field(default=0.0, ge=0, lt=1, description="share")
     slope_rad: Range[Slope] = Field(default=(0.0, 0.0), description="least and most, any direction")
@@ -78,13 +104,17 @@ class SkidRanges(StrictModel):
     cables_within_m: float = Field(
         default=1.0, gt=0, le=100, description="distance of their middles from the start"
     )
+    patches: PatchRanges | None = Field(
+        default=None, description="squares of the floor with another friction"
+    )
     contact: Contact = Field(default=Contact(), description="not drawn")
 
     @property
     def varies(self) -> bool:
         """Whether the drawn robots differ."""
         shares = self.mass, self.mass_center_m, self.wheel_radius, self.track, self.cables, *self.slope_rad
-        return any(shares) or self.friction[0] != self.friction[1]
+        wide = any(least != most for least, most in (self.friction, self.mass_left_m))
+        return any(shares) or wide or self.patches is not None
 
 
 def rigid_body_of(robot: RobotDescription) -> SkidRobot:
@@ -114,20 +144,29 @@ def draw_robot(ranges: SkidRanges, seed: int, number: int, usual: SkidRobot | No
     places = stream.uniform(-1.0, 1.0, (ranges.cables, 3))
     usual = usual or SkidRobot()
     off, aside = ranges.mass_center_m * 0.5 * (1.0 + u[2]), math.pi * u[3]
+    left = between(ranges.mass_left_m, random_stream(seed, Domain.MASS_LEFT, number).uniform(-1.0, 1.0))
     within = ranges.cables_within_m
     return usual.model_copy(
         update={
             "mass_kg": usual.mass_kg * (1.0 + ranges.mass * u[0]),
             "friction": between(ranges.friction, u[1]),
-            "mass_center_m": (off * math.cos(aside), off * math.sin(aside)),
+            "mass_center_m": (off * math.cos(aside), off * math.sin(aside) + left),
             "half_track_m": usual.half_track_m * (1.0 + ranges.track * u[4]),
             "radius_factors": tuple((1.0 + ranges.wheel_radius * radii).tolist()),
             "slope_rad": between(ranges.slope_rad, u[5]),
             "uphill_rad": math.pi * u[6],
             "cables": tuple((within * x, within * y, math.pi * turn) for x, y, turn in places.tolist()),
             "contact": ranges.contact,
+            "patches": ranges.patches and _patches(ranges.patches, seed, number),
         }
     )
+
+
+def _patches(ranges: PatchRanges, seed: int, number: int) -> Patches:
+    u = random_stream(seed, Domain.PATCHES, number).uniform(-1.0, 1.0, 4).tolist()
+    size = between(ranges.size_m, u[0])
+    # The board repeats itself after two squares.
+    return Patches(size_m=size, friction=between(ranges.friction, u[1]), corner_m=(size * u[2], size * u[3]))
 
 
 def between(ends: tuple[float, float], u: float) -> float:

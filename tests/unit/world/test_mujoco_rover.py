@@ -23,7 +23,7 @@ from sim.world.bodies import PRESETS, Body
 from sim.world.described import default_rover
 from sim.world.mujoco_rover import TICKS_PER_M, MujocoRover
 from sim.world.randomization import Randomization, load_randomization
-from sim.world.skid_robot import SkidRanges, SkidRobot, draw_robot
+from sim.world.skid_robot import Patches, SkidRanges, SkidRobot, draw_robot
 
 OMEGA = 0.18
 AHEAD = SkidRobot(mass_center_m=(0.03, 0.0), friction=0.4)
@@ -153,6 +153,33 @@ def test_cables_shake_the_rover_and_let_it_pass():
         heights.append(float(body.data.qpos[2]))
     assert max(heights) - min(heights) > 0.002
     assert body.pose.x > 1.0
+
+
+def test_floor_is_slippery_on_every_second_square():
+    board = Patches(size_m=2.0, friction=0.05)
+    hill = SkidRobot(slope_rad=0.1, patches=board)
+    for x, y, slippery in ((1.0, 1.0, True), (3.0, 1.0, False), (-1.0, -1.0, True), (-1.0, 1.0, False)):
+        body = MujocoRover(default_rover(), hill, pose=Pose(x, y, 0.0))
+        advance(body, 1.0)
+        assert (x - body.pose.x > 0.1) == slippery
+        assert abs(x - body.pose.x) > 0.1 or abs(x - body.pose.x) < 0.001
+
+
+def test_squares_of_equal_friction_are_an_even_floor():
+    even = SkidRobot(friction=0.6)
+    squares = Patches(size_m=0.3, friction=0.6)
+    bodies = [rover(even), rover(even.model_copy(update={"patches": squares}))]
+    for body in bodies:
+        body.command(0.16, 0.15)
+        advance(body, 5.0)
+    assert bodies[0].pose == bodies[1].pose
+
+
+def test_mass_to_the_left_is_beside_what_else_is_drawn():
+    aside, even = SkidRanges(mass_center_m=0.06, mass_left_m=(0.04, 0.04)), SkidRanges(mass_center_m=0.06)
+    for number in range(5):
+        ahead, left = draw_robot(even, 1, number).mass_center_m
+        assert draw_robot(aside, 1, number).mass_center_m == (ahead, left + 0.04)
 
 
 def test_a_trial_is_the_same_robot_in_every_set_of_trials():

@@ -298,7 +298,7 @@ def differ(ranges):
 
 
 VALUES = {"burst": 3.0, "jitter_s": 0.05, "banded": 0.5, "sensors": "gyro", "turn_gain": (1.0, 1.2)}
-OF_NO_RANGE = {"format", "name", "body", "skid_steer", "rover"}
+OF_NO_RANGE = {"format", "name", "body", "skid_steer", "localiser", "rover"}
 
 
 @pytest.mark.parametrize("key", sorted(set(Randomization.model_fields) - OF_NO_RANGE))
@@ -356,6 +356,8 @@ def test_noise_of_a_profile_varies(profile, varies):
     ("key", "value"),
     [
         *((key, 0.05) for key in ("mass", "mass_center_m", "wheel_radius", "track")),
+        ("mass_left_m", (-0.05, 0.05)),
+        ("patches", {"size_m": (0.8, 0.8), "friction": (0.9, 0.9)}),
         *(("friction", (0.5, 0.7)), ("slope_rad", (0.05, 0.05)), ("cables", 2)),
     ],
 )

@@ -1,6 +1,7 @@
 """The result of the command ``eval``, and its words."""
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -12,19 +13,30 @@ from sim.stack.estimates import EstimateSummary, summary, words
 from sim.stack.trials import Driven
 
 FINE_M, FINE_RAD = 0.01, math.radians(1.0)
+DOCKED = "docked"
+"""A driver's verdict."""
 
 
 class StackDrive(BaseModel):
     """One trial through the stack."""
 
     trial: int = Field(description="its number, from 0: with the root seed it gives the same robot again")
-    parked: bool = Field(description="whether the rover parked, by its true pose; with --to: docked")
-    reason: str = Field(description="why not, by the true pose, or the safety rule that stopped the drive")
+    parked: bool = Field(
+        description="whether the rover parked, or docked, by its true pose; no if a safety rule stopped it"
+    )
+    reason: str = Field(
+        description="empty for a success; else the condition that the true pose missed, the safety rule "
+        "that stopped the drive, or with --to the driver's error"
+    )
     error_m: float = Field(description="final position error of the true pose")
     error_rad: float = Field(description="final heading error of the true pose")
     verdict: str | None = Field(description="the driver's; null if a safety rule stopped the drive")
     probability: float | None = Field(
         description="that the rover is within the tolerances, by the driver's estimate"
+    )
+    squared: float | None = Field(
+        description="squared position error of the driver's estimate, normalised by its covariance: inside "
+        "its 95 % ellipse up to 5.99; null without an estimate and with --to"
     )
 
 
@@ -41,8 +53,12 @@ class DockingResult(BaseModel):
     """What trials of docking have beside their ends."""
 
     place: str = Field(description="its name")
-    said_docked: int = Field(description="trials that the driver declared docked")
-    falsely_docked: int = Field(description="those of them whose true pose is outside the tolerances")
+    verdicts: dict[str, int] = Field(
+        description="number of trials by the driver's verdict: docked, not docked; stopped by a safety rule"
+    )
+    falsely_docked: int = Field(
+        description="trials with the verdict docked whose true pose is outside the tolerances"
+    )
     within_1_cm_1_degree: int = Field(description="successes whose true pose is so near to the place")
     first_try: int = Field(description="successes of the first try")
     drive_s: float = Field(description="median time of a drive, in simulated time")
@@ -78,8 +94,8 @@ def docking_result(place: str, driven: Sequence[Docked]) -> DockingResult:
     good = [trial for trial in driven if not trial.reason]
     return DockingResult(
         place=place,
-        said_docked=sum(trial.result.success for trial in driven),
-        falsely_docked=sum(trial.result.success and not trial.docked for trial in driven),
+        verdicts=dict(Counter(_verdict(trial) or "stopped" for trial in driven).most_common()),
+        falsely_docked=sum(_verdict(trial) == DOCKED and not trial.docked for trial in driven),
         within_1_cm_1_degree=sum(trial.error_m <= FINE_M and trial.error_rad <= FINE_RAD for trial in good),
         first_try=sum(trial.result.num_retries == 0 for trial in good),
         drive_s=float(np.median([trial.seconds for trial in driven])),
@@ -89,23 +105,35 @@ def docking_result(place: str, driven: Sequence[Docked]) -> DockingResult:
 def drives_of(ended: Sequence[Ended | Driven | Docked]) -> Iterator[StackDrive]:
     """Yield the trials that went through the stack."""
     for number, trial in enumerate(ended):
-        if isinstance(trial, Ended):
-            continue
-        if isinstance(trial, Driven):
-            verdict: str | None = trial.belief.verdict
-            probability = trial.belief.probability
-        else:
-            said = "docked" if trial.result.success else "not docked"
-            verdict, probability = None if trial.stop else said, trial.result.probability
-        yield StackDrive(
-            trial=number,
-            parked=not trial.reason,
-            reason=trial.reason,
-            error_m=trial.error_m,
-            error_rad=trial.error_rad,
-            verdict=verdict,
-            probability=probability,
-        )
+        if not isinstance(trial, Ended):
+            yield stack_drive(number, trial)
+
+
+def stack_drive(number: int, trial: Driven | Docked) -> StackDrive:
+    """Return the end of a trial through the stack."""
+    if isinstance(trial, Driven):
+        belief = trial.belief
+        parked, probability = trial.parked, belief.probability
+        squared = belief.squared if math.isfinite(belief.squared) else None
+    else:
+        parked, probability, squared = trial.docked and not trial.stop, trial.result.probability, None
+    return StackDrive(
+        trial=number,
+        parked=parked,
+        reason=trial.reason,
+        error_m=trial.error_m,
+        error_rad=trial.error_rad,
+        verdict=_verdict(trial),
+        probability=probability,
+        squared=squared,
+    )
+
+
+def _verdict(trial: Driven | Docked) -> str | None:
+    """Return the driver's verdict; None if a safety rule stopped the drive."""
+    if isinstance(trial, Driven):
+        return trial.belief.verdict
+    return None if trial.stop else DOCKED if trial.result.success else "not docked"
 
 
 def result_words(found: EvalResult) -> Iterator[str]:
@@ -134,7 +162,7 @@ def result_words(found: EvalResult) -> Iterator[str]:
         yield f"{found.stack.times_real_time:.0f} times real time"
     if docking := found.docking:
         yield (
-            f"parked within the place's tolerances; declared docked: {docking.said_docked}, falsely: "
-            f"{docking.falsely_docked}; at the first try: {docking.first_try}; within 1 cm and 1°: "
+            f"parked within the place's tolerances; declared docked: {docking.verdicts.get(DOCKED, 0)}, "
+            f"falsely: {docking.falsely_docked}; at the first try: {docking.first_try}; within 1 cm and 1°: "
             f"{docking.within_1_cm_1_degree}; median time {docking.drive_s:.0f} s"
         )

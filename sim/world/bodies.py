@@ -14,7 +14,7 @@ class Body(StrEnum):
 
 PRESETS = {
     Body.PYMUNK: ("none", "mild", "full", "harsh", "skid", "far", "docking"),
-    Body.MUJOCO: ("nominal", "varied", "slope", "rough"),
+    Body.MUJOCO: ("nominal", "varied", "slope", "rough", "lasting"),
 }
 """The first changes nothing."""
 

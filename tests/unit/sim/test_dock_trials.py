@@ -11,7 +11,7 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.geometry import Pose, distance
 from rover_ncp.wire.messages import read_pose
 from sim.evaluate.evaluate import tally
-from sim.evaluate.results import docking_result
+from sim.evaluate.results import docking_result, drives_of
 from sim.stack.docking import BEARING_RAD, DISTANCES_M, DockTrials
 from sim.stack.tag_camera import TagLocaliser
 from sim.stack.trials import drive_all
@@ -58,7 +58,7 @@ def test_a_trial_whose_robot_never_sees_the_tags_is_counted():
 
     drawn = dataclasses.replace(trials(), localiser=Blind)
     driven = drive_all(drawn.drive, 2, 1)
-    assert docking_result("dock", driven).said_docked == 0
+    assert docking_result("dock", driven).verdicts == {"stopped": 2}
     assert tally(driven).failures == {"stopped by no-pose": 2}
 
 
@@ -84,5 +84,10 @@ def test_docked_counts_by_the_true_pose(moved_m, reasons):
     drawn = dataclasses.replace(trials(retries=0), localiser=Moved)
     driven = drive_all(drawn.drive, 1, 1)
     found, docking = tally(driven), docking_result("dock", driven)
-    assert (docking.said_docked, docking.falsely_docked, found.failures) == (1, len(reasons), reasons)
+    assert (docking.verdicts, docking.falsely_docked, found.failures) == (
+        {"docked": 1},
+        len(reasons),
+        reasons,
+    )
+    assert [drive.parked for drive in drives_of(driven)] == [not reasons]
     assert found.success_rate == (not reasons)

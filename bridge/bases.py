@@ -54,8 +54,12 @@ class ChosenBase:
     entry_point: EntryPoint | None = None
 
 
-def choose_base(address: str, model: str, zenoh_config: Path | None = None) -> ChosenBase:
+def choose_base(
+    address: str, model: str, zenoh_config: Path | None = None, measured_base_timeout_s: float | None = None
+) -> ChosenBase:
     """Check an address and a model; ``zenoh_config`` is for the session with a ROS 2 robot.
+
+    A measured timeout of this very robot replaces that of its description.
 
     Raises UsageError, FileError or ConfigError.
     """
@@ -69,6 +73,9 @@ def choose_base(address: str, model: str, zenoh_config: Path | None = None) -> C
         known = ", ".join(shipped_names("robots"))
         raise UsageError(f"--model auto: only a Pioneer says what it is; name a file, or {known}")
     description = load_description(model)
+    if measured_base_timeout_s is not None:
+        update = {"measured_base_timeout_s": measured_base_timeout_s}
+        description = description.model_copy(update=update)
     if other is not None:
         return ChosenBase(address, description, entry_point=other)
     if ros2 is None:
@@ -82,15 +89,20 @@ def choose_base(address: str, model: str, zenoh_config: Path | None = None) -> C
     return ChosenBase(address, description, ros2)
 
 
-def gate_limits(file: Path | None, description: RobotDescription | None) -> Limits:
+def gate_limits(
+    file: Path | None, description: RobotDescription | None, given: Limits | None = None
+) -> Limits:
     """Return the gate's limits, from a file or the defaults; a robot bounds them by its own.
+
+    With ``given`` these are the file's limits, read before.
 
     The bridge sets a Pioneer's deceleration, so `brake` is at most that. Without a description the limits are
     bounded when the Pioneer says what it is.
 
     Raises FileError or ConfigError, and UsageError for a limit in the file that is wider than the robot's.
     """
-    given = Limits() if file is None else load_yaml(file, Limits)
+    if given is None:
+        given = Limits() if file is None else load_yaml(file, Limits)
     # A user who writes the key wants the rover to stop there.
     empty = [
         name

@@ -21,13 +21,21 @@ if TYPE_CHECKING:
 def bridge(
     *,
     base: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="The robot: tcp/HOST[:8101], serial//dev/ttyUSB0 (#baudrate=... if not 9600) or "
+            help="The base: tcp/HOST[:8101], serial//dev/ttyUSB0 (#baudrate=... if not 9600) or "
             "ros2/tcp/HOST[:7447], a ROS 2 robot's Zenoh router (#rmw=zenoh&domain=N for rmw_zenoh); or "
-            "NAME/... of another installed base."
+            "NAME/... of another installed base.",
+            show_default="that of the robot's file",
         ),
-    ],
+    ] = None,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            help="The robot's file (YAML), whose keys count where no option is given.",
+            show_default="without --base: robot.yaml in this folder",
+        ),
+    ] = None,
     listen: Annotated[
         str | None,
         typer.Option(
@@ -36,11 +44,12 @@ def bridge(
     ] = None,
     namespace: Annotated[str, typer.Option(help="Prefix of every key: bot1 makes bot1/odom.")] = "",
     model: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="The robot's description, a name or a file; auto: the model that a Pioneer reports."
+            help="The robot's description, a name or a file; auto: the model that a Pioneer reports.",
+            show_default="auto",
         ),
-    ] = "auto",
+    ] = None,
     limits: Annotated[
         Path | None, typer.Option(help="YAML with v_max, omega_max, fence, sonar_stop_m ... of the gate.")
     ] = None,
@@ -90,8 +99,8 @@ def bridge(
     """Connect a Pioneer or a ROS 2 robot to Zenoh: one driver at a time drives it, within limits.
 
     Without certificates it listens on this machine only, unless --insecure is given. A ROS 2 robot is
-    driven only if its description has the measured_base_timeout_s that --measure-timeout prints, or with
-    --no-base-watchdog.
+    driven only if its file or its description has the measured_base_timeout_s that --measure-timeout prints,
+    or with --no-base-watchdog.
 
     Publishes odometry, transforms, battery, sonar, bumpers and diagnostics as ROS 2 messages, and passes
     commands on through a gate. Only the holder of the lease drives; the rover stops when no valid command
@@ -99,19 +108,17 @@ def bridge(
     ready when it prints "ready zenoh=... base=..."; Ctrl-C or SIGTERM stops the rover and ends it.
 
         rover-ncp bridge --base serial//dev/ttyUSB0 --limits limits.yaml
-        rover-ncp bridge --base ros2/tcp/ROBOT --model robot.yaml --measure-timeout
-        rover-ncp bridge --base ros2/tcp/ROBOT --model robot.yaml --listen tcp/127.0.0.1:7449
+        rover-ncp bridge --measure-timeout
+        rover-ncp bridge --base ros2/tcp/ROBOT --model turtlebot4 --listen tcp/127.0.0.1:7449
     """
     from bridge.base_messages import gate_status
-    from bridge.bases import choose_base, gate_limits, open_base
+    from bridge.bases import open_base
     from bridge.inbox import Inbox
     from bridge.node import BridgeResult, Node
+    from bridge.options import BridgeSettings, settings_for
     from bridge.zenoh.link import ZenohLink
     from rover_ncp.core.process import Interrupts
 
-    if not base.startswith("ros2/"):
-        ros2_options = {"no_base_watchdog": no_base_watchdog, "measure_timeout": measure_timeout}
-        reject("is for a ROS 2 robot (ros2/tcp/HOST)", **ros2_options)
     if measure_timeout:
         reject(
             "does not go with --measure-timeout, which serves no driver",
@@ -122,16 +129,33 @@ def bridge(
             insecure=insecure,
             no_base_watchdog=no_base_watchdog,
         )
-    output = Output(json, controls=True)
-    chosen = choose_base(base, model, base_zenoh_config)
-    allowed = gate_limits(limits, chosen.description)
-    inbox = Inbox()
+    given = BridgeSettings(
+        base=base,
+        listen=listen,
+        namespace=namespace,
+        model=model,
+        limits=limits,
+        zenoh_config=zenoh_config,
+        base_zenoh_config=base_zenoh_config,
+        no_base_watchdog=no_base_watchdog,
+    )
+    settings = settings_for(given, robot)
+    chosen = settings.chosen()
+    if not chosen.address.startswith("ros2/"):
+        ros2_options = {"no_base_watchdog": no_base_watchdog, "measure_timeout": measure_timeout}
+        reject("is for a ROS 2 robot (ros2/tcp/HOST)", **ros2_options)
+    output, allowed, inbox = Output(json, controls=True), settings.gate_limits(chosen), Inbox()
     if measure_timeout:
         return _measure_timeout(chosen, inbox, allowed, output)
     with (
         Interrupts() as interrupts,
         ZenohLink(
-            listen, namespace, zenoh_config, inbox, insecure=insecure, ros=ros or [Convention.ROS2DDS]
+            settings.listen,
+            settings.namespace,
+            settings.zenoh_config,
+            inbox,
+            insecure=insecure,
+            ros=ros or [Convention.ROS2DDS],
         ) as link,
     ):
         driven, note = open_base(
@@ -139,21 +163,21 @@ def bridge(
             allowed,
             inbox,
             link,
-            no_base_watchdog=no_base_watchdog,
+            no_base_watchdog=settings.no_base_watchdog,
         )
 
         def ready() -> None:
             link.announce()
             if note:
                 output.say(note)
-            output.announce(f"ready zenoh={link.locator} base={base}")
+            output.announce(f"ready zenoh={link.locator} base={chosen.address}")
 
         node = Node(driven, inbox.take, key=link.key, publish=link.publish, limits=allowed, ready=ready)
         node.run(lambda: interrupts.raised)
     status = gate_status(node.gate)
     result = BridgeResult(
         zenoh=link.locator,
-        base=base,
+        base=chosen.address,
         accepted=status.accepted,
         dropped=status.dropped,
         limited=status.limited,

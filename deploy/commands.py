@@ -6,11 +6,14 @@ from typing import Annotated, Literal
 
 import typer
 
-from deploy.options import Namespace, Robot, ZenohConfig
+from deploy.options import Namespace, Robot, ZenohConfig, choose_robot
 from rover_ncp.core.console import Json, Output, Overwrite, printable, reject
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
+from rover_ncp.wire.key_table import Role
 
+DEFAULT_PORT = 8080
+"""Where `watch` serves its page."""
 Model = Annotated[
     str | None, typer.Option(help="The robot's description, a name or a YAML file.", show_default=False)
 ]
@@ -25,7 +28,7 @@ Record = Annotated[
 
 def deploy(
     *,
-    robot: Robot,
+    robot: Robot = None,
     policy: Annotated[
         str, typer.Option(help="Policy by name or file, or module:name for a policy in Python.")
     ] = "course",
@@ -110,13 +113,11 @@ def deploy(
     from deploy.app import run
     from deploy.drive.config import config_for
     from deploy.recorder import Recorder
-    from deploy.zenoh_client import BridgeAddress
     from rover_ncp.circuit.own_policy import is_own, load_own_policy
     from rover_ncp.circuit.policy import Policy
     from rover_ncp.circuit.policy_file import load_policy
     from rover_ncp.course.course import TICK_S, load_course
     from rover_ncp.course.slowdown import slowed
-    from rover_ncp.robot.description import load_description
     from rover_ncp.robot.profile import load_profile
 
     if own := is_own(policy):
@@ -124,9 +125,9 @@ def deploy(
         reject(other, record=record, to=to, undock=undock)
     output, recorder = Output(json, controls=True), Recorder(record)
     driver = load_own_policy(policy) if own else load_policy(policy)
-    address = BridgeAddress(robot, namespace, zenoh_config)
+    chosen = choose_robot(robot, namespace, zenoh_config, model)
+    address, described = chosen.address, chosen.described
     rover = load_profile(profile) if profile else None
-    described = load_description(model) if model else None
     if to is not None or undock is not None:
         from deploy.drive.config import place_config
         from deploy.place.place import load_place
@@ -137,14 +138,14 @@ def deploy(
         odd = None if pose == "auto" else pose
         given = {"course": course, "duration": duration, "pose": odd}
         reject("does not go with --to and --undock", **given, require_certainty=require_certainty)
-        place, dock = load_place(to or undock or ""), load_policy(dock_policy or "dock")
+        place, dock = load_place(to or undock or "", chosen.places), load_policy(dock_policy or "dock")
         config = place_config(
             place,
             rover,
             described,
             undock=undock is not None,
-            robot=robot,
-            namespace=namespace,
+            robot=address.robot,
+            namespace=address.namespace,
             policy=dock.circuit.name,
             dry_run=dry_run,
         )
@@ -167,8 +168,8 @@ def deploy(
         goal,
         rover,
         described,
-        robot=robot,
-        namespace=namespace,
+        robot=address.robot,
+        namespace=address.namespace,
         policy=driver.circuit.name if isinstance(driver, Policy) else driver.name,
         dry_run=dry_run,
         ticks=goal.ticks if duration is None else min(goal.ticks, round(duration / TICK_S)),
@@ -200,21 +201,28 @@ def replay(
 
 def watch(
     *,
-    robot: Robot,
+    robot: Robot = None,
     policy: Annotated[
         str, typer.Option(help="The policy that drives, by name or file; the page draws its neurons.")
     ] = "course",
     course: Annotated[str, typer.Option(help="The course that is driven, by name or file.")] = "parking",
     model: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="The robot's description, a name or a YAML file, as for 'deploy': the page draws its "
-            "outline, and the course takes longer for a slow robot."
+            "outline, and the course takes longer for a slow robot.",
+            show_default=DEFAULT_ROBOT,
         ),
-    ] = DEFAULT_ROBOT,
+    ] = None,
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Where this machine serves the page; 0 takes a free port.")
-    ] = 8080,
+        int | None,
+        typer.Option(
+            min=0,
+            max=65535,
+            help="Where this machine serves the page; 0 takes a free port.",
+            show_default="8080",
+        ),
+    ] = None,
     namespace: Namespace = "",
     zenoh_config: ZenohConfig = None,
     json: Json = False,
@@ -231,15 +239,18 @@ def watch(
         rover-ncp watch --robot tcp/192.168.1.20
     """
     from deploy.view.server import run
-    from deploy.zenoh_client import BridgeAddress
 
-    address = BridgeAddress(robot, namespace, zenoh_config)
-    return run(address, policy, course, port, Output(json, controls=True), model=model)
+    chosen = choose_robot(robot, namespace, zenoh_config, model, Role.VIEWER)
+    if port is None:
+        port = chosen.file.settings.page if chosen.file else None
+    output = Output(json, controls=True)
+    port, model = DEFAULT_PORT if port is None else port, chosen.model or DEFAULT_ROBOT
+    return run(chosen.address, policy, course, port, output, model=model)
 
 
 def check(
     *,
-    robot: Robot,
+    robot: Robot = None,
     on_blocks: Annotated[
         bool, typer.Option("--on-blocks", help="The wheels are off the ground; the check turns them.")
     ] = False,
@@ -269,12 +280,9 @@ def check(
             "and give --on-floor"
         )
     from deploy.check import run
-    from deploy.zenoh_client import BridgeAddress
-    from rover_ncp.robot.description import load_description
 
-    output = Output(json, controls=True)
-    described = load_description(model) if model else None
-    found = run(BridgeAddress(robot, namespace, zenoh_config), described, on_floor=on_floor)
+    output, chosen = Output(json, controls=True), choose_robot(robot, namespace, zenoh_config, model)
+    found = run(chosen.address, chosen.described, on_floor=on_floor)
     lines = [f"{'ok ' if each.ok else 'NO '} {each.name:9} {each.detail}" for each in found.findings]
     last = found.findings[-1]
     verdict = "yes: it may drive" if found.ready else f"no: {last.name}: {last.detail}"
@@ -284,7 +292,7 @@ def check(
 
 def teleop(
     *,
-    robot: Robot,
+    robot: Robot = None,
     topic: Annotated[
         str | None,
         typer.Option(
@@ -321,19 +329,18 @@ def teleop(
     """
     from deploy.recorder import Recorder
     from deploy.teleop import run
-    from deploy.zenoh_client import BridgeAddress
-    from rover_ncp.robot.description import load_description
 
     if topic is not None:
         reject("does not go with --topic, which passes commands on as they are", model=model)
-    address = BridgeAddress(robot, namespace, zenoh_config)
+    chosen = choose_robot(robot, namespace, zenoh_config, model)
     recorder, output = Recorder(record), Output(json, controls=True)
-    return run(address, recorder, output, robot=load_description(model) if model else None, topic=topic)
+    described = None if topic is not None else chosen.described
+    return run(chosen.address, recorder, output, robot=described, topic=topic)
 
 
 def identify(
     *,
-    robot: Robot,
+    robot: Robot = None,
     model: Model = None,
     out: Annotated[Path, typer.Option(help="The rover profile to write (YAML).")] = Path("rover.yaml"),
     fence: Annotated[
@@ -365,9 +372,7 @@ def identify(
     """
     from deploy.identify.run import identify_robot
     from deploy.recorder import Recorder
-    from deploy.zenoh_client import BridgeAddress
-    from rover_ncp.robot.description import load_description
 
-    address, recorder = BridgeAddress(robot, namespace, zenoh_config), Recorder(record)
-    described, output = load_description(model) if model else None, Output(json, controls=True)
-    return identify_robot(address, recorder, fence, out, output, robot=described, overwrite=overwrite)
+    chosen, recorder = choose_robot(robot, namespace, zenoh_config, model), Recorder(record)
+    described, output = chosen.described, Output(json, controls=True)
+    return identify_robot(chosen.address, recorder, fence, out, output, robot=described, overwrite=overwrite)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from deploy.options import Namespace, Robot, ZenohConfig
+from deploy.options import Namespace, Robot, ZenohConfig, choose_robot
 from rover_ncp.core.console import Json, Output, Overwrite, reject
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ def place(
     ],
     name: Annotated[str, typer.Argument(help="The place: NAME or NAME.yaml.")],
     *,
-    robot: Robot,
+    robot: Robot = None,
     seconds: Annotated[
         float, typer.Option(min=1.0, max=600.0, help="For how long poses are collected, s.")
     ] = 5.0,
@@ -51,17 +51,17 @@ def place(
     """
     from deploy.place.place import Place, PlacePose, load_place, place_path
     from deploy.place.survey import PlaceResult, blurred, complaint
-    from deploy.zenoh_client import BridgeAddress
     from rover_ncp.core.config import dump_yaml, validated
     from rover_ncp.core.files import require_writable, write_atomic
 
-    path, checks = place_path(name), what == "check"
+    chosen = choose_robot(robot, namespace, zenoh_config)
+    path, checks = place_path(name, chosen.places), what == "check"
     if checks:
         reject("is for set", direction=direction, overwrite=overwrite)
     else:
         require_writable(path, overwrite=overwrite)
-    stored = load_place(name) if checks or path.exists() else None
-    seen = _look(BridgeAddress(robot, namespace, zenoh_config), seconds)
+    stored = load_place(name, chosen.places) if checks or path.exists() else None
+    seen = _look(chosen.address, seconds)
     pose, wrong = seen.pose, ""
     if stored is not None and checks:
         wrong = complaint(stored, seen)

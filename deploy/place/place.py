@@ -109,12 +109,14 @@ class Place(StrictModel):
         return away <= self.position_m and abs(off.yaw_rad) <= self.heading_rad
 
 
-def place_path(name: str) -> Path:
-    """Return the file of a place: itself, or NAME.yaml in the working folder."""
+def place_path(name: str, folder: Path = Path()) -> Path:
+    """Return the file of a place: itself, or NAME.yaml in a folder."""
     path = Path(name)
-    return path if path.suffix.lower() in SUFFIXES else path.with_name(f"{path.name}.yaml")
+    if path.suffix.lower() in SUFFIXES:
+        return path
+    return (folder if path.name == name else Path()) / path.with_name(f"{path.name}.yaml")
 
 
-def load_place(name: str) -> Place:
-    """Load a place by the name or path of its file. Raises FileError and ConfigError."""
-    return load_yaml(place_path(name), Place)
+def load_place(name: str, folder: Path = Path()) -> Place:
+    """Load a place by its name in a folder, or the path of its file. Raises FileError and ConfigError."""
+    return load_yaml(place_path(name, folder), Place)

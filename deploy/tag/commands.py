@@ -6,9 +6,10 @@ from typing import Annotated, Literal
 
 import typer
 
-from deploy.options import Namespace, ZenohConfig
+from deploy.options import Namespace, Robot, ZenohConfig, choose_robot
 from rover_ncp.core.console import Json, Output, Overwrite, reject
 from rover_ncp.core.errors import UsageError
+from rover_ncp.wire.key_table import Role
 
 tag = typer.Typer(
     name="tag",
@@ -19,14 +20,14 @@ tag = typer.Typer(
     "    rover-ncp tag run --camera 0 --camera-file camera.yaml --map tags.yaml --robot tcp/127.0.0.1",
 )
 
-Camera = Annotated[
-    str,
-    typer.Option(
-        help="A device (0, /dev/video0; 'tag cameras' lists them), a stream or picture (http://...), a "
-        "folder of pictures, or a ROS 2 topic (ros2/tcp/HOST#image=TOPIC)."
-    ),
-]
-Map = Annotated[Path, typer.Option(help="The tags: sizes and places (YAML).")]
+SOURCES = (
+    "A device (0, /dev/video0; 'tag cameras' lists them), a stream or picture (http://...), a folder of "
+    "pictures, or a ROS 2 topic (ros2/tcp/HOST#image=TOPIC)."
+)
+Camera = Annotated[str, typer.Option(help=SOURCES)]
+OF_FILE = "that of the robot's file"
+OwnCamera = Annotated[str | None, typer.Option(help=SOURCES, show_default=OF_FILE)]
+TAGS = "The tags: sizes and places (YAML)"
 Seconds = Annotated[
     float | None, typer.Option(min=0.1, help="End after so many seconds.", show_default=False)
 ]
@@ -107,19 +108,16 @@ def calibrate(
 @tag.command()
 def run(
     *,
-    camera: Camera,
-    map: Map,
+    camera: OwnCamera = None,
+    map: Annotated[Path | None, typer.Option(help=f"{TAGS}.", show_default=OF_FILE)] = None,
     camera_file: Annotated[
         Path | None,
         typer.Option(
             help="The camera's file (YAML), as 'tag calibrate' writes it.",
-            show_default="of a ROS 2 camera: by camera_info and tf_static",
+            show_default="the robot's file, or of a ROS 2 camera: by camera_info and tf_static",
         ),
     ] = None,
-    robot: Annotated[
-        str | None,
-        typer.Option(help="Where the bridge listens; without it, poses are only shown.", show_default=False),
-    ] = None,
+    robot: Robot = None,
     seconds: Seconds = None,
     picture: Annotated[
         Path | None,
@@ -134,18 +132,28 @@ def run(
 
     The camera is on the rover and the tags on walls, or the camera on the ceiling and tags on the rover; the
     map says which. A picture gives a pose only if all its tags fit. Others are counted by reason: no tag, a
-    tag that does not fit, two poses that fit, a frozen, dark or over-exposed picture. Ready when it prints
-    "localising". Ends at Ctrl-C with 130; after --seconds or the last picture with 0, or 1 if no picture gave
-    a pose.
+    tag that does not fit, two poses that fit, a frozen, dark or over-exposed picture. Without --robot and
+    robot.yaml poses are only shown. Ready when it prints "localising". Ends at Ctrl-C with 130; after
+    --seconds or the last picture with 0, or 1 if no picture gave a pose.
 
+        rover-ncp tag run
         rover-ncp tag run --camera 0 --camera-file camera.yaml --map tags.yaml --robot tcp/127.0.0.1
     """
     from deploy.tag.run import run_localiser
-    from deploy.zenoh_client import BridgeAddress
+    from rover_ncp.robot.robot_file import find_robot_file
 
     if picture is None:
         reject("needs --picture", overwrite=overwrite)
-    address = BridgeAddress(robot, namespace, zenoh_config) if robot is not None else None
+    address, file = None, find_robot_file(robot)
+    if robot is not None or file is not None:
+        address = choose_robot(robot, namespace, zenoh_config, role=Role.LOCALISER).address
+    if file is not None and camera is None:
+        settings = file.need("camera", "'tag run' needs it, or --camera")
+        camera, camera_file = file.camera, camera_file or file.place_of(settings.file)
+    if file is not None and map is None:
+        map = file.place_of(file.need("tags", "'tag run' needs it, or --map"))
+    if camera is None or map is None:
+        raise UsageError("--camera and --map are missing, and so is robot.yaml, which would name both")
     return run_localiser(
         camera,
         camera_file,

@@ -35,6 +35,22 @@ def ablations() -> list[dict[str, float]]:
     return [{}, *({name: NONE} for name in names)]
 
 
+def changes_of(text: str) -> dict[str, float]:
+    """Return changed settings of NAME=VALUE,NAME=VALUE. Raises ArgumentTypeError."""
+    changes = dict[str, float]()
+    for change in text.split(","):
+        name, _, value = change.partition("=")
+        if name not in EstimatorSettings.model_fields:
+            raise argparse.ArgumentTypeError(f"the estimator has no setting {name}")
+        changes[name] = float(value)
+    return changes
+
+
+def changes_words(changes: Mapping[str, float]) -> str:
+    """Return changed settings as `changes_of` takes them; "shipped" for none."""
+    return ",".join(f"{name}={value:g}" for name, value in changes.items()) or "shipped"
+
+
 def row(stack: Stack, changes: Mapping[str, float], trials: int) -> str:
     """Drive the trials with changed settings; return their line."""
     driven = drive_all(replace(stack, estimator=changes).drive, trials, None)
@@ -44,8 +60,7 @@ def row(stack: Stack, changes: Mapping[str, float], trials: int) -> str:
     p50, p95 = (found.error_m.p50, found.error_m.p95) if found.error_m else (np.nan, np.nan)
     return (
         f"{np.mean(parked):7.1%} {np.count_nonzero(plain & ~np.array(parked)):6d} {np.mean(plain):7.1%} "
-        f"{found.inside['95%'] or np.nan:7.1%} {1000 * p50:5.0f} {1000 * p95:5.0f}  "
-        + (", ".join(f"{name}={value:g}" for name, value in changes.items()) or "shipped")
+        f"{found.inside['95%'] or np.nan:7.1%} {1000 * p50:5.0f} {1000 * p95:5.0f}  " + changes_words(changes)
     )
 
 
@@ -61,7 +76,7 @@ def main() -> None:
     options.add_argument("--sensors", type=Sensors, choices=list(Sensors), default=Sensors.ENCODERS)
     options.add_argument("--model")
     options.add_argument("--identify", action="store_true")
-    options.add_argument("--set", action="append", default=[])
+    options.add_argument("--set", action="append", default=[], type=changes_of)
     given = options.parse_args()
     robot = load_description(given.model) if given.model else None
     ranges = ranges_for(given.randomize, None, given.body, robot)
@@ -69,11 +84,9 @@ def main() -> None:
     camera = given.sensors in {Sensors.CAMERA, Sensors.BOTH}
     course = (load_course(given.course),)
     stack = Stack(any_policy(given.driver), course, ranges, given.seed, gyro, camera, given.identify, robot)
-    pairs = [[change.split("=") for change in text.split(",")] for text in given.set]
-    chosen = [{name: float(value) for name, value in row} for row in pairs]
     trials = trial_count(given.trials, 1, ranges, stack.varies)
     print(" parked  quiet   plain  inside   p50   p95  mm; changed setting")
-    for changes in chosen or ablations():
+    for changes in given.set or ablations():
         print(row(stack, changes, trials), flush=True)
 
 

@@ -1,18 +1,13 @@
-"""Does the estimate know how wrong it is on robots that the estimator does not model?
-
-    python -m benchmarks.odd_robots ramp --trials 100 --seed 1
-
-prints what ``rover-ncp eval course --stack --body mujoco --sensors gyro`` prints, for robots of `varied` with
-one more error:
+"""Robots of `varied` with one more error, which the estimator does not model; `lasting.py` drives them.
 
 - scale: the gyro reads 3 % more, every second one 3 % less
 - ramp: the gyro's bias grows to 0.5 °/s within the first 20 s of motion, every second one's to −0.5 °/s
 - kicks: at each start and reversal, casters push the rover 1 cm to a random side, which no encoder shows
 - four: each wheel has its own motor; odometry reads the front ones
 - heavy: on the slopes of `slope`, with twice a Pioneer's mass and height, softer tyres and a longer base
+- husky: the masses of a Husky's URDF
 """
 
-import argparse
 import math
 from dataclasses import dataclass
 from random import Random
@@ -20,15 +15,9 @@ from random import Random
 import numpy as np
 
 from rover_ncp.core.geometry import Pose
-from rover_ncp.course.course import load_course
 from sim.base.trial import Drawn
-from sim.evaluate.evaluate import tally
-from sim.learn.policies import any_policy
-from sim.stack.estimates import summary, words
-from sim.stack.trials import Stack, drive_all
-from sim.world.bodies import Body
+from sim.stack.trials import Stack
 from sim.world.mujoco_rover import CONTROL_S, Motor, MujocoRover
-from sim.world.randomization import load_randomization
 from sim.world.rover import SUBSTEP_S
 from sim.world.skid_robot import Contact
 
@@ -42,6 +31,10 @@ HEAVY = {
     "half_wheelbase_m": 0.18,
     "contact": Contact(tyre_s=0.03),
 }
+HUSKY = {"mass_kg": 46.034 + 4 * 2.637, "wheel_mass_kg": 2.637, "mass_height_m": 0.062 + 0.1651 - 0.03282}
+"""From husky.urdf.xacro and wheel.urdf.xacro of github.com/husky/husky at 03cff37. Its centre of mass is
+above the base's bottom plate, which is above the ground by the wheels' radius less their offset."""
+BODIES = {"heavy": HEAVY, "husky": HUSKY}
 
 
 class Odd(MujocoRover):
@@ -117,7 +110,7 @@ class Four(Odd):
         self._turned += float(data.sensordata[2]) * CONTROL_S
 
 
-KINDS = {"scale": Scale, "ramp": Ramp, "kicks": Kicks, "four": Four, "heavy": Odd}
+KINDS = {"scale": Scale, "ramp": Ramp, "kicks": Kicks, "four": Four, "heavy": Odd, "husky": Odd}
 
 
 @dataclass(frozen=True)
@@ -130,27 +123,7 @@ class OddStack(Stack):
         rover, trials = super().drawn(number)
         assert isinstance(rover, MujocoRover)
         robot, start = rover.robot, Pose(*trials.start[0].tolist())
-        if self.kind == "heavy":
-            robot = robot.model_copy(update=HEAVY)
+        robot = robot.model_copy(update=BODIES.get(self.kind, {}))
         odd = KINDS[self.kind](rover.model, robot, self.course(number).obstacles, start)
         odd.number = number
         return Drawn(odd, trials)
-
-
-def main() -> None:
-    """Drive from the command line."""
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    options.add_argument("kind", choices=list(KINDS))
-    options.add_argument("--trials", type=int, default=100)
-    options.add_argument("--seed", type=int, required=True)
-    given = options.parse_args()
-    ranges = load_randomization("slope" if given.kind == "heavy" else "varied", Body.MUJOCO)
-    courses = (load_course("parking"),)
-    stack = OddStack(any_policy("course"), courses, ranges, given.seed, gyro=True, kind=given.kind)
-    driven = drive_all(stack.drive, given.trials, None)
-    print(tally(driven).model_dump_json(indent=2))
-    print("\n".join(words(summary([trial.belief for trial in driven], [trial.parked for trial in driven]))))
-
-
-if __name__ == "__main__":
-    main()

@@ -6,7 +6,8 @@ there. The world's frame is that of the place.
 
 import copy
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -28,7 +29,7 @@ from rover_ncp.robot.profile import RoverProfile
 from sim.base.trial import BaseTrial, draw_rover
 from sim.stack.lines import simulated_base
 from sim.stack.tag_camera import TagLocaliser, camera_direction
-from sim.stack.trials import drive_whole, localiser_errors, new_drive
+from sim.stack.trials import drive_whole, localiser_errors, new_drive, with_estimator
 from sim.stack.virtual import VirtualBridge, VirtualLink
 from sim.world.randomization import Randomization
 
@@ -85,6 +86,8 @@ class DockTrials:
     gyro: bool = True
     robot: RobotDescription | None = None
     localiser: type[TagLocaliser] = TagLocaliser
+    estimator: Mapping[str, float] = field(default_factory=dict)
+    """Estimator settings that replace the driver's."""
 
     @cached_property
     def description(self) -> RobotDescription:
@@ -102,7 +105,8 @@ class DockTrials:
             noise_m=self.ranges.noise_m,
             noise_rad=self.ranges.noise_rad,
         )
-        return place_config(self.place, known, self.robot, robot="virtual", policy=self.dock.circuit.name)
+        config = place_config(self.place, known, self.robot, robot="virtual", policy=self.dock.circuit.name)
+        return with_estimator(config, self.estimator)
 
     def start(self, number: int) -> Pose:
         """Return where the robot of a trial starts: it has tags in its image and touches no obstacle.

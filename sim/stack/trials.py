@@ -8,7 +8,7 @@ and the profile of its robot, and a profile that names the noise of its odometry
 import copy
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -169,8 +169,7 @@ class Stack:
             start_m=ANYWHERE_M,
             start_rad=math.pi,
         )
-        changed = config.estimator.model_copy(update=dict(self.estimator))
-        config = config.model_copy(update={"estimator": changed})
+        config = with_estimator(config, self.estimator)
         mission = CourseMission(self._controller(number, config), config)
         drive = new_drive(link, mission, self.policy.neurons, config)
         drive_whole(drive)
@@ -201,6 +200,11 @@ class Stack:
                 runner=runner,
             )
         return copy.deepcopy(self._controllers[place])
+
+
+def with_estimator(config: DriveConfig, changes: Mapping[str, float]) -> DriveConfig:
+    """Return the settings of a drive with some of the estimator's replaced."""
+    return config.model_copy(update={"estimator": config.estimator.model_copy(update=dict(changes))})
 
 
 def localiser_errors(ranges: Randomization, seed: int, number: int) -> LocaliserErrors | None:
@@ -258,20 +262,27 @@ def drive_all(
 
     ``processes`` is by default as many as there are cores and work for.
     """
-    workers = processes or min(available_processes(), max(count // _WORTH_A_PROCESS, 1))
     found: dict[int, FoundT] = {}
+    for number, trial in drive_each(drive, range(count), processes):
+        found[number] = trial
+        on_done()
+    return [found[number] for number in range(count)]
+
+
+def drive_each(
+    drive: Callable[[int], FoundT], numbers: Sequence[int], processes: int | None
+) -> Iterator[tuple[int, FoundT]]:
+    """Drive trials by their numbers; yield number and end of each as it ends. Raises WorkerDied."""
+    workers = processes or min(available_processes(), max(len(numbers) // _WORTH_A_PROCESS, 1))
     if workers == 1:
-        for number in range(count):
-            found[number] = drive(number)
-            on_done()
-        return list(found.values())
+        for number in numbers:
+            yield number, drive(number)
+        return
     made = made_in_each_process(partial(_same, drive))
     with ProcessPool(workers) as pool:
-        waiting = {pool.submit(made, number): number for number in range(count)}
+        waiting = {pool.submit(made, number): number for number in numbers}
         for done in as_completed(waiting):
-            found[waiting[done]] = done.result()
-            on_done()
-    return [found[number] for number in range(count)]
+            yield waiting[done], done.result()
 
 
 def _same(drive: Callable[[int], FoundT]) -> Callable[[int], FoundT]:

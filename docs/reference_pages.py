@@ -120,7 +120,7 @@ def on_files(files: Any, config: Any) -> Any:
 
     from paper.claims import judge_claims, load_claims
     from paper.report import long_report
-    from paper.runs import ResultStore
+    from paper.store import ResultStore
 
     text = front_page((DOCS.parent / "README.md").read_text())
     files.append(File.generated(config, "index.md", content=text))

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from paper.runs import BudgetName
+from paper.store import BudgetName
 from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
 from rover_ncp.core.files import require_writable
 
 if TYPE_CHECKING:
-    from paper.runs import Result
+    from paper.store import Result
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
 RESULTS = Path(__file__).parent / "results"
@@ -57,7 +57,8 @@ def run(
 
         python -m paper run --task mountain-car --agent circuit --seed 3 --again
     """
-    from paper.runs import ResultStore, make_runs, select
+    from paper.runs import make_runs, select
+    from paper.store import ResultStore
 
     store, names = ResultStore(results), select(task, agent, seed, budget)
     left = [name for name in names if again or store.find(name) is None]
@@ -91,8 +92,9 @@ def replay(
 
     python -m paper replay --task mountain-car
     """
-    from paper.runs import ResultStore, agrees
+    from paper.runs import agrees
     from paper.runs import replay as score_again
+    from paper.store import ResultStore
 
     wanted = {"task": task, "agent": agent, "seed": seed, "budget": budget and [budget]}
     replayed = exact = differ = 0
@@ -130,7 +132,7 @@ def report(
     """
     from paper.claims import judge_claims, load_claims
     from paper.report import draw_curves, long_report, short_report
-    from paper.runs import ResultStore
+    from paper.store import ResultStore
 
     if not results.is_dir():
         raise FileError(f"{results}: no such folder")

@@ -20,8 +20,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from paper.runs import ResultStore
 from paper.statistics import LEVEL, Summary, even_odds, fisher, holm, mean_text, summary, welch, wilson
+from paper.store import ResultStore
 from paper.tasks import TASKS, Net, Vector
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.config import StrictModel, parse_yaml

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from paper.claims import ClaimsFile, Judged, Verdict, clear_signs, drives, readings, time_constants
-from paper.runs import BudgetName, Result, ResultStore, grid
+from paper.runs import grid
 from paper.statistics import improvement, interquartile_mean, mean_text, summary
+from paper.store import BudgetName, Result, ResultStore
 from paper.tasks import AGENTS, GRADIENTS, PAPERS, TASKS, Vector
 from rover_ncp.core.errors import FileError
 

@@ -1,10 +1,5 @@
-"""The grid of runs, their results as stored, the training of a run, and its replay.
+"""The grid of runs, the training of a run, and its replay."""
 
-A results folder has one JSON-lines file for each budget and task, ``BUDGET/TASK.jsonl``, with a line
-for each run.
-"""
-
-import json
 import math
 import multiprocessing
 import os
@@ -12,19 +7,27 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
-from enum import StrEnum
 from functools import cache
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
-from pydantic import ConfigDict, ValidationError, model_validator
 
 from paper.episodes import PlantEvaluator, library
 from paper.gradients import score_actor, train_actor
-from paper.search import Budget, ParkingEvaluator, run_search
+from paper.search import (
+    STRATEGIES,
+    BenchmarkEstimator,
+    Budget,
+    Found,
+    ParkingEvaluator,
+    Point,
+    Progress,
+    climb,
+)
+from paper.store import BudgetName, Packed, Result, ResultStore, RunName, SavedSearch, Score
 from paper.tasks import (
     AGENTS,
     GRADIENTS,
@@ -37,16 +40,15 @@ from paper.tasks import (
     Vector,
     build_agent,
     draw_seeds,
+    rng_of,
 )
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.config import StrictModel
-from rover_ncp.core.errors import FileError, UsageError
-from rover_ncp.core.files import read_text
+from rover_ncp.core.errors import UsageError
 from rover_ncp.core.spawned import end_with_parent
 from sim.learn.settings import made_with
 
-_FINAL = 99
-"""Stream of the fresh episodes that a run is judged by."""
+_SEARCH, _FINAL = 0, 99
+"""Streams of random numbers: of a search, and of the fresh episodes that a run is judged by."""
 _EPISODES = 100
 _NETWORK_SETTINGS = (10, 5, "published-network", 20_000)
 """Rollouts, worst rollouts and iterations of the published search of MLP and LSTM."""
@@ -60,161 +62,11 @@ _PARKING_SEEDS = 48
 """As many as were measured with the published code itself."""
 
 
-class BudgetName(StrEnum):
-    """Budget of a run, and the search that spends it."""
-
-    PUBLISHED = "published"
-    """The paper's iterations and rollouts with the search of its published code."""
-    ALGORITHM1 = "algorithm1"
-    """The paper's iterations and rollouts with Algorithm 1 as it is printed."""
-    GRADIENTS = "gradients"
-    """Training by PPO or A2C, for which the paper gives no settings."""
-    QUICK = "quick"
-    """A few iterations of the published search."""
-
-
 _OTHERS: dict[BudgetName, tuple[tuple[str, ...], Sequence[str]]] = {
     BudgetName.GRADIENTS: (("pendulum", "mountain-car"), GRADIENTS),  # the paper's Table III
     BudgetName.ALGORITHM1: (("parking", "pendulum", "mountain-car", "cart-pole"), PAPERS[:1]),
 }
 """Tasks and agents of the budgets that not all tasks have."""
-
-
-class RunName(StrictModel):
-    """Coordinates of a run in the grid."""
-
-    task: str
-    agent: str
-    seed: int
-    budget: BudgetName = BudgetName.PUBLISHED
-
-    def __str__(self) -> str:
-        return f"{self.budget} {self.task} {self.agent} {self.seed}"
-
-
-class Packed(StrictModel):
-    """An array of float64 as its shape and its little-endian bytes in hexadecimal digits."""
-
-    shape: tuple[int, ...]
-    float64: str
-
-    @model_validator(mode="after")
-    def _can_be_unpacked(self) -> Self:
-        self.array()
-        return self
-
-    @classmethod
-    def of(cls, array: Vector) -> "Packed":
-        """Pack an array."""
-        return cls(shape=array.shape, float64=array.astype("<f8").tobytes().hex())
-
-    def array(self) -> Vector:
-        """Return the array."""
-        return np.frombuffer(bytes.fromhex(self.float64), "<f8").astype(np.float64).reshape(self.shape)
-
-
-class Score(StrictModel):
-    """Returns of trained parameters in fresh episodes."""
-
-    episodes: int
-    mean: float
-    std: float
-    plain_mean: float
-    success: bool
-
-
-class Result(Score):
-    """A finished run: its score and cost, and the trained parameters."""
-
-    model_config = ConfigDict(extra="ignore")
-    """Lines of other versions may say more."""
-
-    name: RunName
-    settings: dict[str, Any]
-    made_with: dict[str, str]
-    wall_s: float
-    cpu_s: float
-    evaluations: int
-    steps: int
-    """Of the environment, in all episodes."""
-    curve: tuple[tuple[int, int, float], ...]
-    """Changes of the incumbent's estimate: (iterations, environment steps, estimate); of PPO and A2C none."""
-    parameters: Packed
-    """The trained vector (P,)."""
-
-    @property
-    def score(self) -> Score:
-        """The score alone."""
-        return Score(**self.model_dump(include=set(Score.model_fields)))
-
-    def value_after(self, iterations: int) -> float:
-        """Return the incumbent's estimate after so many iterations of a search."""
-        return [value for count, _, value in self.curve if count <= iterations][-1]
-
-
-class ResultStore:
-    """The results in a folder, ``BUDGET/TASK.jsonl``. Of two runs of one name the last one counts."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self._read: dict[Path, dict[tuple[str, int], Result]] = {}
-
-    def path(self, task: str, budget: str) -> Path:
-        """Return the file of a task and a budget."""
-        return self.folder / budget / f"{task}.jsonl"
-
-    def find(self, name: RunName) -> Result | None:
-        """Return a run. Raises FileError."""
-        return self._runs(self.path(name.task, name.budget)).get((name.agent, name.seed))
-
-    def results(self, task: str, agent: str, budget: str = BudgetName.PUBLISHED) -> list[Result]:
-        """Return the finished runs of an agent, by seed. Raises FileError."""
-        runs = self._runs(self.path(task, budget)).values()
-        return sorted((run for run in runs if run.name.agent == agent), key=lambda run: run.name.seed)
-
-    def returns(self, task: str, agent: str, budget: str = BudgetName.PUBLISHED) -> Vector:
-        """Return the mean returns (n,) of these runs. Raises FileError."""
-        return np.array([run.mean for run in self.results(task, agent, budget)])
-
-    def every(self) -> Iterator[Result]:
-        """Yield all runs, file by file. Raises FileError."""
-        for budget in BudgetName:
-            for path in sorted((self.folder / budget).glob("*.jsonl")):
-                yield from self._runs(path).values()
-
-    def save(self, result: Result) -> None:
-        """Append a result to its file, after a line that was cut off too. Raises FileError."""
-        path = self.path(result.name.task, result.name.budget)
-        line = json.dumps(result.model_dump(), allow_nan=False) + "\n"
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with path.open("a+b") as file:
-                if file.seek(0, os.SEEK_END) and file.seek(-1, os.SEEK_END) and file.read(1) != b"\n":
-                    line = f"\n{line}"
-                file.write(line.encode())
-                file.flush()
-                os.fsync(file.fileno())
-        except OSError as error:
-            raise FileError(f"{path}: cannot be written: {error.strerror}") from error
-        self._read.pop(path, None)
-
-    def _runs(self, path: Path) -> dict[tuple[str, int], Result]:
-        if path not in self._read:
-            self._read[path] = _load(path) if path.is_file() else {}
-        return self._read[path]
-
-
-def _load(path: Path) -> dict[tuple[str, int], Result]:
-    found = {}
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
-        try:
-            result = Result.model_validate(json.loads(line))
-        except (ValueError, ValidationError) as error:
-            raise FileError(f"{path}: line {number} is damaged or is no run; delete the line") from error
-        if (result.name.budget, result.name.task) != (path.parent.name, path.stem) or path.stem not in TASKS:
-            raise FileError(f"{path}: line {number} is the run {result.name}, which belongs to another file")
-        found[result.name.agent, result.name.seed] = result
-    return found
 
 
 class Group(NamedTuple):
@@ -274,24 +126,62 @@ def budget_for(task: Task, name: BudgetName, agent: str = "circuit") -> Budget:
     return replace(budget, iterations=_QUICK_ITERATIONS) if name is BudgetName.QUICK else budget
 
 
-def train_run(name: RunName) -> Result:
+def run_search(
+    task: Task, agent: Policy | Net, seed: int, budget: Budget, saved: SavedSearch | None = None
+) -> Found:
+    """Search an agent's parameters from one incumbent. The same arguments give the same bits.
+
+    With ``saved`` it goes on where it was saved last, to the same bits too.
+    """
+    place: BenchmarkEstimator | ParkingEvaluator
+    if isinstance(task, Benchmark):
+        place = BenchmarkEstimator(task, agent, seed, budget)
+    else:
+        assert isinstance(agent, Policy)
+        place = ParkingEvaluator(task, agent)
+    defaults = agent.parameters() if isinstance(agent, Policy) else np.zeros(agent.layout().size)
+    strategy = STRATEGIES[budget.strategy](agent.layout())
+    progress = Progress.begin(strategy, defaults, rng_of(seed, (_SEARCH,)))
+    points: dict[int, Point] = {}
+    if saved is not None and (last := saved.load()):
+        progress, place.steps, points = *last[:2], {_mark(point[0]): point for point in last[2]}
+    for now in climb(strategy, progress, budget.iterations, place.estimate, place.most_ahead):
+        if now.value != progress.value:
+            points[_mark(now.done)] = now.done, place.steps, now.value
+        progress = now
+        if saved is not None:
+            saved.save(progress, place.steps, points.values())
+    return Found(progress.incumbent, progress.evaluations, place.steps, tuple(points.values()))
+
+
+def _mark(iterations: int) -> int:
+    """Round up to two digits; a curve keeps the last change before each such number."""
+    scale = int(10 ** max(len(str(iterations)) - 2, 0))
+    return -(-iterations // scale) * scale
+
+
+def train_run(name: RunName, unfinished: Path | None = None) -> Result:
     """Make one run. The same name gives the same parameters and returns, to the last bit.
 
-    Raises UsageError.
+    A search saves its progress in the file ``unfinished`` and goes on from there. Raises UsageError, and
+    FileError if another version began it.
     """
     task, began, cpu = TASKS[name.task], time.monotonic(), time.process_time()
     made = _made_with(task, name.agent)  # before the search: files may change while it lasts
+    saved = None
     if isinstance(task, Benchmark) and name.agent in GRADIENTS:
         agent, (found, settings) = None, train_actor(task, name.agent, name.seed)
     else:
         agent, budget = build_agent(task, name.agent, name.seed), budget_for(task, name.budget, name.agent)
-        found, settings = run_search(task, agent, name.seed, budget), vars(budget)
+        settings = vars(budget)
+        saved = SavedSearch(unfinished, {**settings, **made}, time.process_time) if unfinished else None
+        found = run_search(task, agent, name.seed, budget, saved)
     return Result(
         name=name,
         settings=settings,
         made_with=made,
         wall_s=time.monotonic() - began,
-        cpu_s=time.process_time() - cpu,
+        cpu_s=saved.cpu_s if saved else time.process_time() - cpu,
         evaluations=found.evaluations,
         steps=found.steps,
         curve=found.curve,
@@ -354,7 +244,8 @@ def make_runs(
 ) -> None:
     """Make runs, as many at once as there are processes; save each as it ends.
 
-    An interruption loses the unfinished ones. Raises UsageError before the first run begins.
+    After an interruption a search goes on from where it was saved last. Raises UsageError before the first
+    run begins.
     """
     if {name.agent for name in names} & set(GRADIENTS) and not find_spec("stable_baselines3"):
         raise UsageError("ppo and a2c need stable-baselines3: make paper-gradients installs it")
@@ -363,9 +254,11 @@ def make_runs(
     # Spawned, never forked: cffi does not survive a fork.
     with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), end_with_parent) as workers:
         try:
-            for run in as_completed([workers.submit(train_run, name) for name in names]):
+            runs = [workers.submit(train_run, name, store.unfinished(name)) for name in names]
+            for run in as_completed(runs):
                 result = run.result()
                 store.save(result)
+                store.unfinished(result.name).unlink(missing_ok=True)
                 on_result(result)
         finally:  # or an error and Ctrl-C would wait for all runs, and lose them
             workers.shutdown(wait=False, cancel_futures=True)

@@ -7,7 +7,7 @@ literally; this loop makes the same decisions in less time.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from paper.episodes import PlantEvaluator
-from paper.tasks import Benchmark, Net, Task, Vector, draw_seeds, rng_of
+from paper.tasks import Benchmark, Net, Task, Vector, draw_seeds
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout, Policy
 from rover_ncp.course.course import load_course
@@ -25,9 +25,9 @@ from sim.learn.search import Batch
 from sim.learn.search.algorithm1 import ALPHA, ESTIMATE_AFTER, START_SCALE
 from sim.learn.search.published import FAILURES_TO_WIDEN, RULES, KindRule, perturb
 
-_SEARCH, _ROLLOUTS = 0, 1
-"""Streams of random numbers."""
-_STOPS = (1, 3, 9)
+_ROLLOUTS = 1
+"""Stream of random numbers, beside that of the search (``runs.py``)."""
+_STOPS = (1, 3, 5, 7, 9)
 """Rollouts after which a candidate may be stopped."""
 _MIN_AHEAD, _MAX_AHEAD = 3, 48
 _LAYERS = (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER)
@@ -210,16 +210,38 @@ class Budget:
     """Ticks of the agent on the first observation before an episode's first step."""
 
 
-class Found(NamedTuple):
-    """Result of a search: parameters (P,), evaluations, environment steps, and the learning curve.
+Point = tuple[int, int, float]
+"""A change of an incumbent's estimate: iterations, environment steps, estimate."""
 
-    A point of the curve is a change of the incumbent's estimate: (iterations, environment steps, estimate).
-    """
+
+class Found(NamedTuple):
+    """Result of a search: parameters (P,), evaluations, environment steps, and the learning curve."""
 
     vector: Vector
     evaluations: int
     steps: int
-    curve: tuple[tuple[int, int, float], ...] = ()
+    curve: tuple[Point, ...] = ()
+
+
+class Progress(NamedTuple):
+    """A search between two batches of candidates: all that it needs to go on."""
+
+    incumbent: Vector
+    scale: Scale
+    random: Mapping[str, Any]
+    """State of the random numbers."""
+    value: float = math.nan
+    """Estimate of the incumbent."""
+    evaluations: int = 0
+    done: int = 0
+    """Iterations."""
+    ahead: int = 1
+    """How many candidates the next batch has."""
+
+    @classmethod
+    def begin(cls, strategy: "Strategy", defaults: Vector, rng: np.random.Generator) -> "Progress":
+        """Return the progress before the first evaluation."""
+        return cls(strategy.first(defaults, rng), strategy.start, rng.bit_generator.state)
 
 
 class BenchmarkEstimator(PlantEvaluator):
@@ -227,13 +249,14 @@ class BenchmarkEstimator(PlantEvaluator):
 
     def __init__(self, task: Benchmark, agent: Policy | Net, seed: int, budget: Budget) -> None:
         super().__init__(task, agent, for_search=True, warm_up=budget.warm_up)
+        self.most_ahead = _MAX_AHEAD if self.lanes.pool is None else 1  # MuJoCo's lanes save no time
         self._seed, self._rollouts, self._worst = seed, budget.rollouts, budget.worst
 
     def estimate(self, vectors: Vector, number: int, to_beat: float) -> Vector:
         """Return the estimates (k,) of vectors (k, P); ``number`` is that of the first among all evaluations.
 
         A candidate takes no more rollouts once it cannot exceed ``to_beat`` even if all others returned the
-        most.
+        most. Where no return is the most, that can be so once it has as many rollouts as are averaged.
         """
         count, rollouts, most = len(vectors), self._rollouts, self.task.most
         seeds = np.array(
@@ -242,7 +265,8 @@ class BenchmarkEstimator(PlantEvaluator):
         returns = np.full((count, rollouts), most)
         estimates = np.full(count, np.inf)
         left, done = np.arange(count), 0
-        early = [stop for stop in _STOPS if stop < rollouts] if most < math.inf else []
+        first = 1 if most < math.inf else self._worst
+        early = [stop for stop in _STOPS if first <= stop < rollouts]
         for stop in (*early, rollouts):
             found = self.run(np.repeat(vectors[left], stop - done, axis=0), seeds[left, done:stop].ravel())
             returns[left, done:stop] = found[:, :2].sum(axis=1).reshape(len(left), -1)
@@ -256,6 +280,8 @@ class BenchmarkEstimator(PlantEvaluator):
 
 class ParkingEvaluator:
     """Scores parameter vectors of a circuit by the course, without chance. One thread at a time."""
+
+    most_ahead = _MAX_AHEAD
 
     def __init__(self, task: Task, policy: Policy) -> None:
         self.task, self.steps = task, 0
@@ -278,44 +304,22 @@ class ParkingEvaluator:
         return scores.returns.copy()
 
 
-def run_search(task: Task, agent: Policy | Net, seed: int, budget: Budget) -> Found:
-    """Search an agent's parameters from one incumbent. The same arguments give the same bits."""
-    place: BenchmarkEstimator | ParkingEvaluator
-    if isinstance(task, Benchmark):
-        place = BenchmarkEstimator(task, agent, seed, budget)
-    else:
-        assert isinstance(agent, Policy)
-        place = ParkingEvaluator(task, agent)
-    defaults = agent.parameters() if isinstance(agent, Policy) else np.zeros(agent.layout().size)
-    strategy, rng = STRATEGIES[budget.strategy](agent.layout()), rng_of(seed, (_SEARCH,))
-    curve: list[tuple[int, int, float]] = []
-
-    def on_change(iterations: int, _: Vector, value: float) -> None:
-        curve.append((iterations, place.steps, value))
-
-    vector, evaluations = climb(
-        strategy, defaults, rng, budget.iterations, place.estimate, on_change=on_change
-    )
-    return Found(vector, evaluations, place.steps, tuple(curve))
-
-
 def climb(
     strategy: Strategy,
-    defaults: Vector,
-    rng: np.random.Generator,
+    progress: Progress,
     iterations: int,
     estimate: Callable[[Vector, int, float], Vector],
-    *,
-    on_change: Callable[[int, Vector, float], None],
-) -> tuple[Vector, int]:
-    """Maximise an estimate; return the incumbent (P,) and the number of evaluations.
+    most_ahead: int = _MAX_AHEAD,
+) -> Iterator[Progress]:
+    """Maximise an estimate; yield the progress after each batch of candidates.
 
     Candidates are drawn ahead, as if those before them had failed. After a success those behind it are
     dropped, and the random numbers continue where they were when it was drawn. So the decisions are those of
     one candidate after the other.
     """
-    incumbent, scale, value = strategy.first(defaults, rng), strategy.start, math.nan
-    evaluations, done, ahead = 0, 0, _MIN_AHEAD
+    rng = np.random.Generator(np.random.PCG64())
+    rng.bit_generator.state = progress.random
+    incumbent, scale, _, value, evaluations, done, ahead = progress
     while not evaluations or done < iterations:
         before = value
         if not evaluations or scale.due:
@@ -340,7 +344,5 @@ def climb(
                     rng.bit_generator.state = state
                     break
                 scale = strategy.after(False, used)
-        if value != before:
-            on_change(done, incumbent, value)
-        ahead = min(2 * ahead, _MAX_AHEAD) if value == before else _MIN_AHEAD
-    return incumbent, evaluations
+        ahead = min(2 * ahead if value == before else _MIN_AHEAD, most_ahead)
+        yield Progress(incumbent, scale, rng.bit_generator.state, value, evaluations, done, ahead)

@@ -6,7 +6,8 @@ import sys
 import pytest
 from kit.paths import ROOT
 
-from paper.runs import BudgetName, RunName, budget_for, replay, select, train_run
+from paper.runs import budget_for, replay, select, train_run
+from paper.store import BudgetName, RunName
 from paper.tasks import TASKS
 from rover_ncp.core.errors import UsageError
 

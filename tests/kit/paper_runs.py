@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from paper.runs import BudgetName, Packed, Result, RunName
+from paper.store import BudgetName, Packed, Result, RunName
 
 
 def result(task, agent, seed, mean, success=True, budget=BudgetName.PUBLISHED, **changes):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from paper.claims import judge_claims, load_claims
 from paper.report import short_report
-from paper.runs import ResultStore
+from paper.store import ResultStore
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "paper" / "results"

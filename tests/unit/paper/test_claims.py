@@ -12,7 +12,7 @@ from kit.paths import ROOT
 from paper import claims
 from paper.claims import Claim, Verdict, judge_claims, load_claims, readings
 from paper.report import summary_of
-from paper.runs import Packed, ResultStore
+from paper.store import Packed, ResultStore
 from paper.tasks import TASKS, build_agent
 from rover_ncp.neurons.interpretation import Sign
 

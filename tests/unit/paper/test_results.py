@@ -4,7 +4,8 @@ import pytest
 from kit.paper_runs import result
 from kit.paths import ROOT
 
-from paper.runs import BudgetName, ResultStore, agrees, replay
+from paper.runs import agrees, replay
+from paper.store import BudgetName, ResultStore
 from rover_ncp.core.errors import FileError
 
 RESULTS = ROOT / "paper" / "results"

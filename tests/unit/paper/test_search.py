@@ -2,17 +2,21 @@
 
 import itertools
 import math
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from kit import paper_reference as reference
 
+from paper import store as store_module
 from paper.episodes import PlantEvaluator
-from paper.runs import BudgetName, budget_for
-from paper.search import STRATEGIES, BenchmarkEstimator, climb, run_search
+from paper.runs import budget_for, run_search
+from paper.search import STRATEGIES, BenchmarkEstimator, Progress, climb
+from paper.store import BudgetName, SavedSearch
 from paper.tasks import TASKS, build_agent, draw_seeds
 from rover_ncp.circuit.circuit import ParameterKind
+from rover_ncp.core.errors import FileError
 from sim.learn.search.algorithm1 import ALPHA, ESTIMATE_AFTER, START_SCALE
 
 LAYERS = (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER)
@@ -35,11 +39,10 @@ def fast(strategy, agent, returns, iterations):
     def estimate(vectors, number, to_beat):
         return np.array(returns(number, vectors))
 
-    def on_change(done, vector, value):
-        states[done] = vector, value
-
-    rng = np.random.default_rng(5)
-    climb(STRATEGIES[strategy](agent.layout()), first, rng, iterations, estimate, on_change=on_change)
+    rule = STRATEGIES[strategy](agent.layout())
+    start = Progress.begin(rule, first, np.random.default_rng(5))
+    for now in climb(rule, start, iterations, estimate):
+        states[now.done] = now.incumbent, now.value
     return states
 
 
@@ -122,6 +125,44 @@ def test_rollouts_that_cannot_matter_change_no_decision():
     points = [[(done, value) for done, _, value in found.curve] for found in (early, all_rollouts)]
     assert points[0] == points[1]
     assert early.vector.tolist() == all_rollouts.vector.tolist()
+
+
+def test_candidate_without_a_highest_return_stops_after_as_many_rollouts_as_are_averaged():
+    limits = budget("cart-pole", 1, rollouts=6, worst=3)
+    task = TASKS["cart-pole"].model_copy(update={"most": math.inf})
+    place = BenchmarkEstimator(task, build_agent(task, "circuit", 0), 5, limits)
+    vectors = place.agent.parameters()[None]
+    [full] = place.estimate(vectors, 7, -math.inf)
+    steps, place.steps = place.steps, 0
+    [bound] = place.estimate(vectors, 7, 501.0)
+    assert full <= bound <= 501.0
+    assert place.steps < steps
+
+
+class Killed(SavedSearch):
+    """Ends its search after the 20th batch."""
+
+    batches = 0
+
+    def save(self, *progress):
+        super().save(*progress)
+        self.batches += 1
+        if self.batches == 20:
+            raise KeyboardInterrupt
+
+
+def test_search_that_was_killed_goes_on_to_the_same_bits(tmp_path, monkeypatch):
+    monkeypatch.setattr(store_module, "_SAVE_STEPS", 0)
+    task, limits = TASKS["cart-pole"], budget("cart-pole", 150, rollouts=4, worst=2)
+    agent, path = build_agent(task, "circuit", 1), tmp_path / "run"
+    whole = run_search(task, agent, 1, limits)
+    with pytest.raises(KeyboardInterrupt):
+        run_search(task, agent, 1, limits, Killed(path, {"commit": "a"}, time.process_time))
+    with pytest.raises(FileError, match="run"):
+        run_search(task, agent, 1, limits, SavedSearch(path, {"commit": "b"}, time.process_time))
+    after = SavedSearch(path, {"commit": "a"}, time.process_time)
+    assert 0 < after.load()[0].done < 150
+    assert str(run_search(task, agent, 1, limits, after)) == str(whole)
 
 
 def test_unstable_simulation_is_never_the_best(monkeypatch):

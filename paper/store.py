@@ -1,0 +1,220 @@
+"""Runs as they are stored, and the state of a search that has not ended.
+
+A results folder has one JSON-lines file for each budget and task, ``BUDGET/TASK.jsonl``, with a line
+for each run, and a file ``BUDGET/TASK-AGENT-SEED.part`` for each search that has not ended.
+"""
+
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from pydantic import ConfigDict, ValidationError, model_validator
+
+from paper.search import Point, Progress, Scale
+from paper.tasks import TASKS, Vector
+from rover_ncp.core.config import StrictModel
+from rover_ncp.core.errors import FileError
+from rover_ncp.core.files import read_text, write_atomic
+
+_SAVE_STEPS = 1_500_000
+
+
+class BudgetName(StrEnum):
+    """Budget of a run, and the search that spends it."""
+
+    PUBLISHED = "published"
+    """The paper's iterations and rollouts with the search of its published code."""
+    ALGORITHM1 = "algorithm1"
+    """The paper's iterations and rollouts with Algorithm 1 as it is printed."""
+    GRADIENTS = "gradients"
+    """Training by PPO or A2C, for which the paper gives no settings."""
+    QUICK = "quick"
+    """A few iterations of the published search."""
+
+
+class RunName(StrictModel):
+    """Coordinates of a run in the grid."""
+
+    task: str
+    agent: str
+    seed: int
+    budget: BudgetName = BudgetName.PUBLISHED
+
+    def __str__(self) -> str:
+        return f"{self.budget} {self.task} {self.agent} {self.seed}"
+
+
+class Packed(StrictModel):
+    """An array of float64 as its shape and its little-endian bytes in hexadecimal digits."""
+
+    shape: tuple[int, ...]
+    float64: str
+
+    @model_validator(mode="after")
+    def _can_be_unpacked(self) -> Self:
+        self.array()
+        return self
+
+    @classmethod
+    def of(cls, array: Vector) -> "Packed":
+        """Pack an array."""
+        return cls(shape=array.shape, float64=array.astype("<f8").tobytes().hex())
+
+    def array(self) -> Vector:
+        """Return the array."""
+        return np.frombuffer(bytes.fromhex(self.float64), "<f8").astype(np.float64).reshape(self.shape)
+
+
+class Score(StrictModel):
+    """Returns of trained parameters in fresh episodes."""
+
+    episodes: int
+    mean: float
+    std: float
+    plain_mean: float
+    success: bool
+
+
+class Result(Score):
+    """A finished run: its score and cost, and the trained parameters."""
+
+    model_config = ConfigDict(extra="ignore")
+    """Lines of other versions may say more."""
+
+    name: RunName
+    settings: dict[str, Any]
+    made_with: dict[str, str]
+    wall_s: float
+    cpu_s: float
+    evaluations: int
+    steps: int
+    """Of the environment, in all episodes."""
+    curve: tuple[Point, ...]
+    """Changes of the incumbent's estimate; of PPO and A2C none."""
+    parameters: Packed
+    """The trained vector (P,)."""
+
+    @property
+    def score(self) -> Score:
+        """The score alone."""
+        return Score(**self.model_dump(include=set(Score.model_fields)))
+
+    def value_after(self, iterations: int) -> float:
+        """Return the incumbent's estimate after so many iterations of a search."""
+        return [value for count, _, value in self.curve if count <= iterations][-1]
+
+
+class ResultStore:
+    """The results in a folder, ``BUDGET/TASK.jsonl``. Of two runs of one name the last one counts."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._read: dict[Path, dict[tuple[str, int], Result]] = {}
+
+    def path(self, task: str, budget: str) -> Path:
+        """Return the file of a task and a budget."""
+        return self.folder / budget / f"{task}.jsonl"
+
+    def unfinished(self, name: RunName) -> Path:
+        """Return the file of a search that has not ended."""
+        return self.folder / name.budget / f"{name.task}-{name.agent}-{name.seed}.part"
+
+    def find(self, name: RunName) -> Result | None:
+        """Return a run. Raises FileError."""
+        return self._runs(self.path(name.task, name.budget)).get((name.agent, name.seed))
+
+    def results(self, task: str, agent: str, budget: str = BudgetName.PUBLISHED) -> list[Result]:
+        """Return the finished runs of an agent, by seed. Raises FileError."""
+        runs = self._runs(self.path(task, budget)).values()
+        return sorted((run for run in runs if run.name.agent == agent), key=lambda run: run.name.seed)
+
+    def returns(self, task: str, agent: str, budget: str = BudgetName.PUBLISHED) -> Vector:
+        """Return the mean returns (n,) of these runs. Raises FileError."""
+        return np.array([run.mean for run in self.results(task, agent, budget)])
+
+    def every(self) -> Iterator[Result]:
+        """Yield all runs, file by file. Raises FileError."""
+        for budget in BudgetName:
+            for path in sorted((self.folder / budget).glob("*.jsonl")):
+                yield from self._runs(path).values()
+
+    def save(self, result: Result) -> None:
+        """Append a result to its file, after a line that was cut off too. Raises FileError."""
+        path = self.path(result.name.task, result.name.budget)
+        line = json.dumps(result.model_dump(), allow_nan=False) + "\n"
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open("a+b") as file:
+                if file.seek(0, os.SEEK_END) and file.seek(-1, os.SEEK_END) and file.read(1) != b"\n":
+                    line = f"\n{line}"
+                file.write(line.encode())
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise FileError(f"{path}: cannot be written: {error.strerror}") from error
+        self._read.pop(path, None)
+
+    def _runs(self, path: Path) -> dict[tuple[str, int], Result]:
+        if path not in self._read:
+            self._read[path] = _load(path) if path.is_file() else {}
+        return self._read[path]
+
+
+def _load(path: Path) -> dict[tuple[str, int], Result]:
+    found = {}
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        try:
+            result = Result.model_validate(json.loads(line))
+        except (ValueError, ValidationError) as error:
+            raise FileError(f"{path}: line {number} is damaged or is no run; delete the line") from error
+        if (result.name.budget, result.name.task) != (path.parent.name, path.stem) or path.stem not in TASKS:
+            raise FileError(f"{path}: line {number} is the run {result.name}, which belongs to another file")
+        found[result.name.agent, result.name.seed] = result
+    return found
+
+
+class SavedSearch:
+    """The file of an unfinished search, written about once a minute on the half-cheetah.
+
+    A search goes on only with the settings and the source that began it.
+    """
+
+    def __init__(self, path: Path, origin: Mapping[str, Any], clock: Callable[[], float]) -> None:
+        """``clock`` returns the process's CPU time, s."""
+        self.path, self._origin = path, json.loads(json.dumps(origin))
+        self._clock, self._began_s, self._saved_steps = clock, clock(), 0
+        self._earlier_s = 0.0
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU time of this process since now, and of those before it."""
+        return self._earlier_s + self._clock() - self._began_s
+
+    def load(self) -> tuple[Progress, int, list[Point]] | None:
+        """Return progress, environment steps and curve. Raises FileError if another source saved them."""
+        if not self.path.is_file():
+            return None
+        text = json.loads(read_text(self.path))
+        if text["origin"] != self._origin:
+            raise FileError(
+                f"{self.path}: another version or other settings began this run ({text['origin']}): go on "
+                "with those, or delete the file to begin anew"
+            )
+        self._earlier_s, self._saved_steps = text["cpu_s"], text["steps"]
+        incumbent, scale, *others = text["progress"]
+        points = [tuple(point) for point in text["curve"]]
+        return Progress(np.array(incumbent), Scale(*scale), *others), text["steps"], points
+
+    def save(self, progress: Progress, steps: int, points: Iterable[Point]) -> None:
+        """Write the file if the environment has made many steps since the last time. Raises FileError."""
+        if steps < self._saved_steps + _SAVE_STEPS:
+            return
+        state = progress._replace(incumbent=progress.incumbent.tolist())
+        text = {"origin": self._origin, "cpu_s": self.cpu_s, "progress": state, "steps": steps}
+        text["curve"] = list(points)
+        write_atomic(self.path, json.dumps(text))
+        self._saved_steps = steps

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from deploy.tag.camera import LiveCamera, Picture, decode_picture
 from deploy.tag.camera_info import camera_info
 from deploy.tag.locate import OPTICAL
-from deploy.tag.ros_source import Frames, RosSource
+from deploy.tag.ros_source import RosSource, frame_pose
 from deploy.tag.tag_map import MOUNT_FIELDS, CameraFile
 from rover_ncp.core.config import validated
 from rover_ncp.core.errors import FormatError, UsageError
@@ -53,7 +53,6 @@ MAX_BYTES = 1 << 26
 """Largest message: a picture of 20 megapixels."""
 WAIT_S, POLL_S = 5.0, 0.05
 """Longest wait for camera_info and tf_static."""
-IMAGE_TOPIC = "camera/image_raw"
 NAME_ANOTHER = (
     "name a topic of images by '#image=TOPIC' (on the robot, 'ros2 topic list -t' has topics and types)"
 )
@@ -64,7 +63,7 @@ class RosCamera(LiveCamera):
 
     def __init__(self, source: str, left_out: Counter[str]) -> None:
         super().__init__(source, left_out)
-        where = RosSource.parse(source, "image", IMAGE_TOPIC)
+        where = RosSource.parse(source)
         self._problem = f"no message on '{where.topic}': {NAME_ANOTHER}"
         self._session = where.open()
         self._held = self._session.declare_subscriber(where.key(where.topic), self._take)
@@ -112,7 +111,7 @@ def _read_raw(message: Any, wall_ns: int) -> Picture:
 
 def ros_camera_file(source: str) -> CameraFile:
     """Return intrinsics from camera_info and the mount from tf_static. Raises UsageError without them."""
-    where = RosSource.parse(source, "image", IMAGE_TOPIC)
+    where = RosSource.parse(source)
     folder, _, _ = where.topic.removesuffix("/compressed").rpartition("/")
     about = f"{folder}/camera_info" if folder else "camera_info"
     infos, statics = list[zenoh.Sample](), list[zenoh.Sample]()
@@ -151,16 +150,14 @@ def camera_file_of(info: bytes, statics: Sequence[bytes], *, rectified: bool = F
     Raises FormatError if they are no messages of these types, or lead from the base to no camera, and
     ConfigError for intrinsics that cannot be used.
     """
-    message, frames = decode(CAMERA_INFO, info), Frames()
-    for data in statics:
-        frames.take(data)
+    message = decode(CAMERA_INFO, info)
     size, model = (int(message.width), int(message.height)), str(message.distortion_model)
     k, d, turn = message.k, message.d, np.eye(3)
     if rectified:
         k, d = message.p.reshape(3, 4)[:, :3].ravel(), d[:0]
         turn = message.r.reshape(3, 3) if message.r.any() else turn
     intrinsics = camera_info(size, k.tolist(), model, d.tolist(), "camera_info")
-    pose = frames.pose(BASE_FRAME, message.header.frame_id)
+    pose = frame_pose(statics, BASE_FRAME, message.header.frame_id)
     turns = Rotation.from_matrix(pose[:3, :3] @ turn.T @ OPTICAL.T).as_euler("ZYX")
     mount = dict(zip(MOUNT_FIELDS, [*pose[:3, 3].tolist(), *turns.tolist()], strict=True))
     return validated({"intrinsics": intrinsics, "mount": mount}, CameraFile, "tf_static")

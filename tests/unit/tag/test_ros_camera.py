@@ -110,13 +110,13 @@ def test_frames_that_do_not_reach_the_base_are_named():
 @pytest.mark.parametrize(
     ("source", "key"),
     [
-        ("ros2/tcp/robot", "image_raw"),
+        ("ros2/tcp/robot", "camera/image_raw"),
         ("ros2/tcp/robot:7447#image=/camera/image&namespace=bot/", "bot/camera/image"),
-        ("ros2/tcp/robot#rmw=zenoh&domain=7&namespace=bot", "7/bot/image_raw/*/*"),
+        ("ros2/tcp/robot#rmw=zenoh&domain=7&namespace=bot", "7/bot/camera/image_raw/*/*"),
     ],
 )
 def test_source_names_router_and_key(source, key):
-    where = RosSource.parse(source, "image", "image_raw")
+    where = RosSource.parse(source)
     assert (where.endpoint, where.key(where.topic)) == ("tcp/robot:7447", key)
 
 
@@ -130,4 +130,4 @@ def test_source_names_router_and_key(source, key):
 )
 def test_source_of_another_form_is_refused(source):
     with pytest.raises(UsageError, match=r"expected ros2/tcp/HOST"):
-        RosSource.parse(source, "image", "image_raw")
+        RosSource.parse(source)

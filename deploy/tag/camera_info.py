@@ -26,10 +26,10 @@ MODELS = {
 }
 """Names of distortion models."""
 NAMES: Mapping[str, Sequence[str]] = {
-    "width": ("image_width", "width", "image_Width"),
-    "height": ("image_height", "height", "image_Height"),
-    "k": ("camera_matrix", "k", "K", "Camera_Matrix"),
-    "d": ("distortion_coefficients", "d", "D", "Distortion_Coefficients"),
+    "width": ("image_width", "width"),
+    "height": ("image_height", "height"),
+    "k": ("camera_matrix", "k"),
+    "d": ("distortion_coefficients", "d"),
 }
 """What programs call a picture's size, the camera matrix and the distortion."""
 EXPECTED = (
@@ -57,12 +57,7 @@ def load_camera_info(path: Path) -> Intrinsics:
         missing = [NAMES[name][0] for name, value in given.items() if value is None]
         words = f"no {', '.join(missing)}" if missing else f"not numbers: {error}"
         raise ConfigError(source, [f"{words}; {EXPECTED}"]) from error
-    model, camera = (str(data.get(key) or "") for key in ("distortion_model", "camera_model"))
-    if camera == "fisheye":
-        if MODELS.get(model, "fisheye") != "fisheye":
-            raise ConfigError(source, [f"camera_model fisheye contradicts distortion_model {model}"])
-        model = model or camera
-    return camera_info(size, k, model, d, source)
+    return camera_info(size, k, str(data.get("distortion_model") or ""), d, source)
 
 
 def camera_info(

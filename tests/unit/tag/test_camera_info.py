@@ -42,7 +42,6 @@ RATIONAL = (*D, 0.4, 0.1, 0.02, *[0.0] * 6)
     [
         pytest.param(ros(D, "distortion_model: plumb_bob\n"), "pinhole", D, id="camera_calibration"),
         pytest.param(ros(RATIONAL, "distortion_model: rational_polynomial\n"), "pinhole", RATIONAL, id="14"),
-        pytest.param(ros(D[:4], "camera_model: fisheye\n"), "fisheye", D[:4], id="camera_model"),
         pytest.param(ros(D[:4], "distortion_model: equidistant\n"), "fisheye", D[:4], id="equidistant"),
         pytest.param(ECHO, "pinhole", D, id="topic echo"),
         pytest.param(OPENCV, "pinhole", D, id="OpenCV's YAML"),
@@ -67,7 +66,6 @@ def test_calibration_of_each_format_is_read(tmp_path, text, model, distortion):
     ("text", "words"),
     [
         (ros(D[:4], ""), "4 coefficients without distortion_model: add it"),
-        (ros(D, "distortion_model: plumb_bob\ncamera_model: fisheye\n"), "contradicts"),
         (ros(D, "distortion_model: equidistant\n"), "5 coefficients of a fisheye camera, expected 4"),
         (ros(D, "", K.replace("501", "1")), "focal lengths 500.5 and 1 do not fit"),
         (ros(D, "", K.replace("320", "3200")), "principal point 3200, 241 is outside the picture"),

@@ -1,8 +1,8 @@
 """The motion record of a drive as arrays: commands that reached the base, odometry, external poses.
 
 All times are of the bridge's clock, which stamps odometry and the commands that the gate accepted
-(``rover/cmd_out``). Messages without its stamp have the time of their arrival, less the smallest difference
-between arrival and stamp of the odometry around them: that of the clocks and the shortest transit.
+(``rover/cmd_out``). External poses have the time of their arrival, less the smallest difference between
+arrival and stamp of the odometry around them: that of the clocks and the shortest transit.
 """
 
 import logging
@@ -66,13 +66,14 @@ def motion_log(messages: Iterable[Recorded], robot: RobotDescription | None = No
     Of external poses in several frames, those in the most frequent one are used; the log warns of others.
     Where a robot reports mean speeds, those of the moment are from its poses.
     """
-    sent, offsets_ns, poses = [], list[int](), dict[str, list[_Arrived]]()
-    odometry: list[tuple[float, ...]] = []
+    sent, odometry = list[tuple[float, ...]](), list[tuple[float, ...]]()
+    offsets_ns, poses = list[int](), dict[str, list[_Arrived]]()
     for message in messages:
         try:
             if message.topic == "rover/cmd_out":
                 twist = read_twist(message.data)
-                sent.append((twist.stamp_ns, (len(odometry), message.log_ns), twist.velocity))
+                if twist.stamp_ns is not None:  # the bridge stamps them all
+                    sent.append((twist.stamp_ns, *twist.velocity))
             elif message.topic == "odom":
                 sample = read_odometry(message.data)
                 odometry.append((sample.stamp_ns, *sample.pose, *sample.velocity))
@@ -92,7 +93,7 @@ def motion_log(messages: Iterable[Recorded], robot: RobotDescription | None = No
         return arrival_ns - min(offsets_ns[max(place - _NEAR, 0) : place + _NEAR])
 
     zero_ns = int(odometry[0][0])
-    commands = _table([(at or stamp_ns(*seen), *velocity) for at, seen, velocity in sent], zero_ns, 3)
+    commands = _table(sent, zero_ns, 3)
     samples = _table(odometry, zero_ns, 6)
     outside = _table([(stamp_ns(*seen), *pose) for seen, pose in _of_one_frame(poses)], zero_ns, 4)
     samples[:, 0] = _measured(samples[:, 0])

@@ -1,19 +1,21 @@
 """Calibration from rendered pictures."""
 
+import json
 import math
 
+import cv2
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from deploy.tag.calibrate import find_intrinsics, find_yaw
+from deploy.tag.calibrate import find_yaw
 from deploy.tag.detector import Detection, Detector
 from deploy.tag.locate import Locator
 from deploy.tag.sheet import BOARD, BOARD_TAG_M, board_page, tag_pages
 from deploy.tag.tag_map import CameraFile, Intrinsics, Mount, Tag, TagMap
 from rover_ncp import cli
-from rover_ncp.core.config import dump_yaml
+from rover_ncp.core.config import dump_yaml, load_yaml
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Pose, compose
 from sim.camera.render import Renderer
@@ -36,15 +38,7 @@ def board_pictures(count):
         mount = Mount(**place, yaw=math.pi + angle, pitch=pitch, roll=roll)
         # The camera's place is all that moves: the rover stays at the origin.
         renderer = Renderer(CameraFile(intrinsics=TRUE, mount=mount), TagMap(tags=tags), stream)
-        yield Detector().detect(renderer.picture(Pose(0.0, 0.0, 0.0)))
-
-
-def test_intrinsics_come_back_from_pictures_of_the_board():
-    found = find_intrinsics(list(board_pictures(12)), (640, 480))
-    assert found.pictures == 12
-    assert found.rms < 0.3
-    assert (found.intrinsics.fx, found.intrinsics.fy) == pytest.approx((TRUE.fx, TRUE.fy), rel=0.01)
-    assert (found.intrinsics.cx, found.intrinsics.cy) == pytest.approx((TRUE.cx, TRUE.cy), abs=5.0)
+        yield renderer.picture(Pose(0.0, 0.0, 0.0))
 
 
 WALL = TagMap(
@@ -68,6 +62,38 @@ def drive(*, metres=1.0, turn=0.0, heading=0.1):
             exact = TRUE.fx * locator.project(np.array(pose), tag.corners) + (TRUE.cx, TRUE.cy)
             seen.append(Detection(tag.id, exact + stream.normal(0.0, 0.1, (4, 2))))
         yield seen
+
+
+def written(folder, pictures):
+    """Write pictures into a new folder, as a camera's program does."""
+    folder.mkdir()
+    for number, picture in enumerate(pictures):
+        cv2.imwrite(str(folder / f"{number:03}.png"), picture)
+    return str(folder)
+
+
+def test_camera_is_calibrated_from_pictures_and_its_file_keeps_what_is_not_measured(tmp_path, capsys):
+    file, tags = tmp_path / "camera.yaml", tmp_path / "tags.yaml"
+    tags.write_text(dump_yaml(WALL.model_dump(mode="json")))
+    board = written(tmp_path / "board", board_pictures(12))
+    calibrate = ["tag", "calibrate", "--camera-file", str(file), "--json", "--camera"]
+    assert cli.run([*calibrate, board]) == 0
+    result, found = json.loads(capsys.readouterr().out), load_yaml(file, CameraFile).intrinsics
+    assert (result["pictures"], result["fx"]) == (12, found.fx)
+    assert result["rms_px"] < 0.3
+    assert (found.width, found.height) == (TRUE.width, TRUE.height)
+    assert (found.fx, found.fy) == pytest.approx((TRUE.fx, TRUE.fy), rel=0.01)
+    assert (found.cx, found.cy) == pytest.approx((TRUE.cx, TRUE.cy), abs=5.0)
+
+    by_hand = CameraFile(intrinsics=TRUE, mount=MOUNT.model_copy(update={"yaw": 0.0}), rate_hz=15.0)
+    file.write_text(dump_yaml(by_hand.model_dump(mode="json", exclude_none=True)))
+    renderer = Renderer(by_hand.model_copy(update={"mount": MOUNT}), WALL, np.random.default_rng(5))
+    way = (renderer.picture(compose(Pose(0.0, 0.1, 0.1), Pose(0.05 * k, 0.0, 0.0))) for k in range(20))
+    assert cli.run([*calibrate, written(tmp_path / "way", way), "--map", str(tags)]) == 0
+    yaw = json.loads(capsys.readouterr().out)["yaw"]
+    assert yaw == pytest.approx(MOUNT.yaw, abs=0.01)
+    mount = MOUNT.model_copy(update={"yaw": yaw})
+    assert load_yaml(file, CameraFile) == by_hand.model_copy(update={"mount": mount})
 
 
 @pytest.mark.parametrize(("by_hand", "turn"), [(0.0, 0.0), (0.3, 0.05)])

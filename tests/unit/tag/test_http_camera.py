@@ -12,7 +12,7 @@ import pytest
 import requests
 
 from deploy.tag import http_camera
-from deploy.tag.camera import DeviceCamera, DeviceSettings, PictureMoments
+from deploy.tag.camera import DeviceCamera, DeviceSettings, PictureMoments, devices
 from deploy.tag.http_camera import MAX_PICTURE, HttpCamera, PictureReader, _stamp_ns
 
 PICTURES = [cv2.imencode(".jpg", np.full((8, 8), level, np.uint8))[1].tobytes() for level in (10, 90, 200)]
@@ -154,6 +154,20 @@ def test_device_is_set_to_its_calibration(monkeypatch, caplog, tmp_path, focus):
     assert (device.opened[0], device.was_set[cv2.CAP_PROP_FPS]) == (7, 30.0)
     assert ("its autofocus is on" in caplog.text) is (focus is None)
     assert focus is None or (device.get(cv2.CAP_PROP_AUTOFOCUS), device.get(cv2.CAP_PROP_FOCUS)) == (0, 30)
+
+
+def test_each_camera_is_listed_once_in_order_with_the_path_that_it_keeps(tmp_path):
+    for number, name, index in ((10, "Webcam", 0), (2, "RealSense", 0), (3, "RealSense", 1)):
+        node = tmp_path / f"sys/class/video4linux/video{number}"
+        node.mkdir(parents=True)
+        (node / "name").write_text(f"{name}\n")
+        (node / "index").write_text(f"{index}\n")
+    (tmp_path / "dev/v4l/by-id").mkdir(parents=True)
+    (tmp_path / "dev/v4l/by-id/usb-Webcam-index0").symlink_to("../../video10")
+    assert devices(tmp_path) == [
+        ("/dev/video2", "RealSense", ""),
+        ("/dev/video10", "Webcam", "/dev/v4l/by-id/usb-Webcam-index0"),
+    ]
 
 
 def untrusted():

@@ -78,7 +78,7 @@ def mutations(node):  # noqa: PLR0912  # one branch for each kind of node
         other = ast.Or if isinstance(node.op, ast.And) else ast.And
         yield f"{type(node.op).__name__} to {other.__name__}", _set("op", None, other())
         for place in range(len(node.values)):
-            yield f"operand {place} gone", _remove("values", place)
+            yield f"operand {place} gone", _remove_operand(place)
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.Not):
         yield f"{type(node.op).__name__} gone", None
     elif isinstance(node, ast.Constant) and isinstance(node.value, bool):
@@ -123,6 +123,16 @@ def _set(name, place, value):
 
 def _remove(name, place):
     return lambda target: getattr(target, name).pop(place)
+
+
+def _remove_operand(place):
+    def change(target):
+        if len(target.values) > 2:
+            target.values.pop(place)
+        else:  # "x and x" is x; Python compiles no "and" of one operand
+            target.values[place] = target.values[1 - place]
+
+    return change
 
 
 def mutants(module):
@@ -175,6 +185,8 @@ def run_tests(module, *more):
 
 def killed(module, tree, users):
     """Whether the tests notice the mutant, or one of them never ends."""
+    file = str(source_of(module))
+    code = compile(tree, file, "exec")  # outside the try: a mutant that is no program is not a killed one
     child = os.fork()
     if child == 0:
         for stream in (1, 2):
@@ -184,9 +196,9 @@ def killed(module, tree, users):
                 if name in users or name.startswith("tests."):
                     del sys.modules[name]
             mutant = types.ModuleType(module)
-            mutant.__file__ = str(source_of(module))
+            mutant.__file__ = file
             sys.modules[module] = mutant
-            exec(compile(tree, mutant.__file__, "exec"), mutant.__dict__)
+            exec(code, mutant.__dict__)
             package, _, last = module.rpartition(".")
             setattr(sys.modules[package], last, mutant)
             failed = run_tests(module)

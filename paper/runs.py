@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import cache
 from importlib import metadata
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -45,6 +46,7 @@ from paper.tasks import (
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.spawned import end_with_parent
+from sim.learn.search.algorithm1 import ALPHA, SIGMA
 from sim.learn.settings import made_with
 
 _SEARCH, _FINAL = 0, 99
@@ -69,6 +71,12 @@ _OTHERS: dict[BudgetName, tuple[tuple[str, ...], Sequence[str]]] = {
 """Tasks and agents of the budgets that not all tasks have."""
 
 
+_ALPHAS, _SIGMAS = (1.0, 1.001, 1.01, 1.05), (0.01, 0.05, 0.2)
+"""Of Algorithm 1, for which the paper gives no numbers: all pairs are tried on tasks that train fast."""
+_PAIR_SEEDS = {"parking": 12, "pendulum": 5}
+"""Runs of each pair."""
+
+
 class Group(NamedTuple):
     """The runs of a task, an agent and a budget, one for each seed from 0 on."""
 
@@ -76,6 +84,7 @@ class Group(NamedTuple):
     agent: str
     budget: BudgetName
     runs: int
+    setting: tuple[float, float] | None = None
 
 
 def grid(budget: BudgetName) -> Iterator[Group]:
@@ -86,6 +95,10 @@ def grid(budget: BudgetName) -> Iterator[Group]:
             tasks, agents = _OTHERS[budget]
             if name not in tasks:
                 continue
+        if budget is BudgetName.ALGORITHM1 and name in _PAIR_SEEDS:
+            pairs = product(_ALPHAS, _SIGMAS)
+            yield from (Group(name, agents[0], budget, _PAIR_SEEDS[name], pair) for pair in pairs)
+            continue
         seeds = _PARKING_SEEDS if (name, budget) == ("parking", BudgetName.PUBLISHED) else _SEEDS
         yield from (Group(name, agent, budget, seeds) for agent in agents)
 
@@ -96,34 +109,37 @@ def select(
     seeds: Sequence[int] | None,
     budget: BudgetName = BudgetName.PUBLISHED,
 ) -> list[RunName]:
-    """Return the selected runs of a budget, circuits first: of the grid, or of any seeds given.
+    """Return the selected runs of a budget, circuits and low seeds first: of the grid, or of any seeds given.
 
     Raises UsageError for an unknown task or agent, and where nothing is left.
     """
     for what, given, known in (("task", tasks, tuple(TASKS)), ("agent", agents, AGENTS)):
         for name in set(given or ()) - set(known):
             raise UsageError(f"no {what} {name!r}; expected one of {', '.join(known)}")
-    groups = sorted(grid(budget), key=lambda group: AGENTS.index(group.agent))
     names = [
-        RunName(task=group.task, agent=group.agent, seed=seed, budget=budget)
-        for group in groups
+        RunName(task=group.task, agent=group.agent, seed=seed, budget=budget, setting=group.setting)
+        for group in grid(budget)
         if group.agent in (agents or AGENTS) and group.task in (tasks or TASKS)
         for seed in dict.fromkeys(seeds or range(group.runs))
     ]
     if not names:
         raise UsageError(f"the budget {budget} has no such runs; python -m paper report --long lists them")
-    return names
+    return sorted(names, key=lambda name: (AGENTS.index(name.agent), name.seed))
 
 
-def budget_for(task: Task, name: BudgetName, agent: str = "circuit") -> Budget:
+def budget_for(name: RunName) -> Budget:
     """Return the budget of a search: the paper's, or one of seconds."""
-    if agent in NETWORKS:
+    task = TASKS[name.task]
+    if name.agent in NETWORKS:
         budget = Budget(*_NETWORK_SETTINGS)
     else:
         iterations, rollouts, worst = task.settings
-        strategy = "algorithm1" if name is BudgetName.ALGORITHM1 else task.published_search
-        budget = Budget(rollouts, worst, strategy, iterations, task.warm_up)
-    return replace(budget, iterations=_QUICK_ITERATIONS) if name is BudgetName.QUICK else budget
+        strategy, numbers = task.published_search, {}
+        if name.budget is BudgetName.ALGORITHM1:
+            strategy = "algorithm1" if isinstance(task, Benchmark) else "algorithm1-parking"
+            numbers = dict(zip(("alpha", "sigma"), name.setting or (ALPHA, SIGMA), strict=True))
+        budget = Budget(rollouts, worst, strategy, iterations, task.warm_up, numbers)
+    return replace(budget, iterations=_QUICK_ITERATIONS) if name.budget is BudgetName.QUICK else budget
 
 
 def run_search(
@@ -140,7 +156,7 @@ def run_search(
         assert isinstance(agent, Policy)
         place = ParkingEvaluator(task, agent)
     defaults = agent.parameters() if isinstance(agent, Policy) else np.zeros(agent.layout().size)
-    strategy = STRATEGIES[budget.strategy](agent.layout())
+    strategy = STRATEGIES[budget.strategy](agent.layout(), **budget.numbers)
     progress = Progress.begin(strategy, defaults, rng_of(seed, (_SEARCH,)))
     points: dict[int, Point] = {}
     if saved is not None and (last := saved.load()):
@@ -172,7 +188,7 @@ def train_run(name: RunName, unfinished: Path | None = None) -> Result:
     if isinstance(task, Benchmark) and name.agent in GRADIENTS:
         agent, (found, settings) = None, train_actor(task, name.agent, name.seed)
     else:
-        agent, budget = build_agent(task, name.agent, name.seed), budget_for(task, name.budget, name.agent)
+        agent, budget = build_agent(task, name.agent, name.seed), budget_for(name)
         settings = vars(budget)
         saved = SavedSearch(unfinished, {**settings, **made}, time.process_time) if unfinished else None
         found = run_search(task, agent, name.seed, budget, saved)

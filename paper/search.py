@@ -8,7 +8,7 @@ literally; this loop makes the same decisions in less time.
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
@@ -22,7 +22,7 @@ from rover_ncp.circuit.policy import ParameterLayout, Policy
 from rover_ncp.course.course import load_course
 from sim.learn.evaluator import Evaluator
 from sim.learn.search import Batch
-from sim.learn.search.algorithm1 import ALPHA, ESTIMATE_AFTER, START_SCALE
+from sim.learn.search.algorithm1 import Algorithm1, Scale
 from sim.learn.search.published import FAILURES_TO_WIDEN, RULES, KindRule, perturb
 
 _ROLLOUTS = 1
@@ -49,16 +49,6 @@ _FALLS_BACK = {16: 12}
 """Cap of a car's weights from which it falls back instead of growing, and to which."""
 _MIN_AMPLITUDE, _MAX_AMPLITUDE = 0.01, 1.0
 """Of a network's noise."""
-
-
-class Scale(NamedTuple):
-    """How far candidates are from the incumbent: caps of changes, a sigma, or an amplitude."""
-
-    level: Any
-    failures: int = 0
-    """In a row."""
-    due: bool = False
-    """Whether the incumbent is estimated anew before the next candidate."""
 
 
 class Strategy(Protocol):
@@ -159,42 +149,14 @@ class PublishedOnNetworks:
         return Scale(min(scale.level * 5.0, _MAX_AMPLITUDE), due=True)
 
 
-class Algorithm1:
-    """Algorithm 1 as printed: sigma, a share of each range, without limits; an exact start.
-
-    Its counter is not reset by an estimate: after N failures every iteration estimates, until a success.
-    """
-
-    counts_estimates = False
-    start = Scale(START_SCALE)
-
-    def __init__(self, layout: ParameterLayout) -> None:
-        self._lower, self._upper = layout.lower, layout.upper
-
-    def first(self, defaults: Vector, rng: np.random.Generator) -> Vector:
-        """Return the defaults."""
-        return defaults
-
-    def propose(self, incumbent: Vector, level: Any, rng: np.random.Generator) -> Vector:
-        """Add noise to every entry."""
-        noise = level * (self._upper - self._lower) * rng.standard_normal(len(incumbent))
-        vector: Vector = np.minimum(np.maximum(incumbent + noise, self._lower), self._upper)
-        return vector
-
-    def after(self, success: bool, scale: Scale) -> Scale:
-        """Enlarge or shrink sigma. A success resets the counter before its iteration is counted."""
-        if success:
-            return Scale(scale.level * ALPHA, 1)
-        return Scale(scale.level / ALPHA, scale.failures + 1, scale.failures + 1 > ESTIMATE_AFTER)
-
-
-STRATEGIES: Mapping[str, Callable[[ParameterLayout], Strategy]] = {
+STRATEGIES: Mapping[str, Callable[..., Strategy]] = {
     "published-parking": partial(Published, estimates=False),
     "published-benchmarks": Published,
     "published-mountain-car": partial(Published, rules=_CAR_RULES, falls_back=_FALLS_BACK),
     "published-cart-pole": partial(Published, rules=_CART_RULES, counts_estimates=True),
     "published-network": PublishedOnNetworks,
     "algorithm1": Algorithm1,
+    "algorithm1-parking": partial(Algorithm1, estimates=False),
 }
 
 
@@ -208,6 +170,8 @@ class Budget:
     iterations: int
     warm_up: int = 0
     """Ticks of the agent on the first observation before an episode's first step."""
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    """Of Algorithm 1: alpha and the first sigma."""
 
 
 Point = tuple[int, int, float]

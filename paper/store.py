@@ -14,11 +14,12 @@ from typing import Any, Self
 import numpy as np
 from pydantic import ConfigDict, ValidationError, model_validator
 
-from paper.search import Point, Progress, Scale
+from paper.search import Point, Progress
 from paper.tasks import TASKS, Vector
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text, write_atomic
+from sim.learn.search.algorithm1 import Scale
 
 _SAVE_STEPS = 1_500_000
 
@@ -43,9 +44,12 @@ class RunName(StrictModel):
     agent: str
     seed: int
     budget: BudgetName = BudgetName.PUBLISHED
+    setting: tuple[float, float] | None = None
+    """Alpha and the first sigma of Algorithm 1; None: those of ``sim.learn.search.algorithm1``."""
 
     def __str__(self) -> str:
-        return f"{self.budget} {self.task} {self.agent} {self.seed}"
+        setting = "".join(f"-{number:g}" for number in self.setting or ())
+        return f"{self.budget} {self.task} {self.agent}{setting} {self.seed}"
 
 
 class Packed(StrictModel):
@@ -113,7 +117,7 @@ class ResultStore:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._read: dict[Path, dict[tuple[str, int], Result]] = {}
+        self._read: dict[Path, dict[RunName, Result]] = {}
 
     def path(self, task: str, budget: str) -> Path:
         """Return the file of a task and a budget."""
@@ -121,11 +125,11 @@ class ResultStore:
 
     def unfinished(self, name: RunName) -> Path:
         """Return the file of a search that has not ended."""
-        return self.folder / name.budget / f"{name.task}-{name.agent}-{name.seed}.part"
+        return self.folder / name.budget / f"{str(name).partition(' ')[2].replace(' ', '-')}.part"
 
     def find(self, name: RunName) -> Result | None:
         """Return a run. Raises FileError."""
-        return self._runs(self.path(name.task, name.budget)).get((name.agent, name.seed))
+        return self._runs(self.path(name.task, name.budget)).get(name)
 
     def results(self, task: str, agent: str, budget: str = BudgetName.PUBLISHED) -> list[Result]:
         """Return the finished runs of an agent, by seed. Raises FileError."""
@@ -158,13 +162,13 @@ class ResultStore:
             raise FileError(f"{path}: cannot be written: {error.strerror}") from error
         self._read.pop(path, None)
 
-    def _runs(self, path: Path) -> dict[tuple[str, int], Result]:
+    def _runs(self, path: Path) -> dict[RunName, Result]:
         if path not in self._read:
             self._read[path] = _load(path) if path.is_file() else {}
         return self._read[path]
 
 
-def _load(path: Path) -> dict[tuple[str, int], Result]:
+def _load(path: Path) -> dict[RunName, Result]:
     found = {}
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         try:
@@ -173,7 +177,7 @@ def _load(path: Path) -> dict[tuple[str, int], Result]:
             raise FileError(f"{path}: line {number} is damaged or is no run; delete the line") from error
         if (result.name.budget, result.name.task) != (path.parent.name, path.stem) or path.stem not in TASKS:
             raise FileError(f"{path}: line {number} is the run {result.name}, which belongs to another file")
-        found[result.name.agent, result.name.seed] = result
+        found[result.name] = result
     return found
 
 

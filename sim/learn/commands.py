@@ -60,8 +60,8 @@ class TrainOptions:
         str | None,
         typer.Option(
             help="gauss-newton (ours): descents on the residuals of all checkpoints. published (the "
-            "paper's): a few random entries change. algorithm1 (the paper's): all change, by an "
-            "adapting scale.",
+            "paper's): a few random entries change. algorithm1 (the paper's, as printed): all "
+            "change, by a scale that follows success.",
             show_default="gauss-newton",
         ),
     ] = None

@@ -1,49 +1,84 @@
-"""A search after Algorithm 1 of the paper: noise of one scale, which follows success and failure.
+"""Algorithm 1 of the paper, as printed: noise of one scale, which success enlarges and failure shrinks.
 
-Success multiplies the scale by alpha, failure divides it by alpha; after N iterations without success the
-incumbent's return is estimated anew, because it may have been lucky. The paper gives no numbers; ours are
-below. The kinds differ in size by four orders of magnitude, so the scale is a fraction of each one's range.
-An estimate counts as an iteration.
+    f(theta) once; then in each iteration, with i = 0 at the beginning:
+        theta' = theta + rand(sigma)
+        f(theta') > f(theta): theta = theta', i = 0, sigma = sigma * alpha; otherwise sigma = sigma / alpha
+        i = i + 1; if i > N: estimate f(theta) again
+
+The scale has no limits, the start is not perturbed, and an estimate does not reset i. The paper gives neither
+alpha nor N nor the first sigma; ours are below. The kinds of parameters differ in size by four orders of
+magnitude, so sigma is a share of each one's range.
 """
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import ParameterLayout
 from sim.learn.search import Batch, Search
-from sim.learn.search.published import perturb
 from sim.learn.search.unit_box import Vector
 
 ALPHA = 1.05
 ESTIMATE_AFTER = 100
 """Iterations without success after which the incumbent is estimated anew (the paper's N)."""
-START_SCALE = 0.05
-# Taken literally, the rule balances only where every second candidate succeeds: the scale would shrink
-# until adding the noise changes no bit. The floor keeps it a search; of 0.002, 0.005, 0.01 and 0.02 this one
-# learned parking fastest (median of 12 agents after 500, 1000, 2000 and 4000 iterations, seed 500).
-MIN_SCALE = 0.01
-MAX_SCALE = 0.5
+SIGMA = 0.05
+
+
+class Scale(NamedTuple):
+    """How far candidates are from the incumbent."""
+
+    level: Any
+    failures: int = 0
+    """In a row."""
+    due: bool = False
+    """Whether the incumbent is estimated anew before the next candidate."""
+
+
+class Algorithm1:
+    """The rules of the algorithm."""
+
+    counts_estimates = False
+
+    def __init__(
+        self, layout: ParameterLayout, *, alpha: float = ALPHA, sigma: float = SIGMA, estimates: bool = True
+    ) -> None:
+        """Without ``estimates`` none is due, for objectives without chance."""
+        self._lower, self._upper = layout.lower, layout.upper
+        self._alpha, self._estimates, self.start = alpha, estimates, Scale(sigma)
+
+    def first(self, defaults: Vector, _: np.random.Generator) -> Vector:
+        """Return the defaults."""
+        return defaults
+
+    def propose(self, incumbent: Vector, level: float, rng: np.random.Generator) -> Vector:
+        """Add noise to every entry."""
+        noise = level * (self._upper - self._lower) * rng.standard_normal(len(incumbent))
+        vector: Vector = np.minimum(np.maximum(incumbent + noise, self._lower), self._upper)
+        return vector
+
+    def after(self, success: bool, scale: Scale) -> Scale:
+        """Return the scale after a candidate. A success resets i before its iteration is counted."""
+        if success:
+            return Scale(scale.level * self._alpha, 1)
+        count = scale.failures + 1
+        return Scale(scale.level / self._alpha, count, self._estimates and count > ESTIMATE_AFTER)
 
 
 def search(
     layout: ParameterLayout, defaults: Vector, rng: np.random.Generator, inert: NDArray[np.bool_]
 ) -> Search:
-    """Search from the perturbed defaults (P,); inert parameters are changed like all others."""
-    lower, upper = layout.lower, layout.upper
-    incumbent = perturb(layout, defaults, rng)
+    """Search from the defaults (P,); inert parameters are changed like all others."""
+    rules = Algorithm1(layout)
+    incumbent, scale = rules.first(defaults, rng), rules.start
     value = (yield Batch(incumbent[None].copy(), np.array([-math.inf]))).returns[0]
-    scale, failures = START_SCALE, 0
     while True:
-        if failures >= ESTIMATE_AFTER:
+        if scale.due:
             value = (yield Batch(incumbent[None].copy(), np.array([-math.inf]))).returns[0]
-            failures = 0
-        noise = scale * (upper - lower) * rng.standard_normal(len(upper))
-        candidate = np.clip(incumbent + noise, lower, upper)
+        candidate = rules.propose(incumbent, scale.level, rng)
         found = (yield Batch(candidate[None].copy(), np.array([value]))).returns[0]
-        if found > value:
+        success = bool(found > value)
+        if success:
             incumbent, value = candidate, found
-            scale, failures = min(scale * ALPHA, MAX_SCALE), 0
-        else:
-            scale, failures = max(scale / ALPHA, MIN_SCALE), failures + 1
+        scale = rules.after(success, scale)

@@ -13,17 +13,17 @@ from paper import store as store_module
 from paper.episodes import PlantEvaluator
 from paper.runs import budget_for, run_search
 from paper.search import STRATEGIES, BenchmarkEstimator, Progress, climb
-from paper.store import BudgetName, SavedSearch
+from paper.store import RunName, SavedSearch
 from paper.tasks import TASKS, build_agent, draw_seeds
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.core.errors import FileError
-from sim.learn.search.algorithm1 import ALPHA, ESTIMATE_AFTER, START_SCALE
+from sim.learn.search.algorithm1 import ALPHA, ESTIMATE_AFTER, SIGMA
 
 LAYERS = (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER)
 
 
 def budget(name, iterations, **changes):
-    return replace(budget_for(TASKS[name], BudgetName.PUBLISHED), iterations=iterations, **changes)
+    return replace(budget_for(RunName(task=name, agent="circuit", seed=0)), iterations=iterations, **changes)
 
 
 def search(name, limits, *, most=None):
@@ -53,7 +53,7 @@ def literal(strategy, agent, evaluate, iterations):
         return reference.published_network_search(evaluate, layout.size, rng, iterations)
     bounds = agent.parameters(), layout.lower, layout.upper
     if strategy == "algorithm1":
-        numbers = START_SCALE, ALPHA, ESTIMATE_AFTER
+        numbers = SIGMA, ALPHA, ESTIMATE_AFTER
         return reference.algorithm1(evaluate, *bounds, rng, iterations, *numbers)
     table = {"published-mountain-car": reference.MOUNTAIN_CAR, "published-cart-pole": reference.CART_POLE}
     kinds = [table.get(strategy, reference.PENDULUM)[block.kind] for block in layout.blocks]

@@ -167,11 +167,11 @@ def _odometry_stale(state: GateState, base: BaseReport, limits: Limits) -> bool:
 def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateState:
     """Store a base report; update the start of low battery and the distance driven at the same pose.
 
-    With a fence, a pose that jumps shows that odometry restarted.
+    A pose that jumps shows that odometry restarted.
     """
     before, low_since_s, repeats, frozen_m, frozen_rad = state.base, None, 0, 0.0, 0.0
     elapsed, pose_s, restarted = state.now - state.base_s, state.now, state.odometry_restarted
-    if before is not None and limits.fence is not None:
+    if before is not None:
         restarted = restarted or jumps(before, base, elapsed, limits)
     if before is not None and (base.x, base.y, base.theta) == (before.x, before.y, before.theta):
         repeats, pose_s = state.repeats + 1, state.pose_s
@@ -226,7 +226,6 @@ def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateStat
         number=state.leases + 1 if lease is None else lease.number,
         secret=request.secret if lease is None else lease.secret,
         name=request.name,
-        sent_ns=request.sent_ns,
         granted_s=state.now if lease is None else lease.granted_s,
         expires_s=state.now + limits.lease_s,
         last_sequence=sequence,
@@ -326,7 +325,7 @@ def _admit(state: GateState, command: VelocityCommand, limits: Limits) -> _Admit
         return Reason.REPEATED
     minima = update_clock_offset(state.minima, state.now, tag.stamp_ns)
     age = state.now - tag.stamp_ns * 1e-9 - min(offset for _, offset in minima)
-    if age > limits.stale_s or tag.stamp_ns < lease.sent_ns:
+    if age > limits.stale_s:
         return Reason.STALE
     lease = replace(lease, last_sequence=tag.sequence)
     return _Admitted(replace(state, lease=lease, minima=minima), lease, state.now - age)

@@ -135,8 +135,6 @@ class Lease:
     secret: bytes = field(repr=False)
     """The signing key."""
     name: str
-    sent_ns: int
-    """The driver's clock at its request: a command sent before that does not belong to this lease."""
     granted_s: float
     """When it was granted; renewals do not change that."""
     expires_s: float

@@ -76,7 +76,7 @@ def test_battery_without_a_known_voltage_is_no_empty_one():
 def test_the_longest_state_of_the_gate_fits_its_key():
     counts = dict.fromkeys(Reason, 2**40)
     state = GateState(
-        lease=Lease(2**64 - 1, bytes(32), "ü" * 200, 0, 0.0, 1.0, 2**64 - 1, NO_CONTACT),
+        lease=Lease(2**64 - 1, bytes(32), "ü" * 200, 0.0, 1.0, 2**64 - 1, NO_CONTACT),
         stop_reason="ü" * 200,
         dropped=counts,
         limited=counts,

@@ -46,8 +46,9 @@ def sign(now):
         (lambda now: 0.009, None),
         (lambda now: 0.01, Reason.FROZEN),
         (lambda now: 0.014 * sign(now), None),
+        (lambda now: 0.02 if round(10 * now) % 2 else -0.011, None),
     ],
-    ids=["noise", "slow", "flickers"],
+    ids=["noise", "slow", "flickers", "rocks"],
 )
 @pytest.mark.parametrize("name", ["v", "omega"])
 def test_noisy_speed_of_a_robot_that_stands_is_no_frozen_odometry(name, speed, refusal):
@@ -119,6 +120,18 @@ def test_mean_speeds_are_frozen_odometry_where_the_rover_was_driven_on_after_a_h
     assert set(means(gate, pose, speed, frozen, 3.625)) == {Reason.FROZEN}
 
 
+@MOTIONS
+def test_mean_speeds_do_not_excuse_odometry_that_freezes_as_a_rover_that_stood_begins_to_drive(pose, speed):
+    gate = Gate(limits(speed_mean_s=1.0)).driving()
+    for now in steps(0.125, 1.0, 0.125):
+        gate.report(now, **{pose: 0.001 * (round(8 * now) % 2)})  # noise
+        gate.drive(now, STANDSTILL)
+    for now in steps(1.125, 1.5, 0.125):
+        gate.drive(now)
+        held = gate.report(now, **{pose: 0.001, speed: 0.1}).held
+    assert held is Reason.FROZEN
+
+
 @pytest.mark.parametrize(
     ("fence", "restarted", "lost"), [(BOX, True, True), (BOX, False, False), (None, True, False)]
 )
@@ -165,6 +178,9 @@ def test_fence_is_lost_when_a_pose_jumps_farther_than_the_rover_can_move(other, 
         finite = all(map(math.isfinite, then.values()))
         refusal = Reason.FENCE_LOST if lost and fence else None if finite else Reason.ODOMETRY
         assert gate.enable(1.0 + seconds).refusal is refusal
+        if refusal is Reason.FENCE_LOST:  # also when no further pose jumps
+            gate.report(1.1 + seconds, **then)
+            assert gate.enable(1.1 + seconds).refusal is refusal
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])

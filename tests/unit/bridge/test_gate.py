@@ -11,10 +11,13 @@ from bridge.gate.state import BaseLost, Enable, GateState, Reason, VelocityComma
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.protocol import REASONS, CommandTag, Signed
 
+DRIVING = Gate().driving().state
+
 
 def test_words_for_the_end_of_a_lease_last_until_the_next_lease():
     gate = Gate().driving()
     gate.at(0.1, BaseLost("the line is broken"))
+    assert gate.at(0.15, BaseReport(bumpers=(1, 0))).held is Reason.BUMPER
     assert gate.state.lease_over is Reason.NO_BASE
     assert gate.state.lease_over_detail == "the base is not connected: the line is broken"
     gate.at(0.2, BaseReport())
@@ -31,9 +34,15 @@ def test_words_for_the_end_of_a_lease_last_until_the_next_lease():
         (Reason.STOPPED, GateState(stop_reason=""), "a client that gave no name"),
         (Reason.STOPPED, GateState(), "a stop was requested, and is not released"),
         (Reason.NO_BASE, GateState(lost="x" * 300), ("the base is not connected: " + "x" * 300)[:200]),
-        (Reason.BUMPER, GateState(lost="x", stop_reason="Anna"), "a bumper is pressed"),
+        (Reason.NO_BASE, GateState(), "the base is not connected"),
+        (Reason.BUMPER, replace(DRIVING, lost="x", stop_reason="Anna"), "a bumper is pressed"),
         (Reason.ANOTHER_DRIVER, GateState(), "another driver holds the lease"),
-        (Reason.ANOTHER_DRIVER, Gate().driving().state, "deploy holds the lease"),
+        (Reason.ANOTHER_DRIVER, DRIVING, "deploy holds the lease"),
+        (
+            Reason.ANOTHER_DRIVER,
+            replace(DRIVING, lease=replace(DRIVING.lease, name="")),
+            "a driver without a name holds the lease",
+        ),
         (
             Reason.HAZARD_UNKNOWN,
             GateState(base=BaseReport(hazard_unknown="stop: silent")),
@@ -91,6 +100,13 @@ def test_signature_is_valid_for_its_lease_key_kind_and_bytes_only():
     for attachment in (None, b"", b"x" * 39):
         assert not lease.signed(read_tag(attachment), *message)
         assert read_tag(attachment) == CommandTag(0, 0, 0)  # no lease has the number 0
+
+
+def test_loss_without_a_reason_keeps_the_reason_of_the_one_before():
+    gate = Gate().driving()
+    gate.at(0.1, BaseLost("the line is broken"))
+    gate.at(0.2, BaseLost())
+    assert describe(Reason.NO_BASE, gate.state) == "the base is not connected: the line is broken"
 
 
 @pytest.mark.parametrize("bumpers", [(1, 0), (0, 1)])

@@ -52,6 +52,7 @@ def test_rolling_rover_needs_the_way_of_its_own_speed(rolling, way):
     for room, leaving in ((way - 0.001, True), (way + 0.001, False)):
         base = BaseReport(x=math.copysign(9.0 - room, rolling), v=rolling)
         assert held(base, slow, fence=LANE) is leaving
+        assert not held(base, STANDSTILL, fence=LANE)
 
 
 def test_noise_of_a_standing_rover_holds_nothing():

@@ -221,10 +221,11 @@ def test_motors_stay_on_until_the_rover_stands():
     assert not gate.report(0.4, v=0.2).motors
 
 
+@pytest.mark.parametrize("hazard", [{}, {"stop_pressed": True}])
 @pytest.mark.parametrize(("field", "speed"), [("v", 0.01), ("v", -0.01), ("omega", 0.01)])
-def test_motors_of_a_rover_that_moves_go_off_after_exactly_two_seconds(field, speed):
+def test_motors_of_a_rover_that_moves_go_off_after_exactly_two_seconds(field, speed, hazard):
     gate = Gate().driving(1.0)
-    gate.report(1.0, **{field: speed})
+    gate.report(1.0, **{field: speed}, **hazard)
     gate.release(1.0)
     assert gate.tick(math.nextafter(3.0, 0.0)).motors
     assert not gate.tick(3.0).motors

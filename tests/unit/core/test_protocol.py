@@ -153,13 +153,14 @@ def test_contact_is_reported_in_words_if_it_is_new(before, now, contact):
 
 def test_words_of_a_reason():
     assert in_words("bumper") == "bumper: a bumper is pressed"
+    assert in_words("bumper", "the front one") == "bumper: the front one"
     assert in_words("a reason of a later version") == "a reason of a later version"
 
 
 @pytest.mark.parametrize(
     ("model", "data", "named"),
     [
-        (MotorsRequest, b"", "JSON"),
+        (MotorsRequest, b"", "MotorsRequest: JSON: "),
         (MotorsRequest, b'{"enable": "perhaps"}', "enable"),
         (MotorsRequest, b'{"enable": true, "speed": 9}', "speed"),
         (MotorsReply, b'{"granted": true, "key": "00"}', "key"),

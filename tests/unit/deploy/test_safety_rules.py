@@ -24,7 +24,7 @@ STILL, FORWARD = Velocity(0.0, 0.0), Velocity(0.1, 0.0)
 class Drive:
     """A monitor with its link, its measurements and its clock; the link is well until a test changes it."""
 
-    def __init__(self):
+    def __init__(self, timeouts=None):
         self.now_ns, self.sleeps, self.signal = BEGIN_NS, [], False
         self.link = SimpleNamespace(
             robot="tcp/x",
@@ -43,7 +43,7 @@ class Drive:
             complaints={},
             doubtful={"odom": 0},
         )
-        self.monitor = SafetyMonitor(self.link, self.measurements, lambda: self.signal, clock=self)
+        self.monitor = SafetyMonitor(self.link, self.measurements, lambda: self.signal, timeouts, self)
 
     def monotonic(self):
         return self.now_ns / NS_PER_S
@@ -103,6 +103,14 @@ def test_what_is_missing_before_the_start_is_named_after_its_wait(missing, error
         drive.monitor.wait()
     assert wait_s < drive.monotonic() - BEGIN_NS / NS_PER_S < wait_s + 0.01
     assert max(drive.sleeps) < 0.01
+
+
+def test_waits_are_those_of_the_drives_settings():
+    drive = Drive(Timeouts(odometry_wait_s=1.0))
+    drive.newest = None
+    with pytest.raises(NoRobot):
+        drive.monitor.wait()
+    assert 1.0 < drive.monotonic() - BEGIN_NS / NS_PER_S < 1.01
 
 
 def test_a_missing_bridge_is_looked_for_in_other_namespaces():

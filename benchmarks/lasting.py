@@ -4,8 +4,8 @@
     python -m benchmarks.lasting drives.jsonl --table
 
 The first command drives the trials that the file does not have yet. It appends one line of JSON for each as
-it ends. A line belongs to its row, seed, number, estimator settings (``--set``) and to the digest of the
-driver's code. So a command that was stopped continues when it is repeated. Without ``--rows`` it drives all:
+it ends. A line belongs to its row, seed, number, estimator settings (``--set``) and to the digests of the
+row's settings and of the driver's code. So a command that was stopped continues when it is repeated. Rows:
 
 - E1 to E3: a localiser whose error lasts; E3 tells less than its error
 - E4, E5: dockings; E4's localiser tells its lasting error, E5's does not
@@ -44,8 +44,7 @@ from sim.world.randomization import Randomization, load_randomization
 PLAIN = {Parked.YES.value, DOCKED}
 """Verdicts that promise a success."""
 ROOT = Path(__file__).parents[1]
-DRIVER = "bridge", "deploy", "rover_ncp"
-CODE = {".py", ".cpp", ".h", ".yaml"}
+DRIVER, CODE = ("bridge", "deploy", "rover_ncp"), {".py", ".cpp", ".h", ".yaml"}
 INSIDE = float(chi2.ppf(0.95, 2))
 """Normalised squared errors up to this are inside the 95 % ellipse."""
 HUSKY_LEFT_M = -0.085
@@ -73,6 +72,11 @@ class Row(NamedTuple):
         if self.localiser is not None:
             fields["localiser"] = self.localiser
         return Randomization.model_validate(fields)
+
+    @property
+    def digest(self) -> str:
+        """The digest of these settings."""
+        return hashlib.sha256(f"{self} {self.ranges}".encode()).hexdigest()[:8]
 
     def trials(self, seed: int, estimator: Mapping[str, float]) -> Stack | DockTrials:
         """Return the trials of a seed."""
@@ -103,10 +107,14 @@ def squares(size_m: float, friction: float, other: float) -> dict[str, Any]:
     return {"friction": (friction, friction), "patches": patches}
 
 
+def mass_left(left_m: float) -> dict[str, Any]:
+    """Return the keys of a robot whose mass is so far to the left of its middle."""
+    return {"mass_center_m": 0.0, "mass_left_m": (left_m, left_m)}
+
+
 NOISE = {"noise_m": 0.005, "noise_rad": 0.005}
 TOLD = {"told_m": 0.02, "told_rad": math.radians(2.0)}
 NOT_TOLD = {"told_m": 0.0, "told_rad": 0.0}
-CENTRED = {"mass_center_m": 0.0}
 ROWS = {
     "E1": Row("camera", localiser=lasting(0.03, 0.026, 5.0, **NOISE)),
     "E2": Row("camera", localiser=lasting(0.08, 0.05, 20.0, **NOISE)),
@@ -115,13 +123,8 @@ ROWS = {
     "E5": Row("dock", localiser=lasting(0.015, math.radians(1.0), 10.0, **NOT_TOLD)),
     "E6": Row("gyro", skid_steer=squares(0.8, 0.5, 0.9)),
     "E7": Row("gyro", skid_steer=squares(0.4, 0.3, 1.0)),
-    "E8": Row(
-        "gyro",
-        skid_steer={**CENTRED, "mass_left_m": (HUSKY_LEFT_M, HUSKY_LEFT_M)},
-        odd="husky",
-        model="husky-a200",
-    ),
-    "E9": Row("gyro", skid_steer=CENTRED, odd="husky", model="husky-a200"),
+    "E8": Row("gyro", skid_steer=mass_left(HUSKY_LEFT_M), odd="husky", model="husky-a200"),
+    "E9": Row("gyro", skid_steer=mass_left(0.0), odd="husky", model="husky-a200"),
     **{kind: Row("gyro", odd=kind) for kind in ("scale", "ramp", "kicks", "four")},
     "heavy": Row("gyro", "slope", odd="heavy"),
     **{
@@ -148,6 +151,8 @@ class Key(NamedTuple):
 
     driver: str
     row: str
+    settings: str
+    """Digest of the row's settings."""
     changes: str
     seed: int
 
@@ -204,10 +209,11 @@ class Tally:
 
 
 def table(path: Path) -> Iterator[str]:
-    """Yield the lines of a table of a file's trials, all seeds together."""
+    """Yield the lines of a table of a file's trials, all seeds together, without rows that changed."""
     drives: dict[tuple[str, str], dict[str, list[dict[str, Any]]]] = defaultdict(lambda: defaultdict(list))
     for key, trials in read(path).items():
-        drives[key.driver, key.changes][key.row] += trials.values()
+        if key.row in ROWS and key.settings == ROWS[key.row].digest:
+            drives[key.driver, key.changes][key.row] += trials.values()
     for (driver, changes), rows in drives.items():
         yield f"driver {driver}, {changes} settings"
         yield (
@@ -235,7 +241,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         driver = code_digest()
         for row in given.rows:
             for changes in given.set or [{}]:
-                key = Key(driver, row, changes_words(changes), given.seed)
+                key = Key(driver, row, ROWS[row].digest, changes_words(changes), given.seed)
                 drive_row(given.file, key, changes, given.trials, given.processes)
     print("\n".join(table(given.file)))
 

@@ -117,6 +117,7 @@ def bridge(
     from bridge.node import BridgeResult, Node
     from bridge.options import BridgeSettings, settings_for
     from bridge.zenoh.link import ZenohLink
+    from rover_ncp.core.bridge_lines import READY
     from rover_ncp.core.process import Interrupts
 
     if measure_timeout:
@@ -170,7 +171,7 @@ def bridge(
             link.announce()
             if note:
                 output.say(note)
-            output.announce(f"ready zenoh={link.locator} base={chosen.address}")
+            output.announce(f"{READY}zenoh={link.locator} base={chosen.address}")
 
         node = Node(driven, inbox.take, key=link.key, publish=link.publish, limits=allowed, ready=ready)
         node.run(lambda: interrupts.raised)

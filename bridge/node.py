@@ -47,6 +47,15 @@ from bridge.gate.state import (
 from bridge.guarded_base import GuardedBase
 from bridge.inbox import CommandMessage, Query, ThreadError
 from bridge.queries import Answers
+from rover_ncp.core.bridge_lines import (
+    BACK,
+    CONNECTED,
+    GOT_LEASE,
+    LOST,
+    LOST_LEASE,
+    RELEASED_LEASE,
+    STOPPED,
+)
 from rover_ncp.core.errors import FormatError, NoRobot, SafetyStop
 from rover_ncp.core.process import Clock, suspended_s
 from rover_ncp.robot.description import RobotDescription
@@ -63,6 +72,7 @@ MAX_LOG_LINES = 20
 SUSPENDED_S = 0.1
 """A suspend of the computer for longer than this ends the lease."""
 STATUS_S = 0.1
+NAMELESS = "a driver without a name"
 SLOW_S = 1.0
 
 
@@ -212,18 +222,18 @@ class Node:
                     self.reconnects += 1
                     if self.reconnects > 0:
                         self.judge(BaseLost("its odometry restarted", restarted=True), arrived_s)
-                    _LOGGER.info(f"the base is connected: {hardware}")
+                    _LOGGER.info(f"{CONNECTED}{hardware}")
                     if self.reconnects == 0:
                         self._ready()
                 case Recovered():
                     self._answers.problem = ""
-                    _LOGGER.info("the base sends packets again")
+                    _LOGGER.info(BACK)
                 case Notice(words):
                     _LOGGER.info(words)
                 case Lost(reason):
                     self._report, self._answers.problem = None, reason
                     self.judge(BaseLost(reason), arrived_s)
-                    _LOGGER.info(f"the base is lost: {reason}")
+                    _LOGGER.info(f"{LOST}{reason}")
                 case Failed(reason):
                     if self.reconnects < 0:
                         raise NoRobot(reason)
@@ -334,13 +344,13 @@ def _log_lines(before: GateState, after: GateState) -> Iterator[str]:
     """Yield the log's lines: the driver that holds the lease, and the reason for a stop."""
     old, new = before.lease, after.lease
     if new is not None and (old is None or old.number != new.number):
-        yield f"{new.name or 'a driver without a name'} got the lease"
+        yield f"{new.name or NAMELESS}{GOT_LEASE}"
     if old is not None and new is None:
-        yield f"{old.name or 'a driver without a name'} " + (
-            f"lost the lease: {after.lease_over}, {after.lease_over_detail}"
+        yield (old.name or NAMELESS) + (
+            f"{LOST_LEASE}{after.lease_over}, {after.lease_over_detail}"
             if after.lease_over
-            else "released the lease"
+            else RELEASED_LEASE
         )
     if before.held is None and after.held is not None and after.held is not Reason.NO_LEASE:
         words = describe(after.held, after)
-        yield f"stopped: {after.held}" + (f": {words}" if words != REASONS.get(after.held) else "")
+        yield f"{STOPPED}{after.held}" + (f": {words}" if words != REASONS.get(after.held) else "")

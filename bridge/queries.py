@@ -26,6 +26,7 @@ from bridge.gate.state import (
 )
 from bridge.guarded_base import GuardedBase
 from bridge.inbox import Query
+from rover_ncp.core.bridge_lines import STOP_REQUESTED
 from rover_ncp.core.errors import FormatError
 from rover_ncp.wire.protocol import (
     KEY_BYTES,
@@ -116,10 +117,10 @@ class Answers:
         except FormatError:
             # Only a request that can be read may release. This one most likely was to stop the rover.
             self._judge(Stop("a request that cannot be read"), now)
-            self._log(f"{_who(query)} requests a stop by a request that cannot be read")
+            self._log(f"{_who(query)}{STOP_REQUESTED} by a request that cannot be read")
             raise
-        what = "the release of the stop" if request.release else f"a stop: {request.reason or 'no reason'}"
-        self._log(f"{_who(query)} requests {what}")
+        stop = f"{STOP_REQUESTED}: {request.reason or 'no reason'}"
+        self._log(f"{_who(query)}{' requests the release of the stop' if request.release else stop}")
         self._judge(ReleaseStop() if request.release else Stop(request.reason), now)
         return StopReply(stopped=not request.release, reason="" if request.release else request.reason)
 

@@ -31,6 +31,7 @@ from rover_ncp.course.builder import PoseList
 from rover_ncp.course.course import Course
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import RoverProfile
+from rover_ncp.robot.robot_file import RobotSettings
 from rover_ncp.wire import protocol
 from rover_ncp.wire.key_table import KEYS, Kind, Role
 from sim.world.randomization import Randomization
@@ -53,8 +54,8 @@ Results are written whole or not at all. A file that is read whole has at most 6
 1,048,576 characters. A recording may unpack to 1 GiB, or to 100 times its size.
 
 No output delays a command on which a rover depends (`bridge`, `mock`, `deploy`, `teleop`, `identify`,
-`check`, `watch`, `tag run`). Text that its reader does not take is dropped beyond 1,000 lines, and the number
-of dropped lines is reported.
+`check`, `watch`, `tag run`, `up`). Text that its reader does not take is dropped beyond 1,000 lines, and the
+number of dropped lines is reported.
 
 No command imports Python files of the current folder, except the module of a policy `module:name`.
 """
@@ -66,7 +67,8 @@ MODELS: dict[str, tuple[str, type[BaseModel]]] = {
     "circuit": ("Circuit", policy_file._CircuitFile),
     "policy": ("Policy", policy_file._PolicyFile),
     "randomization": ("Randomization", Randomization),
-    "robot": ("Robot description", RobotDescription),
+    "robot": ("Robot file", RobotSettings),
+    "description": ("Robot description", RobotDescription),
     "rover": ("Robot profile", RoverProfile),
     "limits": ("Limits of the gate", Limits),
     "tags": ("Tags", TagMap),
@@ -98,6 +100,9 @@ RESULTS = {
     "explain": "sim.explain.explain:Result",
     "report": "deploy.view.page:Report",
     "watch": "deploy.view.server:WatchResult",
+    "setup": "bridge.setup.run:SetupResult",
+    "up": "deploy.up.run:UpResult",
+    "stop": "deploy.stop:StopResult",
 }
 """By command: the model of its result as ``module:name``."""
 

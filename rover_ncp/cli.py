@@ -21,7 +21,7 @@ from typer.main import get_command
 
 from rover_ncp.core.console import Output, print_line, printable, unwritten
 from rover_ncp.core.errors import INTERRUPTED, FileError, MissingExtra, RoverNcpError
-from rover_ncp.core.process import interrupt_on_signals
+from rover_ncp.core.process import end_with_parent, interrupt_on_signals
 
 GROUP = "rover_ncp.commands"
 _OWN_PACKAGES = ("bridge", "deploy", "sim")
@@ -47,9 +47,9 @@ _EXTRAS = {
 _PANELS = {
     "Park": ["park"],
     "Train": ["train", "eval", "explain", "export"],
-    "Drive": ["deploy", "teleop", "course", "place", "tag"],
+    "Drive": ["up", "deploy", "stop", "teleop", "course", "place", "tag"],
     "Look": ["watch", "report", "replay", "recover"],
-    "Robot": ["mock", "bridge", "check", "identify", "keys"],
+    "Robot": ["setup", "mock", "bridge", "check", "identify", "keys"],
 }
 _PANEL = {name: panel for panel, names in _PANELS.items() for name in names}
 # The base class of errors for a wrong command line. Typer publishes only its subclasses.
@@ -222,6 +222,7 @@ def main() -> int:
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115, PTH123  # open to the end
         getattr(sys, name).reconfigure(errors="backslashreplace")
     interrupt_on_signals()
+    end_with_parent()
     for module in _prefer_own_packages():
         print_line(sys.stderr, f"rover-ncp: {module} is not used: a package of rover-ncp has its name")
     code = run(sys.argv[1:])

@@ -28,6 +28,7 @@ from deploy.estimator.estimator import Estimate
 from deploy.estimator.inputs import Acceptance
 from deploy.place.outcome import Evidence
 from deploy.place.place import Proof
+from rover_ncp.core.bridge_lines import DOCKING
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import SafetyStop, UnreachableError
 from rover_ncp.core.geometry import Velocity
@@ -250,7 +251,9 @@ class Drive:
         self._publish_status()
 
     def _request_motors(self) -> None:
-        self._link.request_motors(f"policy {self.config.policy}")
+        place, undock = self.config.place, self.config.undock
+        docking = f"{'undocking from ' if undock else DOCKING}{place.name}" if place else ""
+        self._link.request_motors(docking or f"policy {self.config.policy}")
         self.monitor.granted()
 
     def _take(self, timeout_s: float) -> Measurement[OdometrySample] | None:

@@ -21,7 +21,6 @@ from collections.abc import Callable
 from typing import Any
 
 import uvicorn
-import zenoh
 from anyio import CapacityLimiter, Event, Semaphore, create_task_group
 from anyio.to_thread import run_sync
 from pydantic import Field
@@ -34,17 +33,16 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
+from deploy.stop import StopClient
 from deploy.view.feed import Cursor, Feed
 from deploy.view.page import watch_page
-from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
+from deploy.zenoh_client import BridgeAddress
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.config import ResultModel
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import (
     INTERRUPTED,
     FormatError,
-    NoBridge,
-    NotAuthorised,
     PortInUse,
     UnreachableError,
 )
@@ -55,7 +53,6 @@ from rover_ncp.course.slowdown import slowed
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.key_table import TAG_VIEW, KeySpec, spec
-from rover_ncp.wire.protocol import StopReply, StopRequest, dump_json, parse_json
 
 HOST = "127.0.0.1"
 REQUEST_BYTES = 16
@@ -67,11 +64,10 @@ SLOW_S = 10.0
 """A page that takes nothing of what waits for it for so long is closed."""
 INVALID_DATA = 1007
 """WebSocket's code for a text that is not UTF-8."""
-STOP_TIMEOUT_S = 1.0
 REASON = "the live page's Stop button"
 
 
-class Viewer(ZenohClient):
+class Viewer(StopClient):
     """One session with one bridge; ``take`` gets every message. Raises as `ZenohClient`."""
 
     def __init__(self, address: BridgeAddress, take: Callable[[Recorded], None]) -> None:
@@ -80,39 +76,11 @@ class Viewer(ZenohClient):
             with contextlib.suppress(FormatError):
                 take(Recorded(row.name, row.type, data, now, now))
 
-        super().__init__(address, receive)
+        super().__init__(address, receive, REASON)
 
     def _declare(self) -> None:
         self._receive_row(spec(TAG_VIEW))
-        self._stopper = self._session.declare_querier(
-            self.key("rover/stop"),
-            target=zenoh.QueryTarget.ALL,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            timeout=STOP_TIMEOUT_S,
-        )
-
-    @property
-    def may_stop(self) -> bool:
-        """Whether a bridge takes our stop: it hides its queryable from users without permission."""
-        return matches(self._stopper)
-
-    def stop(self, release: bool = False) -> StopReply:
-        """Stop the rover until released, or release it.
-
-        Raises NotAuthorised when the bridge does not accept it from us, NoBridge when there is no bridge or
-        no readable answer.
-        """
-        request = StopRequest(release=release, reason="" if release else REASON)
-        source = zenoh.SourceInfo(self._stopper.id, 0)  # for the bridge's log
-        answer = self.bridge_answer(self._stopper.get(payload=dump_json(request), source_info=source))
-        if answer is not None:
-            try:
-                return parse_json(StopReply, answer)
-            except FormatError as error:
-                raise NoBridge(f"the bridge at {self.robot} sends an unreadable answer: {error}") from error
-        if not self.bridge_alive:
-            raise NoBridge(f"no bridge shows itself at {self.robot}: nothing to stop")
-        raise NotAuthorised(f"not authorised to stop: the bridge at {self.robot} accepts no stop from us")
+        super()._declare()
 
 
 class WatchResult(ResultModel):

@@ -1,7 +1,9 @@
 """Clock and termination signals of a process; resources that a ``with`` block closes."""
 
+import os
 import signal
 import sys
+import threading
 import time
 from abc import ABC, abstractmethod
 from types import FrameType
@@ -90,3 +92,21 @@ def interrupt_on_signals() -> None:
     for number in SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, interrupt)
+
+
+PARENT_PIPE = "ROVER_NCP_PARENT_PIPE"
+"""Variable with the descriptor of a pipe whose other end only the parent holds."""
+
+
+def end_with_parent() -> None:
+    """Interrupt this process when its parent ends, also when that is killed, if the parent gave a pipe."""
+    if not (number := os.environ.pop(PARENT_PIPE, "")):
+        return
+    os.set_inheritable(int(number), False)
+
+    def wait() -> None:
+        while os.read(int(number), 1):
+            pass
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=wait, daemon=True, name="parent").start()

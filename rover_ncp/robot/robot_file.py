@@ -3,14 +3,16 @@
 Paths in the file count from its folder. An option of a command overrides the file.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
+from textwrap import wrap
 from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from rover_ncp.core.config import StrictModel, read_filled, read_yaml, validated
+from rover_ncp.core.config import StrictModel, dump_yaml, read_filled, read_yaml, validated
 from rover_ncp.core.errors import ConfigError, UsageError
 from rover_ncp.core.files import resolve
 from rover_ncp.robot.description import MAX_BASE_TIMEOUT_S
@@ -222,3 +224,33 @@ def load_robot_file(path: Path) -> RobotFile:
 def _about_unknown(name: str, known: list[str]) -> str:
     near = get_close_matches(name, known, 1)
     return f"$.{name}: unknown key; expected {near[0] if near else ', '.join(known)}"
+
+
+_EXAMPLES = {
+    "base": "tcp/127.0.0.1:8101",
+    "base_zenoh_config": "router.json5",
+    "model": "turtlebot4",
+    "measured_base_timeout_s": 0.5,
+    "bridge": PIONEERS_BRIDGE,
+    "keys": "keys",
+    "limits": {"v_max": 0.2},
+    "camera": {"source": "0", "file": "camera.yaml"},
+    "tags": "tags.yaml",
+}
+"""Values of keys without a default, for the commented file."""
+
+
+def commented(settings: RobotSettings | None) -> str:
+    """Return a file with all keys and their meaning; those without a value of their own are commented out."""
+    given = {} if settings is None else settings.model_dump(exclude_unset=True, exclude_none=True)
+    return "\n".join(_commented_lines(given)) + "\n"
+
+
+def _commented_lines(given: dict[str, Any]) -> Iterator[str]:
+    yield "# The robot of this folder, for all commands of rover-ncp. Paths count from this file's folder."
+    for name, field in RobotSettings.model_fields.items():
+        default = _EXAMPLES.get(name, field.default)
+        line = dump_yaml({name: given.get(name, default)}).rstrip()
+        yield ""
+        yield from wrap(f"{field.description}", 100, initial_indent="# ", subsequent_indent="# ")
+        yield line if name in given else "\n".join(f"#{each}" for each in line.splitlines())

@@ -15,7 +15,7 @@ from sim.learn.rollout import rollout
 
 EXAMPLES = ROOT / "docs" / "examples"
 # Examples that leave keys out: bodies of MuJoCo, what a robot is seldom measured for, a Pioneer's own.
-OPTIONAL = {"randomization", "robot", "rover", "limits"}
+OPTIONAL = {"randomization", "robot", "description", "rover", "limits"}
 
 
 @pytest.mark.parametrize("name", reference_pages.MODELS)

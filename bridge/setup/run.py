@@ -1,0 +1,264 @@
+"""The command ``setup``: its questions in order, and what they lead to."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from bridge.setup.dialog import Dialog
+from bridge.setup.find import RosRobot, cameras, pioneer_at, ros_robots_at, serial_ports
+from rover_ncp.core.bridge_lines import READY
+from rover_ncp.core.child import Child, ParentPipe
+from rover_ncp.core.config import ResultModel, validated
+from rover_ncp.core.console import Output, print_line
+from rover_ncp.core.errors import NoRobot, UsageError
+from rover_ncp.core.files import require_writable, shipped_names, write_atomic
+from rover_ncp.core.process import Interrupts
+from rover_ncp.robot.robot_file import RobotSettings, commented, load_robot_file
+from rover_ncp.wire.address import ROS2, parse_address
+from rover_ncp.wire.probe import Listener, listener_at
+from rover_ncp.wire.zenoh import PORT
+
+READY_S = 60.0
+ON_FLOOR = {"turtlebot4"}
+"""Models that cannot be tested on blocks: sensors under them report lifted wheels."""
+
+
+class SetupResult(ResultModel):
+    """Result of the command ``setup``."""
+
+    file: str = Field(description="the robot's file that was written")
+    measured_base_timeout_s: float | None = Field(description="as the file has it now")
+    check: bool | None = Field(description="whether the check said yes; null if it was not run")
+
+
+def run(path: Path, output: Output, *, overwrite: bool, terminal: bool) -> int:
+    """See ``commands.setup``; return the exit code."""
+    known = load_robot_file(path).settings.model_dump(exclude_unset=True) if path.exists() else {}
+    if not terminal:
+        lacks = ", ".join(_missing(known)) or "nothing that docking needs"
+        raise UsageError(
+            f"setup asks questions and needs a terminal; {path} lacks {lacks}. 'rover-ncp setup --print' "
+            "prints the file to fill in"
+        )
+    require_writable(path, overwrite=overwrite)
+    dialog = Dialog(_ask, partial(print_line, sys.stderr if output.as_json else sys.stdout))
+    robot, images = _robot(dialog, known)
+    chosen = known | robot
+    chosen |= _localiser(dialog, images, known)
+    keys = dialog.text(
+        "Folder with certificates, if other machines shall drive or watch",
+        "Without certificates only this machine reaches the robot; 'rover-ncp keys --out keys' makes them.",
+        known.get("keys"),
+    )
+    chosen = {name: value for name, value in (chosen | {"keys": keys}).items() if value is not None}
+    settings = _write(path, chosen)
+    output.say(f"wrote {path}")
+    model = chosen.get("model")
+    if chosen["base"].startswith(ROS2):
+        measured = _measure(dialog, path, model)
+        if measured is not None:
+            settings = _write(path, chosen | {"measured_base_timeout_s": measured})
+    ready = _check(dialog, path, model)
+    result = SetupResult(
+        file=str(path), measured_base_timeout_s=settings.measured_base_timeout_s, check=ready
+    )
+    output.result(
+        result, f"{path} is ready; next: rover-ncp up" if ready is not False else f"{path}: see above"
+    )
+    return 1 if ready is False else 0
+
+
+def _ask(prompt: str) -> str:
+    try:
+        return input(prompt)
+    except EOFError as error:
+        raise KeyboardInterrupt from error
+
+
+def _missing(known: dict[str, Any]) -> list[str]:
+    wanted = ["base", "camera", "tags"]
+    if known.get("base", "").startswith(ROS2):
+        wanted += ["measured_base_timeout_s"]
+    return [name for name in wanted if known.get(name) is None]
+
+
+def _write(path: Path, chosen: dict[str, Any]) -> RobotSettings:
+    settings = validated(chosen, RobotSettings, str(path))
+    write_atomic(path, commented(settings))
+    return settings
+
+
+def _robot(dialog: Dialog, known: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Return base and model, and the cameras of a ROS 2 robot."""
+    found = [f"serial/{each}" for each in _pioneers(dialog)]
+    robots = {each.address: each for each in _ros_robots(dialog, known.get("base"))}
+    base = None
+    while base is None:
+        base = dialog.choice(
+            "Which robot?",
+            "The bridge connects to it: these were found, or give an address: tcp/HOST:8101 of a Pioneer, "
+            "serial//dev/ttyUSB0, ros2/tcp/HOST.",
+            [*robots, *found],
+            "an address",
+            known.get("base"),
+        )
+    chosen: dict[str, Any] = {"base": base}
+    if base != known.get("base"):  # what was measured and allowed was another robot's
+        chosen |= {"measured_base_timeout_s": None, "no_base_watchdog": None}
+    images = list[str]()
+    if base.startswith(ROS2):
+        robot = robots.get(base, RosRobot(base, "turtlebot4", ()))
+        mark = "&" if "#" in base else "#"
+        images = [f"{base}{mark}image={topic}" for topic in robot.images]
+        chosen["model"] = dialog.choice(
+            "Which model?",
+            "Its description has topics, size and speeds. Another robot needs a file (docs/own_ros2_robot).",
+            [name for name in shipped_names("robots") if not name.startswith("p3")],
+            "a file",
+            known.get("model") or robot.model,
+        )
+    return chosen, images
+
+
+def _pioneers(dialog: Dialog) -> list[str]:
+    """Return the serial ports on which a Pioneer answers; each is asked only with permission."""
+    found = []
+    for port in serial_ports():
+        question = f"Look for a Pioneer at {port.path} ({port.name})?"
+        why = "It sends the first bytes of a connection there. Another device could misread them."
+        if not dialog.yes(question, why):
+            continue
+        try:
+            dialog.say(f"  answers: {pioneer_at(f'serial/{port.path}')}")
+            found.append(port.path)
+        except NoRobot as error:
+            dialog.say(f"  no Pioneer: {error}")
+    return found
+
+
+def _ros_robots(dialog: Dialog, base: str | None) -> list[RosRobot]:
+    """Return the ROS 2 robots behind the Zenoh router that a person names."""
+    own = f"tcp/127.0.0.1:{PORT}"
+    default = "127.0.0.1" if listener_at(own) is not Listener.NOTHING else None
+    if base is not None and base.startswith(ROS2):
+        default = base.removeprefix(f"{ROS2}tcp/").partition("#")[0]
+    host = dialog.text(
+        "Host of a ROS 2 robot's Zenoh router (HOST or HOST:PORT)",
+        "Its topics are listed there; nothing is sent to the robot. Leave it for a Pioneer.",
+        default,
+    )
+    address = None if host is None else parse_address(f"tcp/{host}", PORT)
+    if address is None:
+        return []
+    try:
+        robots = ros_robots_at(str(address))
+    except NoRobot as error:
+        dialog.say(f"  {error}")
+        return []
+    dialog.say(f"  found: {', '.join(each.address for each in robots) or 'no odometry is announced there'}")
+    return robots
+
+
+def _localiser(dialog: Dialog, images: list[str], known: dict[str, Any]) -> dict[str, Any]:
+    """Return camera and tags; ``images`` are cameras of the robot."""
+    earlier = known.get("camera") or {}
+    found = dict.fromkeys(images, "of the robot")
+    found |= {each.path: each.name for each in cameras(lambda words: dialog.say(f"  {words}"))}
+    source = dialog.choice(
+        "Which camera sees the tags?",
+        "It tells where the rover is in the room, which docking needs. "
+        + (", ".join(f"{path}: {name}" for path, name in found.items()) or "None was found."),
+        list(found),
+        "http://... or ros2/tcp/HOST#image=TOPIC",
+        earlier.get("source"),
+    )
+    if source is None:
+        return {"camera": None, "tags": None}
+    camera = {"source": source}
+    file = dialog.text(
+        "File with the camera's calibration",
+        "'rover-ncp tag calibrate' writes it. A ROS 2 camera has its own: leave none there.",
+        earlier.get("file") or (None if source.startswith(ROS2) else "camera.yaml"),
+    )
+    tags = dialog.text(
+        "File with the tags", "It says which tags hang where (docs/tags).", known.get("tags") or "tags.yaml"
+    )
+    return {"camera": camera | ({"file": file} if file else {}), "tags": tags}
+
+
+def _measure(dialog: Dialog, path: Path, model: str | None) -> float | None:
+    """Return the measured base timeout of a ROS 2 robot, None if it was not measured."""
+    where = "on the floor, with 1 m free ahead" if model in ON_FLOOR else "on blocks, its wheels free"
+    question = f"Measure when the robot halts by itself? Put it {where}: it drives at 0.1 m/s for up to 7 s"
+    if not dialog.yes(
+        question, "If the bridge dies, only that stops the robot: without it nothing drives it."
+    ):
+        return None
+    code, answer = _run("bridge", "--measure-timeout", "--robot", str(path), "--json")
+    if code != 0 or not answer.get("line"):
+        dialog.say(f"  not measured: {answer.get('error', 'it does not halt by itself in time')}")
+        return None
+    if not dialog.yes(
+        f"It halted after {answer['timeout_s']:g} s by its odometry. Did its wheels stand then, too?",
+        "Odometry that freezes when the commands stop looks the same.",
+    ):
+        return None
+    return float(answer["timeout_s"])
+
+
+def _check(dialog: Dialog, path: Path, model: str | None) -> bool | None:
+    """Run the check with a bridge of its own; return whether it said yes, None if it was not run."""
+    floor = model in ON_FLOOR
+    where = "on the floor, with 2 m free ahead and 0.5 m to each side" if floor else "on blocks"
+    if not dialog.yes(
+        f"Check the robot now? Put it {where}: it turns its wheels",
+        "It compares all sensors with odometry, and names the first thing that is wrong.",
+    ):
+        return None
+    log = path.parent / "logs" / "setup.log"
+    log.parent.mkdir(exist_ok=True)
+    with Interrupts() as interrupts, ParentPipe() as pipe:
+        bridge = Child(["bridge", "--robot", str(path)], log, pipe)
+        deadline_s = time.monotonic() + READY_S
+        lines = list[str]()
+        while not any(line.startswith(READY) for line in lines):
+            if bridge.code is not None or interrupts.raised or time.monotonic() > deadline_s:
+                break
+            lines += bridge.new_lines()
+            time.sleep(0.05)
+        else:
+            code, _ = _run("check", "--robot", str(path), "--on-floor" if floor else "--on-blocks")
+            bridge.send(signal.SIGTERM)
+            bridge.wait(10.0)
+            return code == 0
+        bridge.send(signal.SIGTERM)
+        bridge.wait(10.0)
+    if interrupts.raised:
+        raise KeyboardInterrupt
+    bridge.new_lines()
+    dialog.say(f"  not checked: the bridge {bridge.end}")
+    return False
+
+
+def _run(*arguments: str) -> tuple[int, dict[str, Any]]:
+    """Run a command in this terminal, which gets Ctrl-C itself; return its code and its JSON."""
+    piped = subprocess.PIPE if "--json" in arguments else None
+    with Interrupts() as interrupts:
+        command: Sequence[str] = [sys.executable, "-P", "-m", "rover_ncp", *arguments]
+        with subprocess.Popen(command, stdout=piped, text=True) as child:
+            printed = child.stdout.read() if child.stdout else ""
+            code = child.wait()
+    if interrupts.raised:
+        raise KeyboardInterrupt
+    try:
+        return code, json.loads(printed)
+    except ValueError:
+        return code, {}

@@ -1,0 +1,1 @@
+"""Starts what docks a robot, bridge, localiser and page, and ends it."""

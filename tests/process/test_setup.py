@@ -1,0 +1,86 @@
+"""``rover-ncp setup`` on a terminal, with mock robots: the file that it writes."""
+
+import os
+import pty
+import select
+import subprocess
+import sys
+import time
+
+import pytest
+
+from rover_ncp import cli
+from rover_ncp.robot.robot_file import load_robot_file
+from sim.park.live import Process
+
+TURTLEBOT = "the floor"
+"""In the question that measures the timeout of a TurtleBot 4, which must not stand on blocks."""
+
+
+def answered(folder, answers):
+    """Run ``setup`` on a terminal; ``answers`` has words of questions. Return exit code and text."""
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "rover_ncp", "setup"]
+    child = subprocess.Popen(
+        command, cwd=folder, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True
+    )
+    os.close(theirs)
+    text, asked, deadline_s = "", 0, time.monotonic() + 100
+    try:
+        while child.poll() is None and time.monotonic() < deadline_s:
+            if select.select([ours], [], [], 0.1)[0]:
+                try:
+                    text += os.read(ours, 4096).decode()
+                except OSError:  # the child closed it
+                    break
+            if text.endswith("] ") and len(text) > asked:
+                answer = next((found for word, found in answers.items() if word in text[asked:]), "")
+                asked = len(text)
+                os.write(ours, f"{answer}\n".encode())
+        return child.wait(10), text
+    finally:
+        child.kill()
+        child.wait()
+        os.close(ours)
+
+
+def test_a_turtlebot_is_found_behind_its_router_and_measured(tmp_path):
+    mock = ["--ros2", "--model", "turtlebot4", "--listen", "127.0.0.1:0"]
+    with Process("mock", mock, tmp_path) as robot:
+        router = robot.wait_for_line("listening on ")
+        answers = {"Zenoh router": router, "sees the tags": "-", "halts by itself": "y", "wheels stand": "y"}
+        code, text = answered(tmp_path, answers)
+    assert code == 0, text
+    assert TURTLEBOT in text
+    settings = load_robot_file(tmp_path / "robot.yaml").settings
+    assert (settings.base, settings.model) == (f"ros2/tcp/{router}", "turtlebot4")
+    assert 0.3 < settings.measured_base_timeout_s < 1.5
+
+
+def test_a_pioneer_by_its_address_and_a_camera_need_no_more_than_the_defaults(tmp_path):
+    answers = {"Which robot": "tcp/127.0.0.1:8101", "sees the tags": "http://127.0.0.1:8102/"}
+    code, text = answered(tmp_path, answers)
+    assert code == 0, text
+    settings = load_robot_file(tmp_path / "robot.yaml").settings
+    assert (settings.base, settings.camera.source) == ("tcp/127.0.0.1:8101", "http://127.0.0.1:8102/")
+    assert (settings.camera.file, settings.tags) == ("camera.yaml", "tags.yaml")
+
+
+def test_without_a_terminal_it_says_what_is_missing_and_asks_nothing(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "robot.yaml").write_text("base: ros2/tcp/10.0.0.5\nmodel: turtlebot4\n")
+    assert cli.run(["setup", "--overwrite"]) == 2
+    assert "lacks camera, tags, measured_base_timeout_s" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["", "base: tcp/a\nlimits: {v_max: 0.2}\nplaces: here\nresume: true\n"])
+def test_the_printed_file_has_the_same_settings(text, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    if text:
+        (tmp_path / "robot.yaml").write_text(text)
+    assert cli.run(["setup", "--print"]) == 0
+    printed = capsys.readouterr().out
+    before = load_robot_file(tmp_path / "robot.yaml").settings if text else None
+    (tmp_path / "robot.yaml").write_text(printed if text else printed.replace("#base:", "base:"))
+    after = load_robot_file(tmp_path / "robot.yaml").settings
+    assert after == before or (not text and after.base == "tcp/127.0.0.1:8101")

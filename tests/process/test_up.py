@@ -1,0 +1,236 @@
+"""``rover-ncp up`` and ``stop`` with a mock robot: what the rover does, and what is left, at each end."""
+
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+from kit.bridge_bench import Driver, wait_for
+
+from rover_ncp import cli
+from rover_ncp.core.config import dump_yaml
+from sim.mock.ros2_server import free_port
+from sim.park.live import Process
+from sim.park.truth import TruthReader
+
+STOPPED_S = 3.0
+"""A rover at 0.15 m/s stands so long after any fault here: at most the 2 s of the watchdog, and braking."""
+
+
+IN_TERMINAL = """
+import fcntl, os, sys, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+os.execv(sys.executable, [sys.executable, "-m", "rover_ncp", "up", "--robot", sys.argv[1]])
+"""
+"""Run ``up`` as the program of the terminal that is its standard input."""
+
+
+class Robot:
+    """A folder with robot.yaml for a mock Pioneer, and the processes that a test starts."""
+
+    def __init__(self, folder, **settings):
+        self.folder, self.file = folder, folder / "robot.yaml"
+        (folder / "mock").mkdir()
+        mock = ["--listen", "127.0.0.1:0", "--truth", str(folder / "truth.csv")]
+        self.processes = [Process("mock", mock, folder / "mock")]
+        self.base = f"tcp/{self.processes[0].wait_for_line('listening on ')}"
+        self.bridge = f"tcp/127.0.0.1:{free_port('127.0.0.1')}"
+        self.write(page=None, **settings)
+        self.truth = TruthReader(folder / "truth.csv")
+
+    def write(self, **settings):
+        self.file.write_text(dump_yaml({"base": self.base, "bridge": self.bridge} | settings))
+
+    def up(self, name="up", ready=True):
+        (self.folder / name).mkdir()
+        process = Process("up", ["--robot", str(self.file)], self.folder / name)
+        self.processes.append(process)
+        if ready:
+            process.wait_for_line("bridge    ready")
+        return process
+
+    def driving(self):
+        driver = Driver(self.bridge)
+        driver.start()
+        driver.drive(1.0)
+        assert self.speed() > 0.1
+        return driver
+
+    def speed(self):
+        return abs(self.truth.read()[-1].velocity.v)
+
+    def stands(self):
+        """Wait until the true rover stands."""
+        return wait_for(lambda: self.speed() < 0.005, STOPPED_S, "a standstill")
+
+    def close(self):
+        for process in reversed(self.processes):
+            process.stop()
+
+
+@pytest.fixture
+def robot(tmp_path):
+    robot = Robot(tmp_path)
+    yield robot
+    robot.close()
+
+
+def children_of(process):
+    return psutil.Process(process.pid).children(recursive=True)
+
+
+def gone(children):
+    """Whether none of these processes runs any more."""
+    return wait_for(lambda: not any(child.is_running() for child in children), 10.0, "the end of all")
+
+
+def lines_of(process):
+    return "\n".join(process._lines_that_begin(""))
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 0), (signal.SIGHUP, 0)])
+def test_a_signal_stops_the_rover_and_leaves_no_process(robot, number, code):
+    up = robot.up()
+    children = children_of(up)
+    with robot.driving():
+        up.send_signal(number)
+        robot.stands()
+        assert up.wait(10.0).code == code
+    assert gone(children)
+
+
+def test_a_closed_terminal_stops_the_rover_and_leaves_no_process(robot):
+    ours, theirs = pty.openpty()
+    up = subprocess.Popen(
+        [sys.executable, "-c", IN_TERMINAL, str(robot.file)],
+        stdin=theirs,
+        stdout=theirs,
+        stderr=theirs,
+        start_new_session=True,
+    )
+    os.close(theirs)
+    try:
+        log = robot.folder / "logs" / "bridge.log"
+        wait_for(lambda: log.exists() and "ready" in log.read_text(), 20.0)
+        children = children_of(up)
+        with robot.driving():
+            os.close(ours)
+            robot.stands()
+            up.wait(10.0)  # its exit code says that its output cannot be written
+        assert gone(children)
+    finally:
+        up.kill()
+        up.wait()
+
+
+def test_a_killed_up_leaves_no_process_and_a_rover_that_stands(robot):
+    up = robot.up()
+    children = children_of(up)
+    with robot.driving():
+        up.send_signal(signal.SIGKILL)
+        robot.stands()
+    assert gone(children)
+
+
+def test_a_killed_bridge_ends_all_and_is_named(robot):
+    robot.write(page=0)
+    up = robot.up()
+    up.wait_for_line("page ")
+    children = children_of(up)
+    bridge = next(child for child in children if "bridge" in child.cmdline())
+    with robot.driving():
+        bridge.kill()
+        robot.stands()
+        done = up.wait(10.0)
+    assert (done.code, len(children)) == (3, 2)
+    assert "killed by SIGKILL" in done.result["bridge"]
+    assert gone(children)
+
+
+def test_another_process_that_dies_is_started_again_and_counted(robot):
+    robot.write(page=0)
+    up = robot.up()
+    up.wait_for_line("page      watching")
+    page = next(child for child in children_of(up) if "watch" in child.cmdline())
+    page.kill()
+    assert "starts again" in up.wait_for_line("page      killed by SIGKILL")
+    wait_for(lambda: "(restart 1)" in lines_of(up), 20.0)
+    assert up.stop().result["restarts"] == {"page": 1}
+
+
+def test_a_camera_that_is_not_there_is_said_once_and_hinders_nobody(robot):
+    for name in ("camera", "tags"):
+        example = Path(cli.__file__).parent / "data" / "dock" / f"{name}.yaml"
+        (robot.folder / f"{name}.yaml").write_text(example.read_text())
+    robot.write(page=None, camera={"source": "/dev/video97", "file": "camera.yaml"}, tags="tags.yaml")
+    up = robot.up()
+    assert "/dev/video97" in up.wait_for_line("localiser ended with 2")
+    time.sleep(6.0)
+    assert lines_of(up).count("localiser ended") == 1
+    with robot.driving():
+        pass
+    assert up.stop().result["restarts"]["localiser"] >= 1
+
+
+def test_a_second_up_for_the_same_robot_is_refused_and_names_the_first(robot):
+    up = robot.up()
+    second = robot.up("second", ready=False).wait(20.0)
+    assert (second.code, up.running) == (2, True)
+    assert f"process {up.pid}" in second.last_line
+
+
+def test_a_broken_file_starts_nothing(robot):
+    robot.file.write_text("base: tcp/127.0.0.1\nbrige: tcp/127.0.0.1:7449\n")
+    done = robot.up(ready=False).wait(20.0)
+    assert (done.code, done.last_line) == (2, f"{robot.file}: $.brige: unknown key; expected bridge")
+    assert not (robot.folder / "logs").exists()
+
+
+def test_stop_holds_a_driven_rover_until_released(robot, run_json):
+    robot.up()
+    with robot.driving() as driver:
+        code, heard = run_json(f"stop --robot {robot.file}")
+        assert (code, heard["confirmed"], heard["stands"]) == (0, True, True)
+        assert robot.speed() < 0.005
+        assert driver.motors().reason == "stopped"
+        assert run_json(f"stop --release --robot {robot.file}")[0] == 0
+        driver.start()
+
+
+def test_a_stop_that_nobody_confirms_is_not_called_one(run_json):
+    code, heard = run_json(f"stop --robot tcp/127.0.0.1:{free_port('127.0.0.1')}")
+    assert (code, heard["confirmed"], heard["stands"]) == (1, False, None)
+    assert "nothing answers" in heard["problem"]
+
+
+def test_a_restarted_router_of_a_ros_2_robot_is_one_line_with_what_to_do(tmp_path):
+    port, model = free_port("127.0.0.1"), ["--ros2", "--model", "turtlebot3-burger"]
+    folders = [tmp_path / name for name in ("mock", "mock2", "up")]
+    for folder in folders:
+        folder.mkdir()
+    file = tmp_path / "robot.yaml"
+    settings = {"base": f"ros2/tcp/127.0.0.1:{port}", "model": "turtlebot3-burger"}
+    settings |= {
+        "bridge": f"tcp/127.0.0.1:{free_port('127.0.0.1')}",
+        "page": None,
+        "measured_base_timeout_s": 0.5,
+    }
+    file.write_text(dump_yaml(settings))
+
+    def mock(folder):
+        found = Process("mock", ["--listen", f"127.0.0.1:{port}", *model], folder)
+        found.wait_for_line("listening on ")
+        return found
+
+    first = mock(folders[0])
+    with Process("up", ["--robot", str(file)], folders[2]) as up:
+        up.wait_for_line("bridge    ready")
+        first.stop()
+        assert "check power, cable and network" in up.wait_for_line("bridge    the base is lost", 20.0)
+        with mock(folders[1]):
+            wait_for(lambda: "start the drive again" in lines_of(up), 20.0)

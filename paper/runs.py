@@ -12,7 +12,7 @@ from importlib import metadata
 from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,8 +46,11 @@ from paper.tasks import (
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.spawned import end_with_parent
+from rover_ncp.course.course import load_course
+from sim.learn.ensemble import train_block
+from sim.learn.evaluator import Evaluator
 from sim.learn.search.algorithm1 import ALPHA, SIGMA
-from sim.learn.settings import made_with
+from sim.learn.settings import TrainSettings, made_with
 
 _SEARCH, _FINAL = 0, 99
 """Streams of random numbers: of a search, and of the fresh episodes that a run is judged by."""
@@ -60,12 +63,15 @@ TOLERANCE = 1e-9
 """Difference in a return that another machine may make. A half-cheetah's contacts amplify a last bit, so its
 replay is compared by its verdict."""
 _SEEDS = 10
-_PARKING_SEEDS = 48
-"""As many as were measured with the published code itself."""
-
+_OWN_SEEDS = {
+    ("parking", BudgetName.PUBLISHED): 48,  # as many as were measured with the published code itself
+    ("parking", BudgetName.DEFAULT): 60,
+    ("parking-distance", BudgetName.PUBLISHED): 12,
+}
 
 _OTHERS: dict[BudgetName, tuple[tuple[str, ...], Sequence[str]]] = {
     BudgetName.GRADIENTS: (("pendulum", "mountain-car"), GRADIENTS),  # the paper's Table III
+    BudgetName.DEFAULT: (("parking",), PAPERS[:1]),
     BudgetName.ALGORITHM1: (("parking", "pendulum", "mountain-car", "cart-pole"), PAPERS[:1]),
 }
 """Tasks and agents of the budgets that not all tasks have."""
@@ -99,7 +105,7 @@ def grid(budget: BudgetName) -> Iterator[Group]:
             pairs = product(_ALPHAS, _SIGMAS)
             yield from (Group(name, agents[0], budget, _PAIR_SEEDS[name], pair) for pair in pairs)
             continue
-        seeds = _PARKING_SEEDS if (name, budget) == ("parking", BudgetName.PUBLISHED) else _SEEDS
+        seeds = _OWN_SEEDS.get((name, budget), _SEEDS)
         yield from (Group(name, agent, budget, seeds) for agent in agents)
 
 
@@ -176,6 +182,16 @@ def _mark(iterations: int) -> int:
     return -(-iterations // scale) * scale
 
 
+def train_default(task: Task, policy: Policy, number: int) -> tuple[Found, dict[str, Any]]:
+    """Train an agent as ``rover-ncp train`` does; return what it found, and the settings."""
+    settings = TrainSettings(iterations=task.settings.iterations)
+    [agent] = train_block(settings, policy, Evaluator(policy, load_course("parking")), [number])
+    points = {_mark(done): (done, done * task.horizon, value) for done, value in agent.improvements}
+    steps = settings.iterations * task.horizon
+    found = Found(np.array(agent.vector), settings.iterations + 1, steps, tuple(points.values()))
+    return found, settings.model_dump(include={"search", "seed", "iterations"})
+
+
 def train_run(name: RunName, unfinished: Path | None = None) -> Result:
     """Make one run. The same name gives the same parameters and returns, to the last bit.
 
@@ -184,9 +200,13 @@ def train_run(name: RunName, unfinished: Path | None = None) -> Result:
     """
     task, began, cpu = TASKS[name.task], time.monotonic(), time.process_time()
     made = _made_with(task, name.agent)  # before the search: files may change while it lasts
-    saved = None
+    agent: Policy | Net | None = None
+    saved: SavedSearch | None = None
     if isinstance(task, Benchmark) and name.agent in GRADIENTS:
-        agent, (found, settings) = None, train_actor(task, name.agent, name.seed)
+        found, settings = train_actor(task, name.agent, name.seed)
+    elif name.budget is BudgetName.DEFAULT:
+        agent = task.policy(task.circuit())
+        found, settings = train_default(task, agent, name.seed)
     else:
         agent, budget = build_agent(task, name.agent, name.seed), budget_for(name)
         settings = vars(budget)

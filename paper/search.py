@@ -10,8 +10,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,15 +21,15 @@ from rover_ncp.circuit.policy import ParameterLayout, Policy
 from rover_ncp.course.course import load_course
 from sim.learn.evaluator import Evaluator
 from sim.learn.search import Batch
-from sim.learn.search.algorithm1 import Algorithm1, Scale
-from sim.learn.search.published import FAILURES_TO_WIDEN, RULES, KindRule, perturb
+from sim.learn.search.algorithm1 import Algorithm1
+from sim.learn.search.published import FAILURES_TO_WIDEN, RULES, KindRule, Published
+from sim.learn.search.random_search import Scale, Strategy
 
 _ROLLOUTS = 1
 """Stream of random numbers, beside that of the search (``runs.py``)."""
 _STOPS = (1, 3, 5, 7, 9)
 """Rollouts after which a candidate may be stopped."""
 _MIN_AHEAD, _MAX_AHEAD = 3, 48
-_LAYERS = (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER)
 _CAR_RULES: Mapping[ParameterKind, KindRule] = {
     **RULES,
     ParameterKind.WEIGHT: KindRule(6, 16, 0.01, 0.8),
@@ -49,77 +48,6 @@ _FALLS_BACK = {16: 12}
 """Cap of a car's weights from which it falls back instead of growing, and to which."""
 _MIN_AMPLITUDE, _MAX_AMPLITUDE = 0.01, 1.0
 """Of a network's noise."""
-
-
-class Strategy(Protocol):
-    """How a search draws its candidates, and how success and failure change their distance."""
-
-    counts_estimates: bool
-    """Whether a new estimate of the incumbent is an iteration."""
-    start: Scale
-
-    def first(self, defaults: Vector, rng: np.random.Generator) -> Vector:
-        """Return the first incumbent (P,)."""
-
-    def propose(self, incumbent: Vector, level: Any, rng: np.random.Generator) -> Vector:
-        """Draw a candidate (P,): a new array."""
-
-    def after(self, success: bool, scale: Scale) -> Scale:
-        """Return the scale after a candidate that was better than the incumbent, or was not."""
-
-
-class Published:
-    """The published search of circuits: few entries change, more of them after long failure.
-
-    The layers of a half-cheetah's circuit are drawn at random, and every entry of them changes each time.
-    """
-
-    def __init__(
-        self,
-        layout: ParameterLayout,
-        rules: Mapping[ParameterKind, KindRule] = RULES,
-        *,
-        estimates: bool = True,
-        counts_estimates: bool = False,
-        falls_back: Mapping[int, int] = MappingProxyType({}),
-    ) -> None:
-        """``estimates``: 51 failures in a row make an estimate of the incumbent due."""
-        self._lower, self._upper, self._layout = layout.lower, layout.upper, layout
-        self.counts_estimates, self._estimates, self._falls_back = counts_estimates, estimates, falls_back
-        blocks, self._rules = layout.blocks, [rules[block.kind] for block in layout.blocks]
-        self._starts = np.array([block.slice.start for block in blocks])
-        self._stops = np.array([block.slice.stop for block in blocks])
-        self._low = np.array([rule.low for rule in self._rules])
-        self._width = np.array([rule.high - rule.low for rule in self._rules])
-        in_layer = [block.kind in _LAYERS for block in blocks]
-        self._layered = np.flatnonzero(np.repeat(in_layer, [block.size for block in blocks]))
-        self.start = Scale([rule.first or rule.least for rule in self._rules])
-
-    def first(self, defaults: Vector, rng: np.random.Generator) -> Vector:
-        """Return the defaults with noise on some entries of each kind."""
-        vector = perturb(self._layout, defaults, rng)
-        vector[self._layered] = rng.standard_normal(len(self._layered))
-        return np.minimum(np.maximum(vector, self._lower), self._upper)
-
-    def propose(self, incumbent: Vector, level: Any, rng: np.random.Generator) -> Vector:
-        """Draw the numbers of changes, the deviations, the entries and the noise, in this order."""
-        counts = rng.integers(0, level, endpoint=True)
-        deviations = self._low + self._width * rng.random(len(counts))
-        entries = rng.integers(np.repeat(self._starts, counts), np.repeat(self._stops, counts))
-        vector = incumbent.copy()
-        np.add.at(vector, entries, np.repeat(deviations, counts) * rng.standard_normal(len(entries)))
-        vector[self._layered] = incumbent[self._layered] + rng.standard_normal(len(self._layered))
-        return np.minimum(np.maximum(vector, self._lower), self._upper)
-
-    def after(self, success: bool, scale: Scale) -> Scale:
-        """Shrink every cap after a success, and enlarge every cap after the 51st failure in a row."""
-        pairs = list(zip(scale.level, self._rules, strict=True))
-        if success:
-            return Scale([max(cap - 1, rule.least) for cap, rule in pairs])
-        if scale.failures + 1 < FAILURES_TO_WIDEN:
-            return Scale(scale.level, scale.failures + 1)
-        caps = [self._falls_back.get(cap, min(cap + 1, rule.most)) for cap, rule in pairs]
-        return Scale(caps, due=self._estimates)
 
 
 class PublishedOnNetworks:
@@ -262,9 +190,13 @@ class ParkingEvaluator:
 
         Without chance, the ``number`` of an evaluation does not matter.
         """
+        by_distance = self.task.reward == "distance"
         self.steps += len(vectors) * self.task.horizon
-        self._stream.submit(0, Batch(vectors, np.full(len(vectors), to_beat)))
+        self._stream.submit(0, Batch(vectors, np.full(len(vectors), -math.inf if by_distance else to_beat)))
         [(_, scores)] = self._stream.collect()
+        if by_distance:
+            distances: Vector = np.hypot(scores.residuals[..., 0], scores.residuals[..., 1]).sum(axis=1)
+            return -distances
         return scores.returns.copy()
 
 

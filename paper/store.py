@@ -19,7 +19,7 @@ from paper.tasks import TASKS, Vector
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text, write_atomic
-from sim.learn.search.algorithm1 import Scale
+from sim.learn.search.random_search import Scale
 
 _SAVE_STEPS = 1_500_000
 
@@ -31,6 +31,8 @@ class BudgetName(StrEnum):
     """The paper's iterations and rollouts with the search of its published code."""
     ALGORITHM1 = "algorithm1"
     """The paper's iterations and rollouts with Algorithm 1 as it is printed."""
+    DEFAULT = "default"
+    """Agents of ``rover-ncp train``: the default search, which is ours, with the root seed 0."""
     GRADIENTS = "gradients"
     """Training by PPO or A2C, for which the paper gives no settings."""
     QUICK = "quick"

@@ -90,6 +90,9 @@ class Task(StrictModel):
     """A name of ``STRATEGIES`` (``search.py``)."""
     warm_up: int = 0
     """Ticks of a circuit before the first step of an episode, in the task's published code."""
+    reward: Literal["squares", "distance"] = "squares"
+    """What the search maximises at parking's checkpoints: minus squared distance and angle, as the published
+    code, or minus the distance, as the paper's text. Results are judged by the squares."""
 
     def circuit(self) -> Circuit:
         """Return the untuned circuit."""

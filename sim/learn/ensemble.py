@@ -154,10 +154,10 @@ def _blocks(numbers: Sequence[int], processes: int, most: int) -> list[Sequence[
 
 
 def _block_trainer(settings: TrainSettings, task: Task) -> Callable[[Sequence[int]], list[Agent]]:
-    return partial(_train_block, settings, task.policy, Evaluator(task.policy, task.course, task.rover))
+    return partial(train_block, settings, task.policy, Evaluator(task.policy, task.course, task.rover))
 
 
-def _train_block(
+def train_block(
     settings: TrainSettings, start: Policy, evaluator: Evaluator, numbers: Sequence[int]
 ) -> list[Agent]:
     """Train agents side by side: their pending batches share one queue, which keeps its lanes busy."""

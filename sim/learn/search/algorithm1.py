@@ -10,30 +10,18 @@ alpha nor N nor the first sigma; ours are below. The kinds of parameters differ 
 magnitude, so sigma is a share of each one's range.
 """
 
-import math
-from typing import Any, NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import ParameterLayout
-from sim.learn.search import Batch, Search
+from sim.learn.search import Search
+from sim.learn.search.random_search import Scale, climb_one_by_one
 from sim.learn.search.unit_box import Vector
 
 ALPHA = 1.05
 ESTIMATE_AFTER = 100
 """Iterations without success after which the incumbent is estimated anew (the paper's N)."""
 SIGMA = 0.05
-
-
-class Scale(NamedTuple):
-    """How far candidates are from the incumbent."""
-
-    level: Any
-    failures: int = 0
-    """In a row."""
-    due: bool = False
-    """Whether the incumbent is estimated anew before the next candidate."""
 
 
 class Algorithm1:
@@ -70,15 +58,4 @@ def search(
     layout: ParameterLayout, defaults: Vector, rng: np.random.Generator, inert: NDArray[np.bool_]
 ) -> Search:
     """Search from the defaults (P,); inert parameters are changed like all others."""
-    rules = Algorithm1(layout)
-    incumbent, scale = rules.first(defaults, rng), rules.start
-    value = (yield Batch(incumbent[None].copy(), np.array([-math.inf]))).returns[0]
-    while True:
-        if scale.due:
-            value = (yield Batch(incumbent[None].copy(), np.array([-math.inf]))).returns[0]
-        candidate = rules.propose(incumbent, scale.level, rng)
-        found = (yield Batch(candidate[None].copy(), np.array([value]))).returns[0]
-        success = bool(found > value)
-        if success:
-            incumbent, value = candidate, found
-        scale = rules.after(success, scale)
+    return climb_one_by_one(Algorithm1(layout), defaults, rng)

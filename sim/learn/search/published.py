@@ -6,18 +6,20 @@ After 51 failures in a row every cap grows by one, after a success it shrinks by
 the scale of the noise never adapts. Constants: the published parking search.
 """
 
-import math
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout
-from sim.learn.search import Batch, Search
+from sim.learn.search import Search
+from sim.learn.search.random_search import Scale, climb_one_by_one
 from sim.learn.search.unit_box import Vector
 
+LAYERS = (ParameterKind.INPUT_LAYER, ParameterKind.OUTPUT_LAYER)
 FAILURES_TO_WIDEN = 51
 """Failures in a row after which every cap grows by one, and the count begins anew."""
 
@@ -69,42 +71,62 @@ def perturb(layout: ParameterLayout, defaults: Vector, rng: np.random.Generator)
     return np.clip(vector, layout.lower, layout.upper)
 
 
-class Changes:
-    """Draws candidates near an incumbent, by the rule of each kind."""
+class Published:
+    """The published search of circuits: few entries change, more of them after long failure.
 
-    def __init__(self, layout: ParameterLayout, rules: Mapping[ParameterKind, KindRule]) -> None:
-        self.rules = [rules[block.kind] for block in layout.blocks]
-        self._lower, self._upper = layout.lower, layout.upper
-        self._starts = np.array([block.slice.start for block in layout.blocks])
-        self._stops = np.array([block.slice.stop for block in layout.blocks])
-        self._low = np.array([rule.low for rule in self.rules])
-        self._width = np.array([rule.high - rule.low for rule in self.rules])
+    The layers of a half-cheetah's circuit are drawn at random, and every entry of them changes each time.
+    """
 
-    def draw(self, incumbent: Vector, caps: Sequence[int], rng: np.random.Generator) -> Vector:
+    def __init__(
+        self,
+        layout: ParameterLayout,
+        rules: Mapping[ParameterKind, KindRule] = RULES,
+        *,
+        estimates: bool = True,
+        counts_estimates: bool = False,
+        falls_back: Mapping[int, int] = MappingProxyType({}),
+    ) -> None:
+        """``estimates``: 51 failures in a row make an estimate of the incumbent due."""
+        self._lower, self._upper, self._layout = layout.lower, layout.upper, layout
+        self.counts_estimates, self._estimates, self._falls_back = counts_estimates, estimates, falls_back
+        blocks, self._rules = layout.blocks, [rules[block.kind] for block in layout.blocks]
+        self._starts = np.array([block.slice.start for block in blocks])
+        self._stops = np.array([block.slice.stop for block in blocks])
+        self._low = np.array([rule.low for rule in self._rules])
+        self._width = np.array([rule.high - rule.low for rule in self._rules])
+        in_layer = [block.kind in LAYERS for block in blocks]
+        self._layered = np.flatnonzero(np.repeat(in_layer, [block.size for block in blocks]))
+        self.start = Scale([rule.first or rule.least for rule in self._rules])
+
+    def first(self, defaults: Vector, rng: np.random.Generator) -> Vector:
+        """Return the defaults with noise on some entries of each kind."""
+        vector = perturb(self._layout, defaults, rng)
+        vector[self._layered] = rng.standard_normal(len(self._layered))
+        return np.minimum(np.maximum(vector, self._lower), self._upper)
+
+    def propose(self, incumbent: Vector, level: Any, rng: np.random.Generator) -> Vector:
         """Draw the numbers of changes, the deviations, the entries and the noise, in this order."""
-        counts = rng.integers(0, caps, endpoint=True)
+        counts = rng.integers(0, level, endpoint=True)
         deviations = self._low + self._width * rng.random(len(counts))
         entries = rng.integers(np.repeat(self._starts, counts), np.repeat(self._stops, counts))
         vector = incumbent.copy()
         np.add.at(vector, entries, np.repeat(deviations, counts) * rng.standard_normal(len(entries)))
-        return np.clip(vector, self._lower, self._upper)
+        vector[self._layered] = incumbent[self._layered] + rng.standard_normal(len(self._layered))
+        return np.minimum(np.maximum(vector, self._lower), self._upper)
+
+    def after(self, success: bool, scale: Scale) -> Scale:
+        """Shrink every cap after a success, and enlarge every cap after the 51st failure in a row."""
+        pairs = list(zip(scale.level, self._rules, strict=True))
+        if success:
+            return Scale([max(cap - 1, rule.least) for cap, rule in pairs])
+        if scale.failures + 1 < FAILURES_TO_WIDEN:
+            return Scale(scale.level, scale.failures + 1)
+        caps = [self._falls_back.get(cap, min(cap + 1, rule.most)) for cap, rule in pairs]
+        return Scale(caps, due=self._estimates)
 
 
 def search(
     layout: ParameterLayout, defaults: Vector, rng: np.random.Generator, inert: NDArray[np.bool_]
 ) -> Search:
     """Search from the perturbed defaults (P,); inert parameters are changed like all others."""
-    changes = Changes(layout, RULES)
-    caps, failures = [rule.least for rule in changes.rules], 0
-    incumbent = perturb(layout, defaults, rng)
-    value = (yield Batch(incumbent[None].copy(), np.array([-math.inf]))).returns[0]
-    while True:
-        candidate = changes.draw(incumbent, caps, rng)
-        found = (yield Batch(candidate[None].copy(), np.array([value]))).returns[0]
-        failures += 1
-        if found > value:
-            incumbent, value, failures = candidate, found, 0
-            caps = [max(cap - 1, rule.least) for cap, rule in zip(caps, changes.rules, strict=True)]
-        elif failures == FAILURES_TO_WIDEN:
-            failures = 0
-            caps = [min(cap + 1, rule.most) for cap, rule in zip(caps, changes.rules, strict=True)]
+    return climb_one_by_one(Published(layout, estimates=False), defaults, rng)

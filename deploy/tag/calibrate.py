@@ -1,15 +1,17 @@
 """Calibration of a camera: intrinsics from pictures of a printed board, its yaw from a straight drive."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from deploy.tag.board import LAYOUT, board_map
+from deploy.tag.board_locator import locator
 from deploy.tag.detector import Detection
-from deploy.tag.locate import Located, Locator
-from deploy.tag.sheet import BOARD, BOARD_TAG_M
+from deploy.tag.locate import Located
 from deploy.tag.tag_map import CameraFile, Intrinsics, TagMap
 from rover_ncp.core.config import validated
 from rover_ncp.core.errors import UsageError
@@ -37,14 +39,16 @@ def find_intrinsics(pictures: Sequence[Sequence[Detection]], size: tuple[int, in
 
     Raises UsageError when too few pictures show enough of the board, and ConfigError when no camera fits.
     """
-    h = 0.5 * BOARD_TAG_M
-    square = np.array([[-h, -h], [h, -h], [h, h], [-h, h]])
+    # The size of its page does not count.
+    numbers = Counter(each.id // len(LAYOUT) for tags in pictures for each in tags)
+    board = {tag.id: tag for tag in board_map(max(numbers, key=numbers.__getitem__, default=0), "a4").tags}
     points, pixels = [], []
     for tags in pictures:
-        seen = [each for each in tags if each.id < len(BOARD)]
+        seen = [each for each in tags if each.id in board]
         if len(seen) >= MIN_TAGS:
-            flat = np.concatenate([square + BOARD[each.id] for each in seen])
-            points.append(np.column_stack([flat, np.zeros(len(flat))]).astype(np.float32))
+            # On the board x is 0; OpenCV wants points in the plane of its x and y.
+            corners = np.concatenate([board[each.id].corners for each in seen])[:, [1, 2, 0]]
+            points.append(corners.astype(np.float32))
             pixels.append(np.concatenate([each.corners for each in seen]).astype(np.float32))
     if len(points) < MIN_PICTURES:
         raise UsageError(
@@ -78,9 +82,9 @@ def find_yaw(camera: CameraFile, tag_map: TagMap, pictures: Sequence[Sequence[De
     The rover drives along its x axis, so its heading by tags errs by as much as the mount's yaw. Raises
     UsageError when the drive does not determine it.
     """
-    locator, poses = Locator(camera, tag_map), list[Pose]()
+    finds, poses = locator(camera, tag_map), list[Pose]()
     for found in pictures:
-        located = locator.locate(found)
+        located = finds.locate(found)
         # Pictures of a standing rover count once.
         if isinstance(located, Located) and (not poses or distance(located.pose, poses[-1]) >= STEP_M):
             poses.append(located.pose)

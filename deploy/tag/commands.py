@@ -27,7 +27,7 @@ SOURCES = (
 Camera = Annotated[str, typer.Option(help=SOURCES)]
 OF_FILE = "that of the robot's file"
 OwnCamera = Annotated[str | None, typer.Option(help=SOURCES, show_default=OF_FILE)]
-TAGS = "The tags: sizes and places (YAML)"
+TAGS = "The tags: sizes and places (YAML), or the name of a board, such as board-17-a4"
 Seconds = Annotated[
     float | None, typer.Option(min=0.1, help="End after so many seconds.", show_default=False)
 ]
@@ -39,30 +39,51 @@ def print_tags(
     ids: Annotated[str, typer.Option(help="Ids of the tags, such as 0-3,7.")] = "0,1",
     size: Annotated[float, typer.Option(min=0.01, max=0.4, help="Edge of the black square, m.")] = 0.14,
     board: Annotated[
-        bool, typer.Option("--board", help="Print the board that 'tag calibrate' wants, and no tags.")
+        bool, typer.Option("--board", help="Print a board instead: one page of tags for a place.")
     ] = False,
+    number: Annotated[
+        int | None,
+        typer.Option(min=1, max=57, help="With --board: which of the 57 boards.", show_default="at random"),
+    ] = None,
     page: Annotated[Literal["a4", "a3", "letter"], typer.Option(help="The paper.")] = "a4",
-    out: Annotated[Path, typer.Option(help="The PDF to write.")] = Path("tags.pdf"),
+    out: Annotated[
+        Path | None,
+        typer.Option(help="The PDF to write.", show_default="tags.pdf, or the board's name"),
+    ] = None,
     overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
-    """Write tags to print, as a PDF true to size: one on each page, with a ruler.
+    """Write tags to print, as a PDF true to size: one on each page, with a ruler; or a board.
 
-    Print without scaling and measure the ruler. Glue the sheets to something flat.
+    Print without scaling and measure the ruler. Glue the sheets to something flat. A board's tags have known
+    places on their page, so that nothing is measured, and its name is for --map. Boards of two numbers cannot
+    be confused; two prints of one board can.
 
+        rover-ncp tag print --board
         rover-ncp tag print --ids 0,1 --size 0.14 --out tags.pdf
     """
+    import secrets
+
+    from deploy.tag.board import NUMBERS, board_map
     from deploy.tag.localiser import TagPrintResult
-    from deploy.tag.sheet import BOARD_TAG_M, board_page, tag_pages
+    from deploy.tag.sheet import board_page, tag_pages
     from rover_ncp.core.files import require_writable, write_atomic
 
+    if not board:
+        reject("needs --board", number=number)
+    chosen = secrets.choice(NUMBERS) if number is None else number
+    name = board_map(chosen, page).frame if board else None
+    out = Path(f"{name or 'tags'}.pdf") if out is None else out
     if out.suffix.lower() != ".pdf":
         raise UsageError(f"--out {out}: expected a .pdf")
     require_writable(out, overwrite=overwrite)
-    numbers = [] if board else parse_ids(ids)
-    write_atomic(out, board_page(page) if board else tag_pages(numbers, size, page))
-    result = TagPrintResult(out=str(out), ids=tuple(numbers), size=BOARD_TAG_M if board else size, page=page)
-    Output(json).result(result, f"wrote {out}: print it at 100 % and measure its ruler")
+    numbers = [tag.id for tag in board_map(chosen, page).tags] if board else parse_ids(ids)
+    write_atomic(out, board_page(chosen, page) if board else tag_pages(numbers, size, page))
+    result = TagPrintResult(
+        out=str(out), ids=tuple(numbers), size=None if board else size, page=page, board=name
+    )
+    words = f"wrote {out}: print it at 100 % and measure its ruler"
+    Output(json).result(result, f"{words}, then 'tag run --map {name}'" if board else words)
 
 
 @tag.command()
@@ -73,7 +94,9 @@ def calibrate(
     camera_info: Annotated[
         Path | None, typer.Option(help="Take the intrinsics from a YAML file of ROS or OpenCV.")
     ] = None,
-    map: Annotated[Path | None, typer.Option(help="Measure the yaw of the mount: the tags (YAML).")] = None,
+    map: Annotated[
+        Path | None, typer.Option(help="Measure the yaw of the mount: the tags (YAML), or a board's name.")
+    ] = None,
     size: Annotated[
         str | None,
         typer.Option(
@@ -87,7 +110,7 @@ def calibrate(
 ) -> None:
     """Calibrate a camera. Without --map: its intrinsics. With --map: the yaw of its mount on the rover.
 
-    Intrinsics: show the camera the board of 'tag print --board', near and far and tilted, or take pictures of
+    Intrinsics: show the camera a board of 'tag print --board', near and far and tilted, or take pictures of
     it into a folder. The new file has the camera at the base's origin: write its measured place and angles
     into it. Yaw: drive about 1 m straight ahead with 'rover-ncp teleop', tags in view.
 

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
+from deploy.tag.board_locator import locator
 from deploy.tag.camera import Picture
 from deploy.tag.detector import Detection, Detector
-from deploy.tag.locate import Located, Locator, Rejection
+from deploy.tag.locate import Located, Rejection
 from deploy.tag.tag_map import CameraFile, TagMap
 from rover_ncp.core.errors import UsageError
 
@@ -57,9 +58,10 @@ class TagPrintResult(BaseModel):
     """Result of ``tag print``."""
 
     out: str = Field(description="the PDF")
-    ids: tuple[int, ...] = Field(description="ids of the tags; empty for the board")
-    size: float = Field(description="m, edge of a tag's black square")
+    ids: tuple[int, ...] = Field(description="ids of the tags")
+    size: float | None = Field(description="m, edge of a tag's black square; null for a board")
     page: str = Field(description="the paper")
+    board: str | None = Field(description="the board's name, for --map; null for tags")
 
 
 class TagCalibration(BaseModel):
@@ -94,7 +96,7 @@ class Localiser:
 
     def __init__(self, camera: CameraFile, tag_map: TagMap) -> None:
         self._size = (camera.intrinsics.height, camera.intrinsics.width)
-        self._detector, self._locator = Detector(DECIMATE), Locator(camera, tag_map)
+        self._detector, self._locator = Detector(DECIMATE), locator(camera, tag_map)
         self._ids = {tag.id for tag in tag_map.tags}
         self.pictures = self.poses = 0
         self.rejected = Counter[str]()

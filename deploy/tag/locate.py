@@ -25,8 +25,9 @@ MAX_PIXELS = 1.5
 """Largest root mean square of a tag's corner errors, pixels: beyond, its size, place or id is wrong."""
 FLOOR_M, FLOOR_RAD = 0.002, 0.003
 """Standard deviations that more corners do not lower: errors of the map and of the mount."""
-AMBIGUOUS = 2.0
-"""A second pose whose corner errors are less than this times those of the best may be the true one."""
+AMBIGUOUS = 12.0
+"""A second pose may be the true one if the sum of its squared errors is larger than that of the best by less
+than this, in squared standard deviations of a corner: for one tag about twice the errors."""
 APART_M, APART_RAD = 0.03, 0.05
 """Poses closer than this are one."""
 BEHIND = 1e3
@@ -49,6 +50,7 @@ class Rejection(StrEnum):
     DISAGREE = "tags disagree: the size, place or id of one is wrong, or the camera's intrinsics or mount"
     MISFIT = "the tag does not fit: its size, place or id is wrong, or the camera's intrinsics or mount"
     AMBIGUOUS = "two poses fit about as well"
+    TILTED = "the board hangs sideways or upside down, or the camera's mount is wrong"
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,7 @@ class Locator:
         rms = corner_rms(best.fun)
         for other in others:
             same = near(Pose(*best.x), Pose(*other.x), APART_M, APART_RAD)
-            if not same and corner_rms(other.fun) < AMBIGUOUS * max(rms, PIXEL):
+            if not same and doubtful(best.fun, other.fun):
                 return Rejection.AMBIGUOUS
         information = best.jac.T @ best.jac
         covariance = max(rms, PIXEL) ** 2 * np.linalg.pinv(information)
@@ -165,6 +167,11 @@ def undistorted(intrinsics: Intrinsics, pixels: Floats) -> Floats:
     undistort = cv2.fisheye.undistortPoints if intrinsics.model == "fisheye" else cv2.undistortPoints
     flat = undistort(pixels[:, None, :], intrinsics.matrix, np.array(intrinsics.distortion))[:, 0, :]
     return np.asarray(flat, np.float64)
+
+
+def doubtful(best: Floats, other: Floats) -> bool:
+    """Return whether a pose with these corner errors may be the true one beside the best, in pixels."""
+    return float(other @ other - best @ best) < AMBIGUOUS * max(corner_rms(best), PIXEL) ** 2
 
 
 def corner_rms(errors: Floats) -> float:

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from deploy.tag.board import load_tags
 from deploy.tag.calibrate import find_intrinsics, find_yaw
 from deploy.tag.camera import (
     DeviceCamera,
@@ -31,7 +32,7 @@ from deploy.tag.localiser import (
 )
 from deploy.tag.pose_link import PoseLink
 from deploy.tag.ros_camera import RosCamera, ros_camera_file
-from deploy.tag.tag_map import CameraFile, Mount, TagMap
+from deploy.tag.tag_map import CameraFile, Mount
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml, load_yaml
 from rover_ncp.core.console import Output
@@ -59,7 +60,7 @@ def run_localiser(
     output: Output,
 ) -> int:
     """See ``commands.run``; return the exit code."""
-    tag_map = load_yaml(map_file, TagMap)
+    tag_map = load_tags(map_file)
     if camera_file is not None:
         camera = _mounted(camera_file)
     elif source.startswith(ROS2):
@@ -158,7 +159,7 @@ def _mounted(camera_file: Path) -> CameraFile:
 
 def calibrate_yaw(source: str, camera_file: Path, map_file: Path, *, seconds: float, output: Output) -> None:
     """Measure the yaw of the mount in a camera's file by a straight drive in which it sees tags."""
-    camera, tag_map = _mounted(camera_file), load_yaml(map_file, TagMap)
+    camera, tag_map = _mounted(camera_file), load_tags(map_file)
     if tag_map.tags_on == "rover":
         raise UsageError(f"{map_file}: tags_on: rover: the mount of a ceiling's camera is measured by hand")
     require_writable(camera_file, overwrite=True)

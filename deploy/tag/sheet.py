@@ -11,28 +11,15 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from deploy.tag.board import PAGES, board_map
 from rover_ncp.core.errors import UsageError
 
-PAGES = {"a4": (0.210, 0.297), "a3": (0.297, 0.420), "letter": (0.2159, 0.2794)}
-"""Width and height in m."""
 CELLS = 8
 """Cells along the edge of a tag's black square; the white border around it is one cell more on each side."""
 INCH_M = 0.0254
 MARGIN_M = 0.012
 """Border of a page that printers leave white."""
 RULER_M = 0.1
-
-
-BOARD_TAG_M, BOARD_COLUMNS, BOARD_ROWS = 0.032, 4, 5
-"""Tags of the calibration board, which fits each page; their ids count from 0, row by row."""
-BOARD_PITCH_M = BOARD_TAG_M * (1.0 + 3.0 / CELLS)
-"""Distance between neighbours' centres: a white border of one cell for each, and one between."""
-BOARD = tuple(
-    (column * BOARD_PITCH_M, -row * BOARD_PITCH_M)
-    for row in range(BOARD_ROWS)
-    for column in range(BOARD_COLUMNS)
-)
-"""x to the right and y up of each tag's centre in m, the first at the top left, by id."""
 
 
 def pattern(tag: int) -> NDArray[np.uint8]:
@@ -51,32 +38,40 @@ def tag_pages(ids: Sequence[int], size: float, page: str) -> bytes:
             f"--size {size:g}: with its white border the tag needs a page as wide as {needed:.3f} m, "
             f"{page} has {width:.3f} m"
         )
-    return _pdf(page, [(f"tag36h11 id {tag}, {1000 * size:g} mm", size, [(tag, 0.0, 0.0)]) for tag in ids])
+    sheets = [(f"tag36h11 id {tag}, {1000 * size:g} mm", [(tag, size, 0.0, 0.0)]) for tag in ids]
+    return _pdf(PAGES[page], sheets)
 
 
-def board_page(page: str) -> bytes:
-    """Return a PDF with the calibration board."""
-    tags = [(tag, x, y) for tag, (x, y) in enumerate(BOARD)]
-    title = f"calibration board, {BOARD_COLUMNS} × {BOARD_ROWS} tags of {1000 * BOARD_TAG_M:g} mm"
-    return _pdf(page, [(title, BOARD_TAG_M, tags)])
+def board_page(number: int, page: str) -> bytes:
+    """Return a PDF with a board, on its side."""
+    height, width = PAGES[page]
+    board = board_map(number, page)
+    title = f"{board.frame}: hang it upright, this line below. No second print of it in one place."
+    return _pdf((width, height), [(title, [(tag.id, tag.size, tag.y, tag.z) for tag in board.tags])])
 
 
-def _pdf(page: str, sheets: Sequence[tuple[str, float, Sequence[tuple[int, float, float]]]]) -> bytes:
-    """Return a page for each (title, size, tags with their centres); the tags' middle is the page's."""
-    width, height = PAGES[page]
+def _pdf(
+    page: tuple[float, float], sheets: Sequence[tuple[str, Sequence[tuple[int, float, float, float]]]]
+) -> bytes:
+    """Return a page, so wide and so high in m, for each title with its tags: id, size, x and y of the centre.
+
+    The tags' middle is the page's, above the ruler.
+    """
+    width, height = page
     file = io.BytesIO()
     with PdfPages(file, metadata={"Title": "AprilTags", "CreationDate": None}) as pdf:
-        for title, size, tags in sheets:
+        for title, tags in sheets:
             figure = Figure(figsize=(width / INCH_M, height / INCH_M))
             axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
             axes.set(xlim=(0.0, width), ylim=(0.0, height))
             axes.axis("off")
-            dx = 0.5 * width - 0.5 * (min(x for _, x, _ in tags) + max(x for _, x, _ in tags))
-            dy = 0.5 * height + 0.01 - 0.5 * (min(y for *_, y in tags) + max(y for *_, y in tags))
-            for tag, x, y in tags:
-                _draw(axes, pattern(tag), x + dx, y + dy, size)
-            y = MARGIN_M + 0.008
-            axes.text(MARGIN_M, y + 0.008, title, fontsize=9)
+            edges = [(x, y, 0.5 * size) for _, size, x, y in tags]
+            dx = 0.5 * width - 0.5 * (min(x - h for x, _, h in edges) + max(x + h for x, _, h in edges))
+            dy = 0.5 * height - 0.5 * (min(y - h for _, y, h in edges) + max(y + h for _, y, h in edges))
+            for tag, size, x, y in tags:
+                _draw(axes, pattern(tag), x + dx, y + dy + 0.01, size)
+            y = MARGIN_M + 0.006
+            axes.text(MARGIN_M, y + 0.007, title, fontsize=9)
             for mm in range(0, round(1000 * RULER_M) + 1, 10):
                 x = MARGIN_M + mm / 1000
                 axes.plot([x, x], [y, y + (0.005 if mm % 50 == 0 else 0.003)], "k", linewidth=0.6)

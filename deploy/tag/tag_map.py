@@ -24,6 +24,8 @@ IDS = 587
 """Number of tags in the family."""
 MAX_DISTORTION = 1e4
 """Rational models of wide lenses have coefficients of some hundreds."""
+FLAT_M = 1e-6
+"""Largest distance of a corner from the plane of its board."""
 FOCAL = 0.1, 20.0
 """Least and largest focal length, in longer sides of the picture: views of 157° and 3°."""
 
@@ -73,11 +75,12 @@ class TagMap(StrictModel):
     """The tags that a camera may see, and the frame of their poses.
 
     The tags are in the frame ``frame`` and the camera is on the rover; or the camera is in that frame (on a
-    ceiling, looking down) and the tags are on the rover, in base_link: ``tags_on: rover``.
+    ceiling, looking down) and the tags are on the rover, in base_link: ``tags_on: rover``. With
+    ``tags_on: board`` the tags are on one flat board that hangs upright at a height that is not known.
     """
 
     frame: str = Field(default="map", min_length=1, max_length=64)
-    tags_on: Literal["ground", "rover"] = "ground"
+    tags_on: Literal["ground", "rover", "board"] = "ground"
     tags: tuple[Tag, ...] = Field(min_length=1, max_length=200)
 
     @model_validator(mode="after")
@@ -85,6 +88,14 @@ class TagMap(StrictModel):
         twice = [tag for tag, count in Counter(tag.id for tag in self.tags).items() if count > 1]
         if twice:
             raise ValueError(f"tags with the same id: {', '.join(map(str, twice))}")
+        return self
+
+    @model_validator(mode="after")
+    def _board_is_flat(self) -> Self:
+        leaning = [tag.id for tag in self.tags if np.abs(tag.corners[:, 0]).max() > FLAT_M]
+        if self.tags_on == "board" and leaning:
+            found = ", ".join(map(str, leaning))
+            raise ValueError(f"tags_on: board: expected tags at x 0 without yaw and pitch, not so: {found}")
         return self
 
 

@@ -9,10 +9,11 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from deploy.tag.board import board_map
 from deploy.tag.calibrate import find_yaw
 from deploy.tag.detector import Detection, Detector
 from deploy.tag.locate import Locator
-from deploy.tag.sheet import BOARD, BOARD_TAG_M, board_page, tag_pages
+from deploy.tag.sheet import board_page, tag_pages
 from deploy.tag.tag_map import CameraFile, Intrinsics, Mount, Tag, TagMap
 from rover_ncp import cli
 from rover_ncp.core.config import dump_yaml, load_yaml
@@ -25,10 +26,7 @@ TRUE = Intrinsics(width=640, height=480, fx=520.0, fy=520.0, cx=325.0, cy=236.0)
 
 def board_pictures(count):
     """Pictures of a board that hangs at x = 0, seen from tilted places."""
-    tags = tuple(
-        Tag(id=tag, size=BOARD_TAG_M, x=0.0, y=x - 0.066, z=0.088 + y, yaw=0.0)
-        for tag, (x, y) in enumerate(BOARD)
-    )
+    tags = board_map(23, "letter").tags
     stream = np.random.default_rng(3)
     for index in range(count):
         angle, height = 0.5 * math.sin(2.1 * index), 0.12 * math.cos(1.3 * index)
@@ -118,24 +116,34 @@ def test_drive_that_does_not_determine_the_yaw_is_refused(way, words):
         find_yaw(CameraFile(intrinsics=TRUE, mount=MOUNT), WALL, list(drive(**way)))
 
 
-def test_printed_tags_are_true_to_size(monkeypatch):
-    drawn = []
+@pytest.fixture
+def printed(monkeypatch):
+    """The figures that were printed."""
+    figures = []
     monkeypatch.setattr(
-        "matplotlib.backends.backend_pdf.PdfPages.savefig", lambda self, figure: drawn.append(figure)
+        "matplotlib.backends.backend_pdf.PdfPages.savefig", lambda self, figure: figures.append(figure)
     )
+    return figures
+
+
+def test_printed_tags_are_true_to_size(printed):
     tag_pages([5, 17], 0.14, "a4")
-    board_page("letter")
-    edges = []
-    for figure in drawn:
-        for found in Detector().detect(grey(figure, 150)):
-            edges += [(found.id, math.dist(found.corners[0], found.corners[1]) / 150 * 0.0254)]
-    assert [edge for edge in edges if edge[0] in (5, 17) and edge[1] > 0.1] == [
-        (5, pytest.approx(0.14, abs=3e-4)),
-        (17, pytest.approx(0.14, abs=3e-4)),
-    ]
-    on_board = [edge for _, edge in edges if edge < 0.1]
-    assert len(on_board) == len(BOARD)
-    assert np.mean(on_board) == pytest.approx(BOARD_TAG_M, abs=2e-4)
+    for figure, tag in zip(printed, (5, 17), strict=True):
+        (found,) = Detector().detect(grey(figure, 150))
+        edge_m = math.dist(found.corners[0], found.corners[1]) / 150 * 0.0254
+        assert (found.id, edge_m) == (tag, pytest.approx(0.14, abs=3e-4))
+
+
+@pytest.mark.parametrize("page", ["a4", "a3", "letter"])
+def test_tags_of_a_printed_board_are_where_its_map_has_them(printed, page):
+    board_page(17, page)
+    known = {tag.id: tag.corners[:, 1:] for tag in board_map(17, page).tags}
+    found = {
+        each.id: each.corners * (1, -1) / 150 * 0.0254 for each in Detector().detect(grey(printed[0], 150))
+    }
+    assert found.keys() == known.keys()
+    errors = np.concatenate([found[tag] - known[tag] for tag in known])
+    assert np.ptp(errors, axis=0).max() < 6e-4
 
 
 def grey(figure: Figure, dpi: int):

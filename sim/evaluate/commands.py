@@ -75,6 +75,8 @@ def evaluate(options: EvalOptions) -> int:
         reject("does not go with --to", **given, random_courses=options.random_courses)
     else:
         reject("needs --to", images=options.images)
+    if not options.images:
+        reject("needs --images", scene=options.scene, blind=options.blind)
     return _run(options)
 
 

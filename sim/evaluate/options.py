@@ -24,6 +24,17 @@ class Sensors(StrEnum):
     BOTH = "both"
 
 
+class Scene(StrEnum):
+    """What hangs at a place, by the name of its class in `sim.stack.board_scenes`."""
+
+    TAGS = "tags"
+    BOARD = "board"
+    WRONG_MOUNT = "wrong-mount"
+    SECOND_BOARD = "second-board"
+    SECOND_PRINT = "second-print"
+    SIDEWAYS = "sideways"
+
+
 @dataclass(frozen=True, kw_only=True)
 class EvalOptions:
     """Options of ``eval``."""
@@ -90,6 +101,18 @@ class EvalOptions:
         typer.Option(
             "--images", help="With --to: render the camera's pictures and localise by them (extra tag)."
         ),
+    ] = False
+    scene: Annotated[
+        Scene | None,
+        typer.Option(
+            help="With --images: what hangs at the place. tags: three tags whose places are known; board: a "
+            "board; wrong-mount: a camera's file that errs by 2 cm and 2°; second-board: another one beside; "
+            "second-print: of the same one, 3 m away; sideways: turned by 90° since it was taught.",
+            show_default="tags",
+        ),
+    ] = None
+    blind: Annotated[
+        bool, typer.Option("--blind", help="With --images: start with no tag in view, at any heading.")
     ] = False
     sensors: Annotated[
         Sensors | None,

@@ -11,7 +11,7 @@ from rover_ncp.core.console import progress
 from rover_ncp.course.course import Course
 from rover_ncp.robot.description import RobotDescription
 from sim.evaluate.evaluate import Ended, drive_trials, trial_count
-from sim.evaluate.options import EvalOptions
+from sim.evaluate.options import EvalOptions, Scene
 from sim.learn.policies import any_policy
 from sim.stack.docking import Docked, DockTrials
 from sim.stack.tag_camera import TagLocaliser
@@ -57,9 +57,9 @@ def drive_dockings(
     """Dock at a place through the stack; return the place's name and the trials. Raises WorkerDied."""
     place, localiser = load_place(name), TagLocaliser
     if options.images:
-        from sim.stack.rendered_camera import RenderedLocaliser
+        from sim.stack.board_scenes import SCENES
 
-        localiser = RenderedLocaliser
+        localiser = SCENES[options.scene or Scene.TAGS]
     trials = DockTrials(
         load_policy("course"),
         load_policy(options.policy),
@@ -69,6 +69,7 @@ def drive_dockings(
         gyro=gyro,
         robot=robot,
         localiser=localiser,
+        blind=options.blind,
     )
     count = options.trials or 1
     with trial_progress(count) as done:

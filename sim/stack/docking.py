@@ -88,6 +88,8 @@ class DockTrials:
     localiser: type[TagLocaliser] = TagLocaliser
     estimator: Mapping[str, float] = field(default_factory=dict)
     """Estimator settings that replace the driver's."""
+    blind: bool = False
+    """Whether the rovers start with no tag in the image, at any heading."""
 
     @cached_property
     def description(self) -> RobotDescription:
@@ -105,11 +107,12 @@ class DockTrials:
             noise_m=self.ranges.noise_m,
             noise_rad=self.ranges.noise_rad,
         )
-        config = place_config(self.place, known, self.robot, robot="virtual", policy=self.dock.circuit.name)
+        place = self.localiser.taught(self.place)
+        config = place_config(place, known, self.robot, robot="virtual", policy=self.dock.circuit.name)
         return with_estimator(config, self.estimator)
 
     def start(self, number: int) -> Pose:
-        """Return where the robot of a trial starts: it has tags in its image and touches no obstacle.
+        """Return where the robot of a trial starts: clear of obstacles, with tags in its image or with none.
 
         Raises UsageError if the obstacles leave no such start.
         """
@@ -117,13 +120,17 @@ class DockTrials:
         for _ in range(MAX_DRAWS):
             start = self._drawn(stream)
             clear = clearance_at(start, self.place.obstacles, self.description) > 0.0
-            if clear and self.localiser.has_tags(start, self.place):
+            sees = self.localiser.has_none if self.blind else self.localiser.has_tags
+            if clear and sees(start, self.place):
                 return start
         raise UsageError(f"place '{self.place.name}': its obstacles leave no start before it")
 
     def _drawn(self, stream: np.random.Generator) -> Pose:
         away = stream.uniform(*DISTANCES_M)
-        bearing, heading = stream.uniform(-1.0, 1.0, 2) * (BEARING_RAD, HEADING_RAD)
+        bearing, heading = stream.uniform(-1.0, 1.0, 2) * (
+            BEARING_RAD,
+            math.pi if self.blind else HEADING_RAD,
+        )
         direction = camera_direction(self.place)
         x, y = -away * math.cos(bearing), -away * math.sin(bearing)
         from_place = Pose(x, y, math.atan2(-y, self.localiser.tags_ahead_m - x) + heading)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +21,15 @@ from sim.world.rover import Rover
 
 PLACE_M = 1.6
 """Place of `park --dock` on the x axis of its tags' file."""
+
+
+class Scene(NamedTuple):
+    """The camera and the tags of a room, and what the localiser's files say of them."""
+
+    camera: CameraFile
+    tags: TagMap
+    camera_file: CameraFile
+    map: TagMap
 
 
 @cache
@@ -56,19 +66,37 @@ class RenderedLocaliser(TagLocaliser):
         errors: LocaliserErrors | None = None,
     ) -> None:
         super().__init__(rover, place, stream, send, errors)
-        camera, tags = dock_camera(place)
-        self.renderer, self.localiser = Renderer(camera, tags, stream), Localiser(camera, tags)
+        scene = self.scene(place)
+        self.frame = scene.map.frame
+        self.renderer = Renderer(scene.camera, scene.tags, stream)
+        self.localiser = Localiser(scene.camera_file, scene.map)
+
+    @classmethod
+    def scene(cls, place: Place) -> Scene:
+        """Return the room around a place."""
+        return Scene(*dock_camera(place) * 2)
+
+    @classmethod
+    def tags_in_view(cls, start: Pose, place: Place) -> int:
+        """Return how many tags are wholly in the image."""
+        scene = cls.scene(place)
+        camera = scene.camera.intrinsics
+        locator, size = Locator(scene.camera, scene.tags), np.array((camera.width, camera.height))
+        within = 0
+        for tag in scene.tags.tags:
+            pixels = camera.pixels(locator.project(np.array(start), tag.corners))
+            within += bool(np.all((pixels > 0.0) & (pixels < size - 1.0)))
+        return within
 
     @classmethod
     def has_tags(cls, start: Pose, place: Place) -> bool:
         """Return whether two tags are wholly in the image: the pose by one tag can be ambiguous."""
-        camera, tags = dock_camera(place)
-        locator, size = Locator(camera, tags), (camera.intrinsics.width, camera.intrinsics.height)
-        within = 0
-        for tag in tags.tags:
-            pixels = camera.intrinsics.pixels(locator.project(np.array(start), tag.corners))
-            within += bool(np.all((pixels > 0.0) & (pixels < np.array(size) - 1.0)))
-        return within >= 2
+        return cls.tags_in_view(start, place) >= 2
+
+    @classmethod
+    def has_none(cls, start: Pose, place: Place) -> bool:
+        """Return whether no tag is wholly in the image."""
+        return cls.tags_in_view(start, place) == 0
 
     def measure(self, wall_ns: int) -> Measured | None:
         """Return the pose that a picture of the present moment gives."""

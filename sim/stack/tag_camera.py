@@ -68,6 +68,16 @@ class TagLocaliser(PoseSource):
         """
         return True
 
+    @classmethod
+    def has_none(cls, start: Pose, place: Place) -> bool:
+        """Return whether the camera has no tag in its image at a start."""
+        raise NotImplementedError
+
+    @classmethod
+    def taught(cls, place: Place) -> Place:
+        """Return the place as the driver knows it: here the very place."""
+        return place
+
     def measure(self, wall_ns: int) -> Measured | None:
         """Return the pose by the noise model."""
         tags = compose(self._toward, Pose(self.tags_ahead_m, 0.0, 0.0))

@@ -41,7 +41,7 @@ def by(board, room, pose, camera=CAMERA, seed=1):
 @pytest.mark.parametrize("away", [0.45, 0.8, 1.5])
 def test_pose_by_a_board_needs_no_height(away):
     true = before(away)
-    found = by(BOARD, hung(BOARD, z=0.5), true)
+    found = by(BOARD, hung(BOARD, z=0.4), true)
     assert distance(found.pose, true) < max(0.01, 0.012 * away**2)
     assert abs(wrap_angle(found.pose.theta - true.theta)) < 0.02
     assert distance(found.pose, true) < 4.0 * math.sqrt(np.trace(found.covariance[:2, :2]))

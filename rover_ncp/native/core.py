@@ -33,10 +33,12 @@ _FUNCTIONS: dict[str, list[Any]] = {
     "rover_ncp_fill_lanes": [None, _POINTER, _POINTER, _LONG],
     "rover_ncp_tick_lanes": [None, *[_POINTER] * 3],
     "rover_ncp_run_episodes": [_LONG, *[_POINTER] * 8, _LONG],
-    "rover_ncp_damped_steps": [_LONG, *[_LONG] * 4, *[_POINTER] * 8],
-    "rover_ncp_correct_slopes": [None, *[_LONG] * 4, *[_POINTER] * 7],
-    "rover_ncp_survival": [_DOUBLE, _LONG, _POINTER, _DOUBLE],
-    "rover_ncp_survival_weights": [None, _LONG, _POINTER, _DOUBLE, _POINTER],
+    "rover_ncp_size_of_least_squares": [_LONG],
+    "rover_ncp_submit": [_LONG, _POINTER, _LONG, _LONG, _POINTER, _POINTER],
+    "rover_ncp_damped_steps": [_LONG, _POINTER, _LONG, _DOUBLE, _DOUBLE, _POINTER, _POINTER],
+    "rover_ncp_measure_slopes": [None, *[_POINTER] * 5],
+    "rover_ncp_correct_slopes": [None, _POINTER, _DOUBLE, *[_POINTER] * 4],
+    "rover_ncp_survival": [_DOUBLE, _POINTER, _DOUBLE, _POINTER],
 }
 """The result and the arguments of each function."""
 _TICKS_OF_A_CALL = 1000
@@ -297,27 +299,38 @@ def bound_episodes(circuits: Any, signal_at: NDArray[np.int64], **tuples: Any) -
     return run_all
 
 
-def call(name: str, *arguments: float | tuple[FloatArray, tuple[int, ...]]) -> Any:
-    """Call a function of numbers and of arrays, each given with the shape that it must have.
+def bound_submit(queue: Any) -> "partial[int]":
+    """Return what lets episodes of a group wait in a ``Queue``.
 
-    For arrays that are new at each call: this takes a fiftieth of the time of ``structures``. Raises
-    ValueError for an array of another shape or type, TypeError for one with gaps between its numbers.
+    It takes the group, the number of episodes, and the addresses of their parameter vectors (n, P) and of
+    their thresholds (n,). It returns 1, and none waits, if a parameter is not finite.
     """
-    values: list[Any] = []
-    for argument in arguments:
-        if isinstance(argument, tuple):
-            array, shape = argument
-            if array.shape != shape or array.dtype is not _FLOAT64:
-                raise ValueError(f"{name}: {array.dtype} of {array.shape}, expected doubles of {shape}")
-            values.append(ctypes.byref(ctypes.c_char.from_buffer(array)))  # type: ignore[arg-type]
-        else:
-            values.append(argument)
-    return getattr(required(), name)(*values)
+    return partial(required().rover_ncp_submit, *structures(queue=queue))
+
+
+def bound_least_squares(arrays: Any) -> "list[partial[Any]]":
+    """Return the functions of least_squares.cpp, in its order, with the arrays that they work on."""
+    [structure] = structures(arrays=arrays)
+    if structure.size != required().rover_ncp_size_of_least_squares():
+        raise TypeError("the named tuple has other fields than its structure in least_squares.cpp")
+    names = ("damped_steps", "measure_slopes", "correct_slopes", "survival")
+    return [partial(getattr(required(), f"rover_ncp_{name}"), structure) for name in names]
+
+
+def row_addresses(array: FloatArray, *shape: int) -> range:
+    """Return the addresses of an array's rows, for functions that are called often. They live as long as it.
+
+    Raises ValueError for an array of another shape or type, TypeError for one with gaps between its numbers.
+    """
+    if array.shape != shape or array.dtype is not _FLOAT64:
+        raise ValueError(f"{array.dtype} of {array.shape}, expected doubles of {shape}")
+    first = ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]
+    return range(first, first + array.nbytes, array.nbytes // shape[0])
 
 
 @cache
-def linear_algebra() -> int:
-    """Return the address of ``Routines`` of least_squares.cpp: functions of scipy's BLAS and LAPACK."""
+def linear_algebra() -> tuple[int, ...]:
+    """Return ``Routines`` of least_squares.cpp: the addresses of functions of scipy's BLAS and LAPACK."""
     from scipy.linalg import cython_blas, cython_lapack
 
     get_pointer = ctypes.pythonapi.PyCapsule_GetPointer
@@ -328,8 +341,4 @@ def linear_algebra() -> int:
         *(cython_blas.__pyx_capi__[name] for name in ("dsyrk", "dgemv", "ddot")),
         cython_lapack.__pyx_capi__["dpotrf"],
     ]
-    _ROUTINES[:] = [get_pointer(capsule, get_name(capsule)) for capsule in capsules]
-    return int(_ROUTINES.ctypes.data)
-
-
-_ROUTINES = np.zeros(4, np.uint64)
+    return tuple(int(get_pointer(capsule, get_name(capsule)) or 0) for capsule in capsules)

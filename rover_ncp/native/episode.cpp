@@ -411,6 +411,27 @@ void rover_ncp_sizes(int64_t *sizes) {
     for (int i = 0; i < 7; i++) sizes[i] = found[i];
 }
 
+// Let the first `count` episodes of a group, none of which waits or runs, wait with new vectors and thresholds. Return
+// 0, or 1 if a parameter is not finite: then none waits.
+int64_t rover_ncp_submit(const Queue *queue, int64_t group, int64_t count, const double *vectors,
+                         const double *stop_below) {
+    const Waiting &waiting = queue->waiting;
+    const int64_t room = waiting.episodes.shape[0], parameters = queue->vectors.shape[1];
+    const int64_t numbers = queue->residuals.shape[1] * queue->residuals.shape[2];
+    for (int64_t i = 0; i < count * parameters; i++)
+        if (!(vectors[i] - vectors[i] == 0.0)) return 1;
+    for (int64_t i = 0; i < count; i++) {
+        const int64_t episode = group * (room / waiting.left.shape[0]) + i;
+        double *vector = &queue->vectors(queue->vector(episode), 0), *residuals = &queue->residuals(episode, 0, 0);
+        for (int64_t p = 0; p < parameters; p++) vector[p] = vectors[i * parameters + p];
+        for (int64_t r = 0; r < numbers; r++) residuals[r] = 0.0;
+        queue->stop_below(episode) = stop_below[i];
+        waiting.episodes((waiting.ring(0) + waiting.ring(1)++) % room) = episode;
+    }
+    waiting.left(group) = count;
+    return 0;
+}
+
 int64_t rover_ncp_run_episodes(const Circuits *circuits, const Indices *signal_at, const Tasks *tasks,
                                const Trials *trials, const Lanes *lanes, const Fleet *fleet, const Queue *queue,
                                int64_t *ended, int64_t max_ticks) {

@@ -187,13 +187,14 @@ def _run_agent(settings: TrainSettings, start: Policy, number: int) -> Generator
     improvements: list[tuple[int, float]] = []
     done, end = 0, settings.iterations + 1  # the start is no iteration
     while True:
-        batch = Batch(batch.vectors[: end - done], batch.to_beat[: end - done])
+        if len(batch.vectors) > end - done:
+            batch = Batch(batch.vectors[: end - done], batch.to_beat[: end - done])
         scores = yield batch
-        for candidate, value in zip(batch.vectors, scores.returns.tolist(), strict=True):
+        for place, value in enumerate(scores.returns.tolist()):
             if value > best:
-                vector, best = candidate.copy(), value
-                improvements.append((done, value))
-            done += 1
+                vector, best = batch.vectors[place].copy(), value
+                improvements.append((done + place, value))
+        done += len(batch.vectors)
         if done == end:
             return Agent(number=number, vector=vector.tolist(), improvements=tuple(improvements))
         batch = search.send(scores)

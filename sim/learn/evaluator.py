@@ -22,7 +22,7 @@ from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.hold import hold_from_s
 from rover_ncp.course.reference import Reference, plan_reference
 from rover_ncp.course.scoring import due_checkpoints
-from rover_ncp.native.core import Axes, FloatArray, bound_episodes
+from rover_ncp.native.core import Axes, FloatArray, bound_episodes, bound_submit, row_addresses
 from sim.learn.search import Batch, Scores
 from sim.world.described import default_rover
 from sim.world.fleet import Fleet
@@ -40,6 +40,8 @@ _STREAM_LANES = 8
 """One vector; with more, lanes idle while agents wait for their last episode."""
 _MIN_ROOM = 100
 """Candidates that a search may submit at once, or as many as it has parameters."""
+
+_NOT_FINITE = "a parameter is not finite"
 
 IDLE = -1
 WARMING_UP = -1
@@ -236,7 +238,8 @@ class Evaluator:
     def _drive(self, vectors: ArrayLike) -> tuple[IntArray, FloatArray]:
         """Return the courses (E,) and results (k, E, RESULTS) of vectors (k, P)."""
         rows = np.ascontiguousarray(np.atleast_2d(np.asarray(vectors, np.float64)))
-        _require_finite(rows)
+        if not np.isfinite(rows).all():
+            raise ValueError(_NOT_FINITE)
         trials = np.arange(self._trials.size)
         tasks = (self._first_course + trials) % len(self.courses)
         results = np.zeros((len(rows), len(tasks), RESULTS))
@@ -325,24 +328,23 @@ class Stream:
 
     def __init__(self, queue: Queue, lane_set: _LaneSet, run: Callable[[], object]) -> None:
         self._queue, self._lane_set, self._run_queue = queue, lane_set, run
+        self._submit = bound_submit(queue)
         agents = len(queue.waiting.left)
-        self._room = len(queue.vectors) // agents
+        self._room, self._parameters = len(queue.vectors) // agents, queue.vectors.shape[1]
         self._submitted = [0] * agents
 
     def submit(self, agent: int, batch: Batch) -> None:
-        """Let the episodes of a batch wait for lanes; the agent has none that do."""
-        count, queue = len(batch.vectors), self._queue
-        if self._submitted[agent] or not 0 < count <= self._room or len(batch.to_beat) != count:
+        """Let the episodes of a batch wait for lanes; the agent has none that do.
+
+        Raises ValueError or TypeError for arrays that are not those of a batch.
+        """
+        count = len(batch.vectors)
+        if not 0 <= agent < len(self._submitted) or self._submitted[agent] or not 0 < count <= self._room:
             raise ValueError(f"agent {agent} cannot submit {count} candidates now")
-        _require_finite(batch.vectors)
-        first, (episodes, ring, left) = agent * self._room, queue.waiting
-        queue.vectors[first : first + count] = batch.vectors
-        queue.stop_below[first : first + count] = batch.to_beat
-        queue.residuals[first : first + count] = 0.0
-        end = int(ring.sum())
-        episodes[np.arange(end, end + count) % len(episodes)] = np.arange(first, first + count)
-        ring[1] += count
-        left[agent] = self._submitted[agent] = count
+        vectors = row_addresses(batch.vectors, count, self._parameters)
+        if self._submit(agent, count, vectors[0], row_addresses(batch.to_beat, count)[0]):
+            raise ValueError(_NOT_FINITE)
+        self._submitted[agent] = count
 
     def collect(self) -> list[tuple[int, Scores]]:
         """Return each agent whose batch has ended, and its scores; none if no candidates wait.
@@ -359,11 +361,6 @@ class Stream:
             self._submitted[agent] = 0
             answers.append((agent, Scores(self._queue.results[own, 0], self._queue.residuals[own])))
         return answers
-
-
-def _require_finite(vectors: FloatArray) -> None:
-    if not np.isfinite(vectors).all():
-        raise ValueError("a parameter is not finite")
 
 
 def _tasks(courses: Sequence[Course], references: Sequence[Reference] | None, model: RoverModel) -> Tasks:

@@ -13,7 +13,6 @@ from rover_ncp.native import core
 from rover_ncp.native.core import bound_tick, fill_lanes, structures
 from sim.learn.evaluator import Evaluator
 from sim.learn.search import Batch
-from sim.learn.search.least_squares import damped_steps
 
 COURSE = load_course("parking")
 
@@ -144,8 +143,26 @@ def test_numbers_that_are_none_are_refused():
         evaluator.stream(1).submit(0, Batch(vectors, np.zeros(3)))
     with pytest.raises(UsageError, match="finite"):
         Runner(POLICY).tick([np.nan, 0.0, 0.0, 0.0])
-    with pytest.raises(TypeError, match="not C contiguous"):
-        damped_steps(np.ones((6, 5)).T, np.ones(6), np.ones(6), np.ones(5), np.ones(1))
+
+
+def test_only_arrays_of_a_batch_can_be_submitted():
+    vectors, to_beat = candidates(3, seed=1), np.full(3, -np.inf)
+    stream = Evaluator(POLICY, COURSE).stream(2)
+    for agent in (-1, 2):
+        with pytest.raises(ValueError, match="cannot submit"):
+            stream.submit(agent, Batch(vectors, to_beat))
+    for other in (vectors[:0], np.repeat(vectors, 100, axis=0)):
+        with pytest.raises(ValueError, match="cannot submit"):
+            stream.submit(0, Batch(other, np.zeros(len(other))))
+    others = (vectors.astype(np.float32), vectors[:, :-1].copy(), vectors.T.copy().T, vectors[:, None])
+    for batch in (*(Batch(other, to_beat) for other in others), Batch(vectors, to_beat[:2])):
+        with pytest.raises((TypeError, ValueError), match=r"expected doubles|contiguous"):
+            stream.submit(0, batch)
+    stream.submit(0, Batch(vectors, to_beat))
+    with pytest.raises(ValueError, match="cannot submit"):
+        stream.submit(0, Batch(vectors, to_beat))
+    [(agent, _)] = stream.collect()
+    assert agent == 0
 
 
 def test_a_structure_keeps_its_arrays():

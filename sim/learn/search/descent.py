@@ -18,8 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.native.core import call
-from sim.learn.search.least_squares import correct_slopes, damped_steps, measure_slopes
+from sim.learn.search.least_squares import LeastSquares, ScoredPoint
 from sim.learn.search.unit_box import Vector
 
 _CHECKPOINTS = 22
@@ -108,67 +107,18 @@ CONSTANTS = GaussNewtonConstants()
 
 
 @dataclass
-class ScoredPoint:
-    """A point (D,) of the unit box, its return, and its residuals (C, 3)."""
-
-    point: Vector
-    value: float
-    residuals: Vector
-
-
-def survival(residuals: Vector, lifetime: float) -> float:
-    """Return how far along an episode of ``residuals`` (C, 3) stays on course: C if there is no error.
-
-    The sum over checkpoints of exp(-L / lifetime), L being the loss up to that checkpoint.
-    """
-    checkpoints = len(residuals)
-    survived: float = call("rover_ncp_survival", checkpoints, (residuals, (checkpoints, 3)), float(lifetime))
-    return survived
-
-
-def survival_weights(residuals: Vector, lifetime: float) -> Vector:
-    """Return the weights (3 C,) under which least squares climb ``survival``; their mean square is 1.
-
-    A squared residual at a checkpoint lowers the terms of this checkpoint and of all later ones: the weight
-    of the squares is the sum of these terms, that of the residuals its root.
-    """
-    checkpoints, weights = len(residuals), np.empty(residuals.size)
-    arguments = (residuals, (checkpoints, 3)), float(lifetime), (weights, weights.shape)
-    call("rover_ncp_survival_weights", checkpoints, *arguments)
-    return weights
-
-
-def known_checkpoints(residuals: Vector, to_beat: float) -> int:
-    """Return after how many checkpoints the return of ``residuals`` (C, 3) is below ``to_beat``, C if never.
-
-    An episode may be truncated there; the residuals behind it are not to be looked at. The sum is that of
-    an episode, to the last bit.
-    """
-    squares = residuals * residuals
-    losses = np.cumsum(squares[:, 0] + squares[:, 1] + squares[:, 2])
-    # Losses only grow, so that those above are the last ones.
-    return min(int(np.searchsorted(losses, -to_beat, "right")) + 1, len(residuals))
-
-
-@dataclass
 class Descent:
     """A climb from point to point, with its history."""
 
     at: ScoredPoint
     survives: bool
     """Whether ``survival`` is climbed, not the return."""
-    slopes: Vector
-    """(D, R) of all residuals."""
+    problem: LeastSquares
     damping: float
     scores: list[float]
     """After the last steps, at most the window and one."""
     revivals: int = 0
     """How often dead parameters were looked for."""
-
-    @property
-    def step_dampings(self) -> tuple[float, ...]:
-        """Factors of the damping, one for each step of a batch."""
-        return CONSTANTS.step_dampings[:1] if self.survives else CONSTANTS.step_dampings
 
     @property
     def to_beat(self) -> float:
@@ -177,43 +127,35 @@ class Descent:
 
     def score(self, outcome: ScoredPoint) -> float:
         """Return what is climbed."""
-        return survival(outcome.residuals, CONSTANTS.lifetime) if self.survives else outcome.value
+        return self.problem.survival(outcome, CONSTANTS.lifetime) if self.survives else outcome.value
 
     def targets(self) -> Vector:
         """Return where the n steps of a batch lead, and the point that they start from: (n + 1, D)."""
-        residuals = self.at.residuals
-        weights = (
-            survival_weights(residuals, CONSTANTS.lifetime) if self.survives else np.ones(residuals.size)
-        )
-        dampings = np.array([self.damping * factor for factor in self.step_dampings])
-        targets: Vector = damped_steps(self.slopes, residuals.ravel(), weights, self.at.point, dampings)
-        return targets
+        if self.survives:
+            return self.problem.steps(self.at, self.damping, 1, CONSTANTS.lifetime)
+        return self.problem.steps(self.at, self.damping, len(CONSTANTS.step_dampings))
 
     def measure(self, probe: ScoredPoint) -> None:
         """Take the slopes of the one parameter in which a probe differs."""
-        measure_slopes(self.slopes, self.at.point, self.at.residuals, probe.point, probe.residuals)
+        self.problem.measure(self.at, probe)
 
     def take(self, steps: Sequence[ScoredPoint]) -> bool:
         """Move to the best step if it is higher; return whether the descent continues."""
         scores = [self.score(step) for step in steps]
         best = max(range(len(steps)), key=scores.__getitem__)
         if scores[best] > self.scores[-1]:
-            self._learn(steps[best])
+            self.problem.correct(self.at, steps[best], self.to_beat)
             self.at = steps[best]
             damping = self.damping * CONSTANTS.step_dampings[best]
             self.scores.append(scores[best])
         else:
-            self._learn(steps[-1])  # the careful one: there the slopes are most nearly right
+            # The careful one: there the slopes are most nearly right.
+            self.problem.correct(self.at, steps[-1], self.to_beat)
             damping = self.damping * CONSTANTS.damping_after_failure
             self.scores.append(self.scores[-1])
         self.damping = min(max(damping, CONSTANTS.min_damping), CONSTANTS.max_damping)
         del self.scores[: -CONSTANTS.window - 1]
         return self._continues()
-
-    def _learn(self, step: ScoredPoint) -> None:
-        known = known_checkpoints(step.residuals, self.to_beat)
-        at = self.at
-        correct_slopes(self.slopes, at.point, at.residuals, step.point, step.residuals[:known])
 
     def _continues(self) -> bool:
         """Return whether recent steps gained enough; a climb of the survival may become one of the return."""
@@ -251,7 +193,7 @@ class Descent:
 
     def _dead(self) -> NDArray[np.int64]:
         """Return the parameters that, by their slopes, change no residual by much anywhere in their range."""
-        effects = np.abs(self.slopes).max(axis=1)
+        effects = np.abs(self.problem.slopes).max(axis=1)
         dead: NDArray[np.int64] = effects.argsort(kind="stable")[: (effects < CONSTANTS.dead_effect).sum()]
         return dead[: CONSTANTS.max_dead]
 

@@ -24,7 +24,7 @@ truncated candidate behind the checkpoint where it was truncated.
 """
 
 import math
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias, TypeVar
 
@@ -33,7 +33,8 @@ from numpy.typing import NDArray
 
 from rover_ncp.circuit.policy import ParameterLayout
 from sim.learn.search import Batch, Scores, Search
-from sim.learn.search.descent import CONSTANTS, Descent, ScoredPoint
+from sim.learn.search.descent import CONSTANTS, Descent
+from sim.learn.search.least_squares import LeastSquares, ScoredPoint, scored
 from sim.learn.search.unit_box import UnitBox, Vector, reflected
 
 _FoundT = TypeVar("_FoundT")
@@ -79,17 +80,19 @@ class _Tried:
         assert self._best is not None  # the start is evaluated first
         return self._best
 
-    def evaluate(self, points: Vector, to_beat: Vector | float = -math.inf) -> _Part[list[ScoredPoint]]:
+    def evaluate(
+        self, points: Vector, to_beat: Sequence[float] | float = -math.inf
+    ) -> _Part[list[ScoredPoint]]:
         """Return the outcomes of points (n, D); those whose return is below ``to_beat`` may be truncated."""
         thresholds = np.empty(len(points))
         thresholds[:] = to_beat
         scores = yield Batch(self._box.vectors(points), thresholds)
         # A copy, because an evaluator may use its array again.
-        found = list(map(ScoredPoint, points, scores.returns.tolist(), scores.residuals.copy()))
-        if np.isnan(scores.returns).any():
+        found = scored(points, scores.returns.tolist(), scores.residuals.copy())
+        highest = _highest(found)
+        if any(math.isnan(outcome.value) for outcome in found):
             raise ValueError("a return is not a number")
         self.count += len(points)
-        highest = _highest(found)
         if self._best is None or highest.value > self._best.value:
             self._best = highest
         return found
@@ -189,9 +192,9 @@ def _descend(
 
     ``origin`` is that of a restart, which the descent must overtake; without one it is the best of all.
     """
-    size = len(samples[0].point)
-    slopes = np.zeros((size, samples[0].residuals.size))
-    descent = Descent(samples[0], origin is None, slopes, CONSTANTS.first_damping, [])
+    size, checkpoints = samples[0].shape
+    problem = LeastSquares(size, checkpoints, CONSTANTS.step_dampings)
+    descent = Descent(samples[0], origin is None, problem, CONSTANTS.first_damping, [])
     scores = [descent.score(sample) for sample in samples]
     descent.at, descent.scores = samples[scores.index(max(scores))], [max(scores)]
     while True:
@@ -200,9 +203,8 @@ def _descend(
         while True:
             batch = descent.targets()
             draw.move(batch[-1], tried.count // len(batch) % size)
-            to_beat = np.full(len(batch), descent.to_beat)
-            to_beat[-1] = -math.inf  # the probe
-            *steps, probe = yield from tried.evaluate(batch, to_beat)
+            to_beat = [descent.to_beat] * (len(batch) - 1)
+            *steps, probe = yield from tried.evaluate(batch, [*to_beat, -math.inf])
             descent.measure(probe)
             rival = tried.best if origin is None else origin
             if not (descent.take(steps) and descent.overtakes(rival.value)):

@@ -48,7 +48,7 @@ PoseUse = Literal["auto", "required", "none"]
 class DriveConfig(Timeouts):
     """The settings of one drive; times in s."""
 
-    format: Literal[4] = 4
+    format: Literal[5] = 5
     version: str = Field(default_factory=lambda: version("rover-ncp"))
     robot: str
     namespace: str = ""
@@ -174,6 +174,8 @@ def _described(robot: RobotDescription) -> EstimatorSettings:
         "distance_gain_std": max(default.distance_gain_std, odometry.distance_error / math.sqrt(3.0)),
         # The default is for skid steering: a differential drive's turns are truer.
         "turn_gain_std": odometry.turn_error / math.sqrt(3.0),
+        "half_track_m": robot.track_m / 2.0,
+        "half_wheelbase_m": robot.wheels.axles_m / 2.0,
     }
     if robot.gyro is not None:
         # The gyro's readings in GYRO_S are added, with independent noise. The default is a minimum, as the

@@ -35,6 +35,7 @@ from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import Clock
 from rover_ncp.course.course import TICK_S
 from rover_ncp.course.scoring import Parked, Verdict
+from rover_ncp.robot.lasting_error import UNDECLARED
 from rover_ncp.wire.messages import OdometrySample
 from rover_ncp.wire.protocol import CONTACTS, DriverStatus
 
@@ -94,6 +95,8 @@ class Drive:
         """Samples that the estimator got since the last tick."""
         self.measurements = Measurements(link, mission.frame)
         self.monitor = SafetyMonitor(link, self.measurements, interrupted, config, clock)
+        self._lasting = UNDECLARED
+        """Lasting error of the external poses."""
         self.placed = False
         """Whether external poses gave the start pose."""
         self._poses_used, self._blind_ns, self._looked_ns = 0, 0, 0
@@ -155,12 +158,15 @@ class Drive:
         pose = self.mission.start_pose(seen, self._pose_complaint())
         self._start = start.ref
         """The controller's time is in seconds from this sample."""
+        described = self.config.described
+        self._lasting = (described and described.lasting_error) or self._link.lasting_error
         record = StartRecord(
             sample=start.ref,
             pose=pose,
+            lasting=self._lasting,
             covariance=None if covariance is None else tuple(covariance.ravel().tolist()),
         )
-        self.mission.start(start.sample.pose, 0.0, pose, covariance)
+        self.mission.start(start.sample.pose, 0.0, pose, covariance, self._lasting)
         self._publisher.start(record, start.sample.pose)
         if not self.config.dry_run:
             self._request_motors()
@@ -188,6 +194,8 @@ class Drive:
             "a gyro": not self.measurements.taken["imu"],
             "a profile of 'identify'": self.config.rover is None,
         }
+        if self.placed and not self._lasting.declared:
+            return "how long the errors of the external poses last is not declared (lasting_error)"
         remedies = [remedy for remedy, missing in absent.items() if missing]
         return f"{' or '.join(remedies) or 'more or better external poses'} would reduce it"
 

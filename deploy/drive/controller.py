@@ -30,6 +30,7 @@ from rover_ncp.course.reference import Reference, plan_reference
 from rover_ncp.course.scoring import Verdict, judge
 from rover_ncp.robot.dead_zone import DeadZone
 from rover_ncp.robot.description import RobotDescription
+from rover_ncp.robot.lasting_error import UNDECLARED, LastingError
 from rover_ncp.robot.profile import RoverProfile
 
 
@@ -108,12 +109,14 @@ class Controller:
         t: float,
         pose: Pose = ORIGIN,
         covariance: NDArray[np.float64] | None = None,
+        lasting: LastingError = UNDECLARED,
     ) -> None:
         """Begin at rest at time ``t``, at ``pose`` in the course, where odometry stands at ``odometry``.
 
         ``covariance`` (3, 3) is that of the pose; without one the pose defines where the course lies.
+        ``lasting`` is the lasting error of the external poses.
         """
-        self.estimator.start(pose, t, odometry, covariance)
+        self.estimator.start(pose, t, odometry, covariance, lasting)
         self.begin(pose)
 
     def begin(self, pose: Pose) -> None:
@@ -171,9 +174,10 @@ class Controller:
         """The potentials of the newest tick, in mV."""
         return self._runner.potentials
 
-    def verdict(self) -> Verdict:
+    def verdict(self, goal: NDArray[np.float64] | None = None) -> Verdict:
         """Judge the drive so far on the estimate: the last pose with its covariance, and the motion before.
 
+        ``goal`` (3, 3) is the covariance of the goal, which is exact without it.
         Earlier poses follow from the motion alone, because external poses also move the estimate of a rover
         that stands. Contact is not judged here.
         """
@@ -184,7 +188,8 @@ class Controller:
         for before, after in pairwise(reversed(self._estimates)):
             v, omega = 0.5 * (np.array(before.velocity) + after.velocity) * (after.t - before.t)
             path.append(compose(path[-1], Pose(v, 0.0, omega)))
-        return judge(self._course, self._times, path[::-1], False, last.covariance[:3, :3])
+        covariance = last.covariance[:3, :3] + (0.0 if goal is None else goal)
+        return judge(self._course, self._times, path[::-1], False, covariance)
 
     def _observation(self, pose: Pose, index: int, start: float) -> list[float]:
         reference = self._reference.tick(index) if self._reference else None

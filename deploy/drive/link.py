@@ -11,6 +11,7 @@ from typing import Generic, NamedTuple, TypeVar
 from deploy.drive.signed_lease import DriverLease
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
+from rover_ncp.robot.lasting_error import UNDECLARED, LastingError
 from rover_ncp.wire.messages import read_battery, read_bumpers, read_docked, read_text
 from rover_ncp.wire.protocol import BaseReply, GateStatus, MotorsReply, parse_json
 
@@ -116,6 +117,8 @@ class Link(ABC):
         """The newest gate status."""
         self.bumpers = Bumpers()
         self.charge, self.docked = Charge(), DockedTopic()
+        self.lasting_error = UNDECLARED
+        """Of the external poses, as their source declares it."""
         self.lease = DriverLease()
         self.complaints: dict[str, str] = {}
         """Why the first message of a topic that was not used could not be."""
@@ -136,6 +139,8 @@ class Link(ABC):
                 self.gyro.put(arrival)
             case "pose":
                 self.poses.put(arrival)
+            case "rover/localiser":
+                self.lasting_error = parse_json(LastingError, read_text(arrival.data))
             case "rover/gate":
                 self.gate = parse_json(GateStatus, read_text(arrival.data))
             case "battery_state":

@@ -15,6 +15,7 @@ from deploy.place.place import Proof
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import ORIGIN, Pose, wrap_angle
 from rover_ncp.course.scoring import Verdict
+from rover_ncp.robot.lasting_error import UNDECLARED, LastingError
 from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
 
 
@@ -52,7 +53,12 @@ class Mission(Protocol):
         """
 
     def start(
-        self, odometry: Pose, t: float, pose: Pose, covariance: NDArray[np.float64] | None = None
+        self,
+        odometry: Pose,
+        t: float,
+        pose: Pose,
+        covariance: NDArray[np.float64] | None = None,
+        lasting: LastingError = UNDECLARED,
     ) -> None:
         """Begin at rest at time ``t``, at ``pose``, where odometry stands at ``odometry``.
 
@@ -112,10 +118,15 @@ class CourseMission:
         return seen
 
     def start(
-        self, odometry: Pose, t: float, pose: Pose, covariance: NDArray[np.float64] | None = None
+        self,
+        odometry: Pose,
+        t: float,
+        pose: Pose,
+        covariance: NDArray[np.float64] | None = None,
+        lasting: LastingError = UNDECLARED,
     ) -> None:
         """Begin as `Controller.start`."""
-        self._controller.start(odometry, t, pose, covariance)
+        self._controller.start(odometry, t, pose, covariance, lasting)
 
     def take(self, sample: Sample, t: float) -> None:
         """Give the estimator a sample."""

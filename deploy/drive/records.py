@@ -21,6 +21,7 @@ from rover_ncp.core.errors import FileError
 from rover_ncp.course.course import Course
 from rover_ncp.recording import recorded
 from rover_ncp.recording.recording import Recording
+from rover_ncp.robot.lasting_error import UNDECLARED, LastingError
 
 POLICY_FILE, COURSE_FILE, CONFIG_FILE = "policy.yaml", "course.yaml", "deploy.yaml"
 STAGING_FILE = "staging.yaml"
@@ -33,12 +34,14 @@ class StartRecord(StrictModel, extra="ignore"):
     """The start of a drive: at ``pose`` in the course's frame, at the moment of ``sample``.
 
     ``covariance`` of that pose has nine numbers, row by row; None where the pose defines the course's frame.
+    ``lasting`` is the lasting error of the external poses.
     Recordings of earlier versions have checksums of their files here, which are ignored.
     """
 
     sample: SampleRef
     pose: tuple[float, float, float]
     covariance: tuple[float, ...] | None = Field(default=None, min_length=9, max_length=9)
+    lasting: LastingError = UNDECLARED
 
     @property
     def covariance_matrix(self) -> NDArray[np.float64] | None:
@@ -118,9 +121,9 @@ def attached_text(recording: Recording, name: str) -> str:
 
 def _drive_config(text: str, where: str) -> DriveConfig:
     settings = read_yaml(text, where)
-    if isinstance(settings, dict) and settings.get("format") in {1, 2, 3}:
+    if isinstance(settings, dict) and settings.get("format") in {1, 2, 3, 4}:
         raise FileError(
-            f"{where}: format {settings['format']}, expected 4: recordings of an older estimator cannot be "
+            f"{where}: format {settings['format']}, expected 5: recordings of an older estimator cannot be "
             "replayed"
         )
     return parse_yaml(text, DriveConfig, where)

@@ -31,11 +31,13 @@ from deploy.estimator.motion import (
     WHEEL_MISMATCH,
     Array,
     V,
+    lasting_variances,
     true_motion,
     turned_without_gain,
 )
 from deploy.estimator.settings import GYRO_S, EstimatorSettings
 from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, near
+from rover_ncp.robot.lasting_error import UNDECLARED, LastingError
 from rover_ncp.wire.messages import GYRO_GAP_S
 
 GYRO_OFF_RAD_S = 1.0
@@ -49,7 +51,7 @@ REPEATED_M, REPEATED_RAD = 0.03, 0.05
 """A localiser whose pose does not change in the least while odometry moves so far repeats an old one."""
 JUDGED_POSES, REJECTED_POSES = 20, 10
 """Among so many external poses, so many rejections are a fault, too."""
-GAINS = 0.25, 4.0
+GAINS = 0.15, 4.0
 """External poses that need another turn gain contradict odometry, such as those of a mirrored frame. It falls
 by half for a moment where poses are late by a second."""
 ODOMETRY, GYRO_READINGS, POSES = "odometry samples", "gyro readings", "external poses"
@@ -163,22 +165,28 @@ class Estimator:
         """The newest external pose that differed from the one before, and the pose of odometry then."""
 
     def start(
-        self, pose: Pose, t: float, odometry: Pose | None = None, covariance: Array | None = None
+        self,
+        pose: Pose,
+        t: float,
+        odometry: Pose | None = None,
+        covariance: Array | None = None,
+        lasting: LastingError = UNDECLARED,
     ) -> None:
         """Seed the filter, once: the rover stands at ``pose`` (course frame) at time ``t``.
 
         ``odometry`` is the pose in odometry's own frame, by default the same. ``covariance`` (3, 3) is that
-        of ``pose``, which is exact without it.
+        of ``pose``, which is exact without it, and ``lasting`` the lasting error of its source.
         """
         if self._started is not None:
             raise RuntimeError("the estimator is seeded once and never again")
         own = self._own = pose if odometry is None else odometry
         if not all(map(math.isfinite, (*pose, *own, t))):
             raise ValueError(f"cannot start from {pose}, odometry {own}, at {t}")
-        sure = np.zeros((3, 3)) if covariance is None else completed(covariance, self._settings)
-        if sure is None:
+        known = None if covariance is None else completed(covariance, self._settings)
+        if covariance is not None and known is None:
             raise ValueError(f"cannot start with the covariance {covariance}")
-        self._started = History(self._settings, t, own, pose, sure)
+        self._settings = s = self._settings.model_copy(update=lasting_settings(lasting, known))
+        self._started = History(s, t, own, pose, known)
 
     def odometry(self, pose: Pose, velocity: Velocity, t: float) -> Acceptance:
         """Apply odometry measured at ``t``: pose in its own frame, v in m/s, ω in rad/s."""
@@ -259,6 +267,11 @@ class Estimator:
         )
 
     @property
+    def lasting_covariance(self) -> Array:
+        """Covariance (3, 3) of the lasting error that the source of poses had when it showed a place."""
+        return np.diag(lasting_variances(self._settings))
+
+    @property
     def nis(self) -> dict[str, float | None]:
         """Mean NIS of the accepted external poses while the rover stood and moved; 3 is expected."""
         sums = self._started.nis if self._started else {}
@@ -308,6 +321,18 @@ class Estimator:
         """Note the first fault."""
         if not self.fault:
             self.fault, self.fault_rule = words, rule
+
+
+def lasting_settings(lasting: LastingError, covariance: Array | None) -> dict[str, float]:
+    """Return the settings for a source of poses, whose newest pose has a ``covariance`` (3, 3).
+
+    A source that declares no time may mean its lasting error by its covariance.
+    """
+    position_m, heading_rad, time_s = lasting.values
+    if covariance is not None and not lasting.declared:
+        x_m, y_m, told_rad = np.sqrt(np.diag(covariance)).tolist()
+        position_m, heading_rad = max(position_m, x_m, y_m), max(heading_rad, told_rad)
+    return {"lasting_m": position_m, "lasting_rad": heading_rad, "lasting_s": time_s}
 
 
 def completed(covariance: Array, settings: EstimatorSettings) -> Array | None:

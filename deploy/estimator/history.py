@@ -16,28 +16,25 @@ Rules of this file:
    alone is applied, with the noise of stamps that are some milliseconds off and of a coarse heading. If
    that does not fit, it is rejected. After speeds that contradicted their pose, no speed is applied for some
    seconds.
-6. A gyro's turn that does not fit is a disturbance, if one explains it, and otherwise rejected. The heading
-   follows a disturbance, with a standard deviation that also covers a false reading. A turn that would move
-   the turn gain out of its limits is rejected, and so is a long disturbance.
 """
 
 import math
 from bisect import bisect_right, insort
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 
+from deploy.estimator.filter import Filter, Measured
+from deploy.estimator.gyro_turns import GyroTurns
 from deploy.estimator.inputs import (
     Acceptance,
     Applied,
     Disturbance,
     GyroAngle,
+    LongerErrors,
     Odometry,
     PoseMeasurement,
-    Turn,
-    irregular_covariance,
+    Whiteness,
     normalised_square,
     residual,
     stands,
@@ -46,23 +43,21 @@ from deploy.estimator.inputs import (
 from deploy.estimator.motion import (
     BIAS,
     DELAY,
-    GAIN,
     GYRO,
     MOTION,
     OWN,
-    POSE,
-    SIZE,
     THETA,
-    TURN,
     Array,
     initial,
+    lasting_variances,
     moving,
     standing,
     true_motion,
     turned_without_gain,
 )
-from deploy.estimator.settings import GYRO_S, TURN_GAINS, EstimatorSettings
+from deploy.estimator.settings import EstimatorSettings
 from rover_ncp.core.geometry import Pose, wrap_angle
+from rover_ncp.robot.lasting_error import BY_KIND, Kind
 
 PUSH_POSES = 3
 """Poses that show a push of a rover that stands. Two of a camera that lags can agree by chance."""
@@ -74,18 +69,7 @@ IRREGULAR_S = 10.0
 """Time for which speeds do not count after one that contradicted its pose."""
 TURN_S = 0.08
 """Minimum time over which a gyro's turn is compared with odometry's."""
-MAX_DISTURBANCE_RAD = 0.2
-"""Largest disturbance that the estimate follows."""
-DISTURBANCE_END_NIS = 1.0
-"""Largest NIS that ends a disturbance."""
-DISTURBANCE_STD_SHARE = 0.3
-"""Standard deviation of a disturbance that a gyro shows, as a share of it."""
-
-_ALL = np.eye(SIZE)
 REPORTED = slice(OWN.start, MOTION.stop)
-_BLOCKS = (OWN, MOTION)
-"""Odometry's pose and motion have independent errors and are applied one after the other: a 5 × 5 inverse
-would use scipy's threads, 50 ms on a busy machine."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,33 +79,23 @@ class _Entry:
     t: float
     stood: bool
     """Whether the rover stood since the entry before."""
-    measured: Odometry | PoseMeasurement | Disturbance
+    measured: Measured
     x: Array
     P: Array
 
 
-class _Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy ships no types
-    """filterpy's EKF with the predicted state ``moved``."""
-
-    x: Array
-    moved: Array
-
-    def predict_x(self, u: Any = 0) -> None:  # filterpy's signature
-        self.x = self.moved
-
-
 class History:
-    """Begins at rest at ``pose`` (course frame) with its covariance (3, 3), where odometry is at ``own``."""
+    """Begins at rest at ``pose`` (course frame), where odometry is at ``own``.
+
+    ``covariance`` (3, 3) is that of a pose by external poses.
+    """
 
     def __init__(
-        self, settings: EstimatorSettings, t: float, own: Pose, pose: Pose, covariance: Array
+        self, settings: EstimatorSettings, t: float, own: Pose, pose: Pose, covariance: Array | None
     ) -> None:
         s = self._settings = settings
-        self._ekf: Any = _Filter(dim_x=SIZE, dim_z=5)
-        x, P = initial(s, own, pose)
-        P[POSE, POSE] = covariance
-        deviations = [s.position_m, s.position_m, s.heading_rad, s.speed_m_s, s.turn_rad_s]
-        self._odometry_covariance = np.diag(np.square(deviations))
+        self._filter = Filter(settings)
+        x, P = initial(s, own, pose, covariance)
         self._still = still_limits(settings)
         z = np.array([*own, 0.0, 0.0])
         self._entries = [_Entry(t, True, Odometry(z), x, P)]
@@ -140,8 +114,7 @@ class History:
         """The first poses that were rejected since the last accepted one."""
         self._turn_began = t, GyroAngle(math.nan, t), 0.0
         """Begin of the turn in s, the gyro's angle there, and odometry's turn since that angle's reading."""
-        self._disturbance_rad = 0.0
-        """Size of the disturbance that the gyro's last turns show, rad."""
+        self._white, self._gyro_turns = Whiteness(), GyroTurns(settings, self._filter)
         self.nis: dict[bool, tuple[int, float]] = {True: (0, 0.0), False: (0, 0.0)}
         """Number and sum of the NIS of external poses, while the rover stood and while it moved."""
 
@@ -164,12 +137,12 @@ class History:
         if stood and not fits:  # declared noise may hide a slow motion
             stood, fits = False, self._predicted(z, t, False)[0] <= self._settings.gate
         irregular = not (fits and self._settings.uses_speeds and t > self._irregular_until)
-        if irregular and not self._pose_fits(z):
+        if irregular and not self._filter.pose_fits(z):
             return Applied(Acceptance.OUTLIER)
         if not fits:
             self._irregular_until = t + IRREGULAR_S
         turn, turn_outcome = None, None
-        self._correct_by_odometry(z, stood, irregular)
+        self._filter.correct_by_odometry(z, stood, irregular)
         turned, seconds = angle.rad - before.rad, angle.t - before.t
         # Without a reading the gyro says nothing: a turn would only confirm what is assumed.
         ends_turn = math.isnan(turned) or (t - began >= TURN_S and seconds > 0.0)
@@ -177,7 +150,7 @@ class History:
             ahead = self._turned_since(angle.t, z[THETA], t)
             self._turn_began = t, angle, ahead
             if math.isfinite(turned):
-                turn = self._apply_turn(turned, seconds, ahead - ahead_before)
+                turn = self._gyro_turns.apply(turned, seconds, ahead - ahead_before)
                 turn_outcome = Acceptance.ACCEPTED if turn else Acceptance.OUTLIER
         self._entries.append(self._entry(t, stood, Odometry(z, ends_turn, turn, irregular)))
         self._last = t, z
@@ -204,8 +177,8 @@ class History:
         """Predict the filter to ``t``; return the NIS of odometry there, and its covariance (5, 5)."""
         self._apply_again(len(self._entries))
         self._predict(self._entries[-1], t, stood)
-        covariance = self._ekf.P[REPORTED, REPORTED] + self._odometry_covariance
-        return normalised_square(residual(z, self._ekf.x[REPORTED]), covariance), covariance
+        covariance = self._filter.P[REPORTED, REPORTED] + self._filter.odometry_covariance
+        return normalised_square(residual(z, self._filter.x[REPORTED]), covariance), covariance
 
     def pose(self, z: Array, covariance: Array, t: float) -> Acceptance:
         """Apply an external pose of stamp ``t`` at its moment, unless it is rejected."""
@@ -239,7 +212,7 @@ class History:
         return turned_without_gain(turned / seconds, self._settings)[0] * seconds if seconds > 0.0 else 0.0
 
     def at(self, t: float) -> tuple[Array, Array]:
-        """Return state (19,) and covariance (19, 19) at ``t``, before the history those of its begin."""
+        """Return state (22,) and covariance (22, 22) at ``t``, before the history those of its begin."""
         self._apply_again(len(self._entries))
         place = max(bisect_right(self._entries, t, key=lambda entry: entry.t), 1)
         before, dt = self._entries[place - 1], max(t - self._entries[place - 1].t, 0.0)
@@ -257,9 +230,17 @@ class History:
         self._apply_again(place)
         stood = self._entries[min(place, len(self._entries) - 1)].stood
         self._predict(self._entries[place - 1], t, stood)
-        innovation, H = self._innovation(measured)
-        covariance = H @ self._ekf.P @ H.T + measured.covariance
+        innovation, H = self._filter.innovation(measured)
+        covariance = H @ self._filter.P @ H.T + measured.covariance
         nis = normalised_square(innovation, covariance)
+        if not self._white.passes(innovation, covariance, math.sqrt(self._settings.pose_gate)):
+            larger = self._longer_errors()
+            self._entries.insert(place, self._updated(t, stood, larger))
+            place, self._valid = place + 1, place + 1
+            self._predict(self._entries[place - 1], t, stood)
+            innovation, H = self._filter.innovation(measured)
+            covariance = H @ self._filter.P @ H.T + measured.covariance
+            nis = normalised_square(innovation, covariance)
         accepted = nis <= self._settings.pose_gate
         if accepted:
             count, total = self.nis[stood]
@@ -267,7 +248,7 @@ class History:
         disturbed = (
             not (accepted or self._disturbed)
             and (not stood or self._pushed(measured))
-            and self._passes(innovation, covariance + self._disturbance.covariance)
+            and self._filter.passes(innovation, covariance + self._disturbance.covariance)
         )
         if accepted or disturbed:
             self._entries.insert(place, self._updated(t, stood, measured if accepted else self._disturbance))
@@ -276,15 +257,22 @@ class History:
         self._rejected = [] if accepted else [*self._rejected, measured][: PUSH_POSES - 1]
         return Acceptance.ACCEPTED if accepted else Acceptance.OUTLIER
 
+    def _longer_errors(self) -> LongerErrors:
+        """Double the lasting error of the external poses, up to an unknown source's; return what is added."""
+        s, (most_m, most_rad, _) = self._settings, BY_KIND[Kind.UNKNOWN]
+        m, rad = (
+            max(s.lasting_m, min(2.0 * s.lasting_m, most_m)),
+            max(s.lasting_rad, min(2.0 * s.lasting_rad, most_rad)),
+        )
+        self._settings = self._filter.settings = s.model_copy(update={"lasting_m": m, "lasting_rad": rad})
+        return LongerErrors(np.diag(lasting_variances(self._settings) - lasting_variances(s)))
+
     def _pushed(self, measured: PoseMeasurement) -> bool:
         """Return whether this pose and enough rejected ones show the same place."""
         return len(self._rejected) == PUSH_POSES - 1 and all(
-            self._passes(residual(measured.z, before.z), measured.covariance + before.covariance)
+            self._filter.passes(residual(measured.z, before.z), measured.covariance + before.covariance)
             for before in self._rejected
         )
-
-    def _passes(self, innovation: Array, covariance: Array) -> bool:
-        return normalised_square(innovation, covariance) <= self._settings.pose_gate
 
     def _apply_again(self, count: int) -> None:
         """Bring the first ``count`` entries up to date."""
@@ -296,97 +284,13 @@ class History:
 
     def _predict(self, before: _Entry, t: float, stood: bool) -> None:
         """Bring the filter from an entry to time ``t``."""
-        ekf, dt = self._ekf, t - before.t
-        ekf.x, ekf.P = before.x, before.P
-        step = standing if stood else moving
         new_turn = isinstance(before.measured, Odometry) and before.measured.ends_turn
-        ekf.moved, ekf.F, ekf.Q = step(before.x, dt, self._settings, new_turn=new_turn)
-        ekf.predict()
+        self._filter.bring(before.x, before.P, t - before.t, stood=stood, new_turn=new_turn)
 
-    def _updated(self, t: float, stood: bool, measured: Odometry | PoseMeasurement | Disturbance) -> _Entry:
+    def _updated(self, t: float, stood: bool, measured: Measured) -> _Entry:
         """Apply a measurement to the filter, which is at its time; return its entry."""
-        ekf = self._ekf
-        if isinstance(measured, PoseMeasurement):
-            innovation, H = self._innovation(measured)
-            self._correct(innovation, H, measured.covariance)
-        elif isinstance(measured, Disturbance):
-            ekf.P[POSE, POSE] += measured.covariance
-        else:
-            self._correct_by_odometry(measured.z, stood, measured.irregular)
-            if measured.turn is not None:
-                self._correct_by_turn(measured.turn)
+        self._filter.apply(measured, stood)
         return self._entry(t, stood, measured)
 
-    def _entry(self, t: float, stood: bool, measured: Odometry | PoseMeasurement | Disturbance) -> _Entry:
-        ekf = self._ekf
-        for angle in (THETA, OWN.stop - 1):
-            ekf.x[angle] = wrap_angle(ekf.x[angle])
-        return _Entry(t, stood, measured, ekf.x.copy(), ekf.P.copy())
-
-    def _irregular_covariance(self) -> Array:
-        """Return the covariance (3, 3) of a pose of irregular odometry."""
-        return irregular_covariance(self._odometry_covariance[:3, :3], *self._ekf.x[MOTION])
-
-    def _pose_fits(self, z: Array) -> bool:
-        """Return whether the pose of irregular odometry fits; the filter is predicted to its time."""
-        covariance = self._ekf.P[OWN, OWN] + self._irregular_covariance()
-        return self._passes(residual(z[:3], self._ekf.x[OWN]), covariance)
-
-    def _correct_by_odometry(self, z: Array, stood: bool, irregular: bool) -> None:
-        if irregular:
-            self._correct(residual(z[:3], self._ekf.x[OWN]), _ALL[OWN], self._irregular_covariance())
-            return
-        for rows in _BLOCKS:
-            part = slice(rows.start - OWN.start, rows.stop - OWN.start)
-            if not (stood and rows is MOTION):
-                self._correct(
-                    residual(z[part], self._ekf.x[rows]), _ALL[rows], self._odometry_covariance[part, part]
-                )
-
-    def _correct_by_turn(self, turn: Turn) -> None:
-        self._ekf.P[np.ix_((THETA, TURN), (THETA, TURN))] += turn.disturbance_variance
-        H = turn.row
-        self._correct(turn.angle - H @ self._ekf.x, H, np.array([[turn.variance]]))
-
-    def _apply_turn(self, angle: float, seconds: float, ahead: float) -> Turn | None:
-        """Apply a gyro's turn, as a disturbance if it does not fit; return it, None if it is rejected."""
-        s, x, P = self._settings, self._ekf.x, self._ekf.P
-        turn = Turn(angle, seconds, ahead, s.gyro_rad**2 * seconds / GYRO_S)
-        row = turn.row[0]
-        variance = float(row @ P @ row) + turn.variance
-        missing = angle - float(row @ x)
-        gain = float(x[GAIN] + P[GAIN] @ row / variance * missing)
-        minimum, maximum = (limit * s.turn_gain for limit in TURN_GAINS)
-        gate = DISTURBANCE_END_NIS if self._disturbance_rad else s.gyro_gate
-        if missing**2 <= gate * variance and (
-            minimum <= gain <= maximum or abs(gain - s.turn_gain) < abs(x[GAIN] - s.turn_gain)
-        ):
-            self._disturbance_rad = 0.0
-        else:
-            self._disturbance_rad += abs(missing)
-            turn = turn._replace(
-                variance=turn.variance + (DISTURBANCE_STD_SHARE * missing) ** 2,
-                disturbance_variance=(s.gyro_disturbance_rad_s * seconds) ** 2,
-            )
-            if self._disturbance_rad > MAX_DISTURBANCE_RAD or missing**2 > s.gyro_gate * (
-                variance + turn.disturbance_variance
-            ):
-                return None
-        self._correct_by_turn(turn)
-        return turn
-
-    def _correct(self, innovation: Array, H: Array, covariance: Array) -> None:
-        self._ekf.update(innovation, lambda _: H, lambda _: 0.0, R=covariance)
-
-    def _innovation(self, measured: PoseMeasurement) -> tuple[Array, Array]:
-        """Return an external pose's innovation (3,) and its Jacobian (3, 19).
-
-        The pose was measured at its stamp minus the delay, and the rover went on until the entry's time.
-        """
-        x = self._ekf.x
-        ahead, left, turn = true_motion(x, self._settings)
-        cos, sin = math.cos(x[THETA]), math.sin(x[THETA])
-        velocity = np.array([cos * ahead - sin * left, sin * ahead + cos * left, turn])
-        H = _ALL[POSE].copy()
-        H[:, DELAY] = -velocity
-        return residual(measured.z - (measured.assumed_delay_s - x[DELAY]) * velocity, x[POSE]), H
+    def _entry(self, t: float, stood: bool, measured: Measured) -> _Entry:
+        return _Entry(t, stood, measured, *self._filter.copies())

@@ -17,6 +17,10 @@ COARSE_STD_RAD = 0.0018
 
 REST_M_S, REST_RAD_S = 0.0005, 0.001
 """Slower motion counts as none: less than half a step of a Pioneer's rounding."""
+MEMORY = 0.9
+"""Weight of an innovation in `Whiteness`, against the next."""
+WHITE_NIS = 25.0
+"""Largest normalised square of white innovations' sum: 1 in 60,000 of a χ² with 3 degrees."""
 STILL_SIGMAS = 5.0
 """Limit for no motion between two samples, in standard deviations of odometry's noise."""
 
@@ -53,10 +57,14 @@ class Turn(NamedTuple):
     ahead: float
     variance: float
     disturbance_variance: float = 0.0
+    gain_variance: float = 0.0
+    """Of a change of the turn gain, as on another floor."""
+    center_variances: tuple[float, float] = (0.0, 0.0)
+    """Of the change of the centre of rotation that goes with it: behind, and to the left, m²."""
 
     @property
     def row(self) -> Array:
-        """The Jacobian (1, 19) of the angle."""
+        """The Jacobian (1, 22) of the angle."""
         row = np.zeros((1, SIZE))
         row[0, [TURN, BIAS, GAIN]] = 1.0, self.seconds, -self.ahead
         return row
@@ -91,6 +99,35 @@ class Disturbance(NamedTuple):
     """A motion that no sensor of the base reports, by its covariance (3, 3) in x, y, θ."""
 
     covariance: Array
+
+
+class LongerErrors(NamedTuple):
+    """A larger lasting error of the external poses than assumed: its added covariance (3, 3) in x, y, θ."""
+
+    covariance: Array
+
+
+class Whiteness:
+    """Tells whether the errors of external poses last longer than the filter assumes.
+
+    Innovations of a consistent filter are white (Mehra, 1970). Their normalised sum, in which each counts a
+    tenth less than the next, is compared with the χ² distribution. One outlier does not pass the limit.
+    """
+
+    def __init__(self) -> None:
+        self._sum = np.zeros(3)
+
+    def passes(self, innovation: Array, covariance: Array, largest: float) -> bool:
+        """Add an innovation, whose norm counts at most ``largest``; return whether the sum is still white."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            white = np.linalg.solve(np.linalg.cholesky(covariance), innovation)
+            norm = float(np.linalg.norm(white))
+        if math.isfinite(norm):
+            self._sum = MEMORY * self._sum + white * min(1.0, largest / max(norm, largest))
+        passed = (1.0 - MEMORY**2) * float(self._sum @ self._sum) <= WHITE_NIS
+        if not passed:
+            self._sum = np.zeros(3)
+        return passed
 
 
 def residual(z: Array, expected: Array) -> Array:

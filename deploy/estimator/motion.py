@@ -13,6 +13,8 @@ turn rate ω; the gyro's turn since its last comparison; then errors of odometry
     BIAS            bias of the gyro, rad/s
     GYRO            true turn over the gyro's; only external poses show it
     DELAY           delay of the external poses, s, beyond their stamps
+    LASTING         error of the external poses that lasts for seconds, in x, y and θ of their frame: a
+                    first-order Gauss-Markov process, which is stationary
 
 v and ω are constant but for white noise of the accelerations; one tick at the base's full acceleration
 (0.31 m/s², 1.25 rad/s²) is one standard deviation. So the filter follows odometry almost without delay. While
@@ -31,7 +33,8 @@ from rover_ncp.core.geometry import Pose, compose, wrap_angle
 
 X, Y, THETA, OWN_X, OWN_Y, OWN_THETA, V, OMEGA, TURN = range(9)
 DISTANCE, GAIN, WHEEL_MISMATCH, CENTER, ASIDE, DOWN_X, DOWN_Y, BIAS, GYRO, DELAY = range(9, 19)
-SIZE = 19
+LASTING = slice(19, 22)
+SIZE = 22
 POSE, OWN, MOTION = slice(X, THETA + 1), slice(OWN_X, OWN_THETA + 1), slice(V, OMEGA + 1)
 XY, DOWNHILL = slice(X, Y + 1), slice(DOWN_X, DOWN_Y + 1)
 
@@ -39,23 +42,27 @@ Array = NDArray[np.float64]
 
 _UNIT = np.eye(SIZE)
 _OWN_DIAGONAL = 2 * (range(OWN_X, OWN_THETA + 1),)
+_LASTING_DIAGONAL = 2 * (range(LASTING.start, LASTING.stop),)
 
 STANDING_SHARE = 0.01
 """Process noise of odometry's own pose while the rover stands, as a share of that on the way."""
 
 
 class Step(NamedTuple):
-    """The state after a step (19,), its Jacobian and the covariance of its process noise (19, 19)."""
+    """The state after a step (22,), its Jacobian and the covariance of its process noise (22, 22)."""
 
     x: Array
     jacobian: Array
     covariance: Array
 
 
-def initial(settings: EstimatorSettings, own: Pose, pose: Pose) -> tuple[Array, Array]:
-    """Return state and covariance of a rover that stands at a ``pose`` (course frame), which is exact.
+def initial(
+    settings: EstimatorSettings, own: Pose, pose: Pose, covariance: Array | None
+) -> tuple[Array, Array]:
+    """Return state and covariance of a rover that stands at a ``pose`` (course frame).
 
-    ``own`` is the pose in odometry's own frame.
+    ``own`` is the pose in odometry's own frame. ``covariance`` (3, 3) is that of the noise of external poses,
+    of which ``pose`` is the mean: it has their lasting error. Without a covariance the pose is exact.
     """
     s = settings
     x, deviations = np.zeros(SIZE), np.zeros(SIZE)
@@ -73,7 +80,7 @@ def initial(settings: EstimatorSettings, own: Pose, pose: Pose) -> tuple[Array, 
         s.pose_delay_s,
     )
     deviations[OWN] = s.position_m, s.position_m, s.heading_rad
-    deviations[DISTANCE:] = (
+    deviations[DISTANCE : LASTING.start] = (
         s.distance_gain_std,
         s.turn_gain_std,
         s.wheel_mismatch_std_rad_m,
@@ -85,7 +92,17 @@ def initial(settings: EstimatorSettings, own: Pose, pose: Pose) -> tuple[Array, 
         s.gyro_scale_std,
         s.pose_delay_std_s,
     )
-    return x, np.diag(np.square(deviations))
+    P = np.diag(np.square(deviations))
+    P[LASTING, LASTING] = lasting = np.diag(lasting_variances(settings))
+    if covariance is not None:
+        P[POSE, POSE] = covariance + lasting
+        P[POSE, LASTING] = P[LASTING, POSE] = -lasting
+    return x, P
+
+
+def lasting_variances(settings: EstimatorSettings) -> Array:
+    """Return the variances (3,) of the external poses' lasting error in x, y and θ."""
+    return np.square([settings.lasting_m, settings.lasting_m, settings.lasting_rad])
 
 
 def true_motion(x: Array, settings: EstimatorSettings) -> tuple[float, float, float]:
@@ -105,7 +122,7 @@ def standing(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool
     covariance[THETA, THETA] = dt * (settings.creep_rad * settings.creep_rad)
     covariance[TURN, TURN] = covariance[TURN, THETA] = covariance[THETA, TURN] = covariance[THETA, THETA]
     covariance[BIAS, BIAS] = settings.gyro_bias_walk_rad_s**2 * dt
-    return Step(moved, jacobian, covariance)
+    return _forgetting(Step(moved, jacobian, covariance), dt, settings)
 
 
 def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) -> Step:
@@ -129,7 +146,7 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     heading = x[THETA] + 0.5 * turn
     cos, sin = math.cos(heading), math.sin(heading)
     dx, dy = cos * ahead - sin * left, sin * ahead + cos * left
-    scale, gain, mismatch, center, aside, _, _, _, gyro, _ = x[DISTANCE:].tolist()
+    scale, gain, mismatch, center, aside, _, _, _, gyro = x[DISTANCE:DELAY].tolist()
     downhill = x[DOWNHILL]
     moved[XY] += np.array([dx, dy]) + abs(turn) * downhill
     moved[THETA] = wrap_angle(x[THETA] + turn)
@@ -169,7 +186,16 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
         s.turn_gain_walk * math.sqrt(angle),
         s.gyro_bias_walk_rad_s * math.sqrt(dt),
     )
-    return Step(moved, jacobian, noise @ noise.T)
+    return _forgetting(Step(moved, jacobian, noise @ noise.T), dt, s)
+
+
+def _forgetting(step: Step, dt: float, settings: EstimatorSettings) -> Step:
+    """Let the external poses' lasting error change for ``dt`` s, and return it. Its variance stays."""
+    kept = math.exp(-dt / settings.lasting_s)
+    step.x[LASTING] *= kept
+    step.jacobian[_LASTING_DIAGONAL] = kept
+    step.covariance[_LASTING_DIAGONAL] = (1.0 - kept * kept) * lasting_variances(settings)
+    return step
 
 
 def turned_without_gain(omega: float, settings: EstimatorSettings) -> tuple[float, float]:
@@ -181,7 +207,7 @@ def turned_without_gain(omega: float, settings: EstimatorSettings) -> tuple[floa
 
 
 def _acceleration_noise(by_distance: Array, by_turn: Array, dt: float, settings: EstimatorSettings) -> Array:
-    """Return the effects (19, 4) of white accelerations on speeds and poses, which are correlated."""
+    """Return the effects (22, 4) of white accelerations on speeds and poses, which are correlated."""
     noise = np.zeros((SIZE, 4))
     densities = settings.acceleration, settings.angular_acceleration
     for column, (by, rate) in enumerate(((by_distance, V), (by_turn, OMEGA))):

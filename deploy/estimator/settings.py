@@ -40,6 +40,8 @@ class EstimatorSettings(StrictModel):
         default=0.0, description="speed beside the encoders' over turn rate"
     )
     rotation_center_left_std_m: float = Field(default=0.03, gt=0)
+    half_track_m: float = Field(default=0.294, gt=0, description="effective, for slip of one side's wheels")
+    half_wheelbase_m: float = Field(default=0.135, ge=0, description="for slip of one axle's wheels")
     downhill_x_m: float = Field(default=0.0, description="slide per turn, along the heading at the start")
     downhill_y_m: float = Field(default=0.0, description="slide per turn, to the left of it")
     downhill_std_m: float = Field(
@@ -63,6 +65,9 @@ class EstimatorSettings(StrictModel):
 
     pose_m: float = Field(default=0.02, gt=0, description="external pose without a covariance")
     pose_rad: float = Field(default=0.035, gt=0)
+    lasting_m: float = Field(default=0.08, ge=0, description="lasting error of poses")
+    lasting_rad: float = Field(default=0.05, ge=0, description="lasting error of their heading")
+    lasting_s: float = Field(default=20.0, gt=0, description="its time constant")
     pose_delay_s: float = Field(default=0.05, ge=0, description="expected delay of all poses")
     pose_delay_std_s: float = Field(default=0.05, gt=0)
     pose_gate: float = Field(default=21.11, gt=0, description="largest NIS: 1 in 10,000 with 3 degrees")

@@ -42,6 +42,7 @@ from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, near
 from rover_ncp.course.course import TICK_S
 from rover_ncp.course.scoring import Verdict
 from rover_ncp.course.slowdown import slowdown
+from rover_ncp.robot.lasting_error import UNDECLARED, LastingError
 from rover_ncp.wire.messages import PoseSample
 
 UNSEEN = 0.1, 0.1, math.radians(10.0)
@@ -111,11 +112,16 @@ class Docking:
         return self.place.goal if seen is None else seen
 
     def start(
-        self, odometry: Pose, t: float, pose: Pose, covariance: NDArray[np.float64] | None = None
+        self,
+        odometry: Pose,
+        t: float,
+        pose: Pose,
+        covariance: NDArray[np.float64] | None = None,
+        lasting: LastingError = UNDECLARED,
     ) -> None:
         """Begin at ``pose``. Raises SafetyStop if there is no way from there."""
         unseen = np.diag(np.square(UNSEEN)) if covariance is None else covariance
-        self.estimator.start(pose, t, odometry, unseen)
+        self.estimator.start(pose, t, odometry, unseen, lasting)
         off, out_m = self.place.errors(pose), self.place.out_m(pose)
         in_line = abs(off.lateral_m) <= STAGED_M and abs(off.yaw_rad) <= STAGED_RAD
         # Whatever it begins with, the rover may drive the approach, or all of it backward.
@@ -204,7 +210,7 @@ class Docking:
         """Judge the end of an approach, or begin to wait for a report."""
         leg, pose, contact = self._approach.controller, self.estimator.at(t).pose, evidence.contact
         leg.record_estimate(index - self._began, t)
-        verdict = leg.verdict()
+        verdict = leg.verdict(self.estimator.lasting_covariance)
         since = t - (CONTACT_S if contact else self._approach.way.course.parked.still_s)
         newest = [seen for measured, seen in self._poses if measured >= since]
         self._approached = end = approached(self.place, pose, verdict.probability, newest)
@@ -278,7 +284,8 @@ class Docking:
     def verdict(self, contact: str) -> Verdict:
         """Return the verdict. A contact ended a try, or backing out of the place; it is no failure."""
         assert self._estimate is not None  # the drive had a tick
-        return judge_drive(self.place, self._undock, self._estimate, self._ending())
+        goal = self.estimator.lasting_covariance
+        return judge_drive(self.place, self._undock, self._estimate, goal, self._ending())
 
     def _ending(self) -> Judgement:
         """Return how the docking ended; an earlier miss is not why a drive was stopped."""

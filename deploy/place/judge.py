@@ -4,6 +4,9 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from deploy.drive.start import median_pose
 from deploy.estimator.estimator import Estimate
 from deploy.place.outcome import DockError, Evidence, PoseErrors
@@ -108,12 +111,17 @@ def judge_report(
     return Judgement(*_NO_PROOF[proof, docked], gives_up=docked is None)
 
 
-def judge_drive(place: Place, undock: bool, estimate: Estimate, judgement: Judgement) -> Verdict:
-    """Return the verdict of a drive; parked means docked, or undocked and at the staging pose."""
+def judge_drive(
+    place: Place, undock: bool, estimate: Estimate, taught: NDArray[np.float64], judgement: Judgement
+) -> Verdict:
+    """Return the verdict of a drive; parked means docked, or undocked and at the staging pose.
+
+    ``taught`` (3, 3) is the covariance of the place.
+    """
     goal, pose = place.staging if undock else place.goal, estimate.pose
     error_m, error_rad = distance(pose, goal), abs(wrap_angle(pose.theta - goal.theta))
     failure, sure = Failure.NONE if judgement.error is DockError.NONE else Failure.FAR, None
     if undock:
-        error, covariance = pose_error(pose, goal), estimate.covariance[:3, :3]
+        error, covariance = pose_error(pose, goal), estimate.covariance[:3, :3] + taught
         sure = probability_within(error, covariance, STAGED_M, STAGED_RAD)
     return Verdict(failure is Failure.NONE, error_m, error_rad, judgement.why, failure, sure)

@@ -1,11 +1,19 @@
 """The session of a localiser with a bridge."""
 
+import math
+import time
+
 import numpy as np
 import zenoh
 
 from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
+from rover_ncp.robot.lasting_error import Kind, LastingError
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.key_table import KEYS, TAG_VIEW, spec
+from rover_ncp.wire.messages import text
+
+DECLARED_S = 0.5
+"""Time between two declarations: a driver that waits for a standstill of 1 s receives one."""
 
 
 class PoseLink(ZenohClient):
@@ -16,6 +24,8 @@ class PoseLink(ZenohClient):
 
     def _declare(self) -> None:
         self._publisher = self._session.declare_publisher(self.key("pose"))
+        self._lasting = self._session.declare_publisher(self.key("rover/localiser"))
+        self._declared_s = -math.inf
         # A picture never delays a pose, nor anything else on the way.
         self._viewed = self._session.declare_publisher(
             self.key(TAG_VIEW),
@@ -24,7 +34,10 @@ class PoseLink(ZenohClient):
         )
 
     def send(self, pose: bytes) -> None:
-        """Send a pose with the moment of its measurement."""
+        """Send a pose with the moment of its measurement, and what is known of the poses' errors."""
+        if (now := time.monotonic()) - self._declared_s >= DECLARED_S:
+            self._declared_s = now
+            self._lasting.put(text(LastingError(kind=Kind.TAGS).model_dump_json()))
         self._publisher.put(pose)
 
     @property

@@ -13,7 +13,8 @@ import numpy as np
 import zenoh
 
 from rover_ncp.core.geometry import Pose
-from rover_ncp.wire.messages import pose_with_covariance
+from rover_ncp.robot.lasting_error import Kind, LastingError
+from rover_ncp.wire.messages import pose_with_covariance, text
 
 NOISE = np.array([0.003, 0.003, 0.005])
 """Standard deviations of x and y in m, and of the heading in rad."""
@@ -24,6 +25,7 @@ def main(truth: str, robot: str = "tcp/127.0.0.1:7447", frame: str = "map") -> N
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", f'["{robot}"]')
+    lasting = text(LastingError(kind=Kind.MOTION_CAPTURE).model_dump_json())
     noise = np.random.default_rng()
     with zenoh.open(config) as session, Path(truth).open() as lines:
         names = lines.readline().split(",")
@@ -36,6 +38,7 @@ def main(truth: str, robot: str = "tcp/127.0.0.1:7447", frame: str = "map") -> N
             if "theta" in row:
                 pose = np.array([float(row[name]) for name in Pose._fields]) + noise.normal(size=3) * NOISE
                 data = pose_with_covariance(Pose(*pose), np.diag(NOISE**2), time.time_ns(), frame)
+                session.put("rover/localiser", lasting)
                 session.put("pose", data)
             time.sleep(0.125)
 

@@ -16,6 +16,7 @@ from rover_ncp.core.config import StrictModel, read_yaml, validated
 from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.core.files import read_text, resolve
 from rover_ncp.core.geometry import Pose
+from rover_ncp.robot.lasting_error import LastingError
 from rover_ncp.robot.topics import Topics
 
 _DEPTH = 4
@@ -263,6 +264,8 @@ class RobotDescription(StrictModel):
     """None for a robot without a laser."""
     arcos: Arcos | None = None
     """None for a robot that does not speak ARCOS."""
+    lasting_error: LastingError | None = None
+    """Of the external poses; None = what their source declares."""
     sources: tuple[Source, ...] = ()
 
     @model_validator(mode="after")

@@ -19,7 +19,7 @@ class Role(Enum):
     DRIVER = "driver"
     VIEWER = "viewer"
     LOCALISER = "localiser"
-    """External localisation: may send ``pose`` and ``tag_view/compressed``, and receives nothing."""
+    """External localisation: sends poses and what is known of them, and receives nothing."""
 
 
 class Kind(Enum):
@@ -92,6 +92,13 @@ KEYS: tuple[KeySpec, ...] = (
         frozenset({Role.DRIVER, Role.LOCALISER}),
         frozenset({Role.DRIVER, Role.VIEWER}),
         shown=True,
+    ),
+    KeySpec(
+        "rover/localiser",
+        _STRING,
+        512,
+        "LastingError as JSON: the error that poses have for seconds, twice a second",
+        frozenset({Role.DRIVER, Role.LOCALISER}),
     ),
     KeySpec("rover/estimate", _POSE, 4096, "the driver's own estimate", DRIVER),
     KeySpec("rover/neurons", "std_msgs/msg/Float64MultiArray", 1 << 16, "potentials in mV, labelled", DRIVER),

@@ -9,6 +9,7 @@ import numpy as np
 
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.geometry import Pose
+from rover_ncp.robot.lasting_error import Kind, LastingError
 from rover_ncp.wire.messages import COURSE_FRAME, pose_with_covariance
 from sim.stack.lines import WALL_NS
 from sim.world.localiser_errors import LocaliserErrors, Measured
@@ -16,6 +17,8 @@ from sim.world.rover import Rover
 
 KNOWN_M, KNOWN_RAD = 0.001, 0.001
 """Standard deviations of a start pose."""
+PLACED = LastingError(kind=Kind.MOTION_CAPTURE)
+"""Declaration of the source of start poses, and of the cameras without a lasting error."""
 
 
 def start_pose(pose: Pose, wall_ns: int) -> bytes:
@@ -33,6 +36,8 @@ class PoseSource(ABC):
     hz: float
     delay_s: float
     frame: str
+    usual = PLACED
+    """What it declares of its lasting error in a trial without one."""
 
     def __init__(
         self,
@@ -45,6 +50,11 @@ class PoseSource(ABC):
         self._next_s = float(stream.uniform(0.0, 1.0)) / self.hz
         self._pending: deque[tuple[float, bytes]] = deque()
         """Arrival times in s, and messages."""
+
+    @property
+    def lasting_error(self) -> LastingError:
+        """What it declares of its lasting error."""
+        return (self._errors and self._errors.declared) or self.usual
 
     @abstractmethod
     def measure(self, wall_ns: int) -> Measured | None:

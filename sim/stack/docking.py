@@ -149,7 +149,8 @@ class DockTrials:
         link = VirtualLink(bridge, None)
         stream = random_stream(self.seed, Domain.CAMERA, number)
         errors = localiser_errors(self.ranges, self.seed, number)
-        base.observe = self.localiser(rover, self.place, stream, link.localise, errors).observe
+        camera = self.localiser(rover, self.place, stream, link.localise, errors)
+        base.observe, link.lasting_error = camera.observe, camera.lasting_error
         docking = copy.deepcopy(self._docking)
         drive = new_drive(link, docking, self.dock.circuit.neurons, self._config)
         try:

@@ -14,6 +14,7 @@ import numpy as np
 
 from deploy.place.place import Place
 from rover_ncp.core.geometry import Pose, compose, relative, wrap_angle
+from rover_ncp.robot.lasting_error import Kind, LastingError
 from sim.stack.camera import PoseSource
 from sim.world.localiser_errors import LocaliserErrors, Measured
 from sim.world.rover import Rover
@@ -34,6 +35,7 @@ class TagLocaliser(PoseSource):
     """
 
     hz, delay_s = 8.0, 0.12
+    usual = LastingError(kind=Kind.TAGS)
     tags_ahead_m = 0.35
     """How far the tags are ahead of a docked base's middle."""
     half_view_rad = math.radians(40.0)

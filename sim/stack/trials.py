@@ -152,7 +152,9 @@ class Stack:
         if self.camera:
             stream = random_stream(self.seed, Domain.CAMERA, number)
             errors = localiser_errors(self.ranges, self.seed, number)
-            watching.append(CeilingCamera(rover, stream, link.localise, errors).observe)
+            camera = CeilingCamera(rover, stream, link.localise, errors)
+            watching.append(camera.observe)
+            link.lasting_error = camera.lasting_error
 
         def observe(now: float) -> None:
             for watch in watching:

@@ -32,7 +32,7 @@ from rover_ncp.wire.protocol import (
 )
 from sim.base.firmware import Firmware
 from sim.base.ros2_robot import Ros2Robot
-from sim.stack.camera import start_pose
+from sim.stack.camera import PLACED, start_pose
 from sim.stack.lines import WALL_NS, ArcosConnection, Ros2Connection
 
 _WAKE_MARGIN_NS = 1000
@@ -177,6 +177,7 @@ class VirtualLink(Link):
     ) -> None:
         super().__init__()
         self.bridge, self._start, self._record = bridge, start, record
+        self.lasting_error = PLACED
         self.odometry = _OdometryInbox(bridge)
         self.first_command_ns: int | None = None
         """When the first command was sent."""

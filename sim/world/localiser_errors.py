@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.geometry import Pose, wrap_angle
+from rover_ncp.robot.lasting_error import LastingError
 from sim.world.skid_robot import Range, between
 
 FloatArray = NDArray[np.float64]
@@ -33,6 +34,7 @@ class LocaliserRanges(StrictModel):
         default=None, description="the lasting error by the messages' covariance, by default the drawn one"
     )
     told_rad: Radians | None = Field(default=None, description="of the heading, by default the drawn one")
+    declared: LastingError | None = Field(default=None, description="by the source, by default as drawn")
 
     @model_validator(mode="after")
     def _both_or_neither(self) -> Self:
@@ -57,6 +59,9 @@ class LocaliserErrors:
         self.lasting = _sigmas(between(ranges.lasting_m, m), between(ranges.lasting_rad, rad))
         told_m = self.lasting[0] if ranges.told_m is None else ranges.told_m
         told_rad = self.lasting[2] if ranges.told_rad is None else ranges.told_rad
+        drawn = LastingError(position_m=self.lasting[0], heading_rad=self.lasting[2], time_s=self.lasting_s)
+        self.declared = ranges.declared or (drawn if self.lasting.any() else None)
+        """What the source declares; None for that of the camera without such errors."""
         self._told = np.diag(np.square(_sigmas(told_m, told_rad)))
         self._noise = None if ranges.noise_m is None else _sigmas(ranges.noise_m, ranges.noise_rad or 0.0)
         self._stream = stream

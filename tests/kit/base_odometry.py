@@ -6,7 +6,9 @@ import numpy as np
 
 from deploy.estimator.estimator import Estimator
 from rover_ncp.core.geometry import Pose, Velocity, compose, wrap_angle
+from rover_ncp.robot.lasting_error import Kind, LastingError
 
+MOTION_CAPTURE = LastingError(kind=Kind.MOTION_CAPTURE)
 STEP_RAD = math.tau / 4096
 DT = 0.1
 POSE_COVARIANCE = np.diag(np.square([0.005, 0.005, math.radians(0.5)]))
@@ -27,10 +29,10 @@ def moved(pose, turn, ahead, left=0.0):
     return compose(middle, Pose(ahead, left, 0.5 * turn))
 
 
-def started(settings=None, heading=0.0, covariance=None):
+def started(settings=None, heading=0.0, covariance=None, lasting=MOTION_CAPTURE):
     """Return an estimator of a rover that stands at the origin at time 0."""
     estimator = Estimator(settings)
-    estimator.start(Pose(0.0, 0.0, heading), 0.0, covariance=covariance)
+    estimator.start(Pose(0.0, 0.0, heading), 0.0, covariance=covariance, lasting=lasting)
     return estimator
 
 

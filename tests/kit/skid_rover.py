@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deploy.estimator.estimator import Estimator
-from kit.base_odometry import reported
+from kit.base_odometry import MOTION_CAPTURE, reported
 from rover_ncp.core.geometry import Pose, Velocity, wrap_angle
 from sim.world.random_course import random_course
 
@@ -97,7 +97,7 @@ class SkidDrive:
         estimator = Estimator()
         start, spread = self.states[0], (0.002, 0.002, 0.002)
         at = Pose(*(start[:3] + rng.normal(size=3) * spread))
-        estimator.start(at, 0.0, self.report(0)[0], np.diag(np.square(spread)))
+        estimator.start(at, 0.0, self.report(0)[0], np.diag(np.square(spread)), MOTION_CAPTURE)
         coming, errors, covariances = [], [], []
         next_pose = rng.uniform(0.0, 0.2)
         self.stopped = None

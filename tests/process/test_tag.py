@@ -50,7 +50,7 @@ def test_drive_starts_from_the_pose_of_tags_and_camera_that_dies_ends_the_locali
         assert ended.result["pose"]["placed"]
         with watching:
             assert wait_for(picture.exists)
-            assert wait_for(lambda: TAG_VIEW in views)
+            assert wait_for(lambda: {TAG_VIEW, "rover/localiser"} <= set(views))
         live.mock.send_signal(signal.SIGTERM)
         lost = run.wait(20.0)
     assert lost.code == 2

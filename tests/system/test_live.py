@@ -14,12 +14,12 @@ from rover_ncp.core.geometry import distance, wrap_angle
 from rover_ncp.course.course import load_course
 from rover_ncp.recording.recording import read_recording, rewrite
 from rover_ncp.wire.key_table import key
-from rover_ncp.wire.messages import read_text
+from rover_ncp.wire.messages import read_text, text
 from rover_ncp.wire.protocol import GateStatus, parse_json
 from sim.learn.policies import any_policy
 from sim.park.live import LiveRun
 from sim.park.truth import during, recorded_truth
-from sim.stack.camera import start_pose
+from sim.stack.camera import PLACED, start_pose
 from sim.stack.trials import Stack
 from sim.world.randomization import load_randomization
 
@@ -39,6 +39,7 @@ class StartPosePublisher(Peer):
     def run(self):
         while not self.closing.wait(0.1):
             self.session.put(key("", "pose"), start_pose(self._pose, time.time_ns()))
+            self.session.put(key("", "rover/localiser"), text(PLACED.model_dump_json()))
 
     def _receive_gate(self, sample):
         if parse_json(GateStatus, read_text(sample.payload.to_bytes())).lease:

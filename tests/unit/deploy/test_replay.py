@@ -127,12 +127,12 @@ def test_the_command_says_same_or_names_the_first_difference(recorded, tmp_path,
 
 def test_recording_of_an_earlier_estimator_is_one_line_and_exit_code_2(recorded, tmp_path, capsys):
     def earlier(data):
-        return data.replace(b"format: 4", b"format: 3")
+        return data.replace(b"format: 5", b"format: 4")
 
     path = with_file(recorded, CONFIG_FILE, earlier, tmp_path / "earlier.mcap")
     assert shell(["replay", str(path)]) == 2
     error = capsys.readouterr().err
-    assert "format 3, expected 4: recordings of an older estimator cannot be" in error
+    assert "format 4, expected 5: recordings of an older estimator cannot be" in error
     assert error.count("\n") == 1
 
 

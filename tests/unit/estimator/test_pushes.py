@@ -27,7 +27,7 @@ def test_a_rover_that_was_pushed_while_it_stands_is_found_again(noise_std):
     assert not estimator.fault
     end = estimator.at(2.1)
     assert end.pose == pytest.approx(place, abs=0.007)
-    assert math.sqrt(end.covariance[0, 0]) < 0.005
+    assert math.sqrt(end.covariance[0, 0]) < 0.006  # its noise, and 2 mm of the source that last
 
 
 @pytest.mark.parametrize(

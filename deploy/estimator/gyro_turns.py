@@ -23,9 +23,12 @@ from deploy.estimator.settings import GYRO_S, EstimatorSettings
 
 MIN_TURN_RAD = 0.004
 """Smallest turn by odometry that can show another turn gain."""
-MIN_GAIN_CHANGE, MAX_GAIN_CHANGE = 0.15, 0.33
-"""Smallest share by which the turn gain changes where the centre of rotation moves; the change of 1 / gain
-that moves it to an axle."""
+MIN_GAIN_CHANGE = 0.15
+"""Smallest share by which the turn gain changes where the centre of rotation moves."""
+LEARNT_STD = 0.1
+"""Standard deviation of a turn gain that is learnt, as a share of it."""
+AXLE_SLIP = 0.33
+"""Share of a turn by which one axle's wheels slip at most: the robot then turns about the other axle."""
 GYRO_GAINS = 0.3, 4.0
 """Limits of the true turn over odometry's: what a gyro shows beyond them is no slip."""
 MAX_DISTURBANCE_RAD = 0.2
@@ -45,8 +48,8 @@ class GyroTurns:
         """Size of the disturbance that the last turns show, rad."""
         self._sign = 0.0
         """1 if the last turn did not fit and needs a larger turn gain, −1 if a smaller one, else 0."""
-        self._known_gain = settings.turn_gain
-        """The turn gain to which the variance of the centre of rotation belongs."""
+        self._known_gain: float | None = None
+        """The turn gain to which the variance of the centre of rotation belongs; None before it is learnt."""
 
     def apply(self, angle: float, seconds: float, ahead: float) -> Turn | None:
         """Apply a gyro's turn, as a disturbance if it does not fit; return it, None if it is rejected."""
@@ -98,16 +101,18 @@ class GyroTurns:
         s = self._settings
         least, most = (limit * s.turn_gain for limit in GYRO_GAINS)
         gain = min(max(float(self._filter.x[GAIN]), least), most)
-        share = abs(math.log(gain / self._known_gain))
-        if share < max(MIN_GAIN_CHANGE, 2.0 * math.sqrt(self._filter.P[GAIN, GAIN]) / gain):
+        std = math.sqrt(self._filter.P[GAIN, GAIN]) / gain
+        known = self._known_gain
+        learnt = known is None and std < LEARNT_STD
+        if not learnt and (known is None or abs(math.log(gain / known)) < max(MIN_GAIN_CHANGE, 2.0 * std)):
             return 0.0, 0.0
-        change = abs(1.0 / gain - 1.0 / self._known_gain) * s.turn_gain
-        slipped, before = (max(s.turn_gain / each - 1.0, 0.0) for each in (gain, self._known_gain))
         self._known_gain = gain
-        aside_m = 2.0 * s.half_track_m
-        bounds = np.square([s.half_wheelbase_m, aside_m * max(slipped, before)])
-        grown = np.square(
-            [s.half_wheelbase_m * math.sqrt(change / MAX_GAIN_CHANGE), aside_m * abs(slipped - before)]
-        )
+        slips = [s.turn_gain / each - 1.0 for each in (known or s.turn_gain, gain)]
+        behind_m = [s.half_wheelbase_m * min(math.sqrt(abs(slip) / AXLE_SLIP), 1.0) for slip in slips]
+        left_m = [2.0 * s.half_track_m * max(slip, 0.0) for slip in slips]
+        # The prior of the centre behind the middle holds for all turn gains.
+        moved_m = 0.0 if known is None else behind_m[1] - behind_m[0]
+        grown = np.square([moved_m, left_m[1] - left_m[0]])
+        bounds = np.square([s.half_wheelbase_m, max(left_m)])
         behind, left = np.clip(bounds - self._filter.P[CENTERS, CENTERS], 0.0, grown).tolist()
         return behind, left

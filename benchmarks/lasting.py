@@ -7,8 +7,9 @@ The first command drives the trials that the file does not have yet. It appends 
 it ends. A line belongs to its row, seed, number, estimator settings (``--set``) and to the digests of the
 row's settings and of the driver's code. So a command that was stopped continues when it is repeated. Rows:
 
-- E1 to E3: a localiser whose error lasts; E3 tells less than its error
-- E4, E5: dockings; E4's localiser tells its lasting error, E5's does not
+- E1 to E3: a localiser whose error lasts; E3 tells less than its error, and does not declare that it lasts
+- E4, E5: dockings; E4's localiser tells and declares its lasting error, E5's does not
+- E3-false, E5-false: the same with a localiser that falsely declares the errors of tags
 - E6, E7: a floor of squares with two frictions
 - E8, E9: a Husky with the masses of its URDF, to one side as there, and centred
 - scale, ramp, kicks, four, heavy: `benchmarks/odd_robots.py`
@@ -91,7 +92,7 @@ class Row(NamedTuple):
         return OddStack(*settings, estimator, self.odd) if self.odd else Stack(*settings, estimator)
 
 
-def lasting(position_m: float, heading_rad: float, time_s: float, **others: float) -> dict[str, Any]:
+def lasting(position_m: float, heading_rad: float, time_s: float, **others: Any) -> dict[str, Any]:
     """Return the keys of a localiser whose error lasts."""
     return {
         "lasting_m": (position_m, position_m),
@@ -113,14 +114,17 @@ def mass_left(left_m: float) -> dict[str, Any]:
 
 
 NOISE = {"noise_m": 0.005, "noise_rad": 0.005}
-TOLD = {"told_m": 0.02, "told_rad": math.radians(2.0)}
-NOT_TOLD = {"told_m": 0.0, "told_rad": 0.0}
+TOLD = {"told_m": 0.02, "told_rad": math.radians(2.0), "declared": {}}
+NOT_TOLD = {"told_m": 0.0, "told_rad": 0.0, "declared": {}}
+FALSE = {"declared": {"kind": "tags"}}
 ROWS = {
     "E1": Row("camera", localiser=lasting(0.03, 0.026, 5.0, **NOISE)),
     "E2": Row("camera", localiser=lasting(0.08, 0.05, 20.0, **NOISE)),
     "E3": Row("camera", localiser=lasting(0.05, 0.03, 10.0, **NOISE, **TOLD)),
     "E4": Row("dock", localiser=lasting(0.01, math.radians(1.0), 5.0)),
     "E5": Row("dock", localiser=lasting(0.015, math.radians(1.0), 10.0, **NOT_TOLD)),
+    "E3-false": Row("camera", localiser=lasting(0.05, 0.03, 10.0, **NOISE, **TOLD | FALSE)),
+    "E5-false": Row("dock", localiser=lasting(0.015, math.radians(1.0), 10.0, **NOT_TOLD | FALSE)),
     "E6": Row("gyro", skid_steer=squares(0.8, 0.5, 0.9)),
     "E7": Row("gyro", skid_steer=squares(0.4, 0.3, 1.0)),
     "E8": Row("gyro", skid_steer=mass_left(HUSKY_LEFT_M), odd="husky", model="husky-a200"),

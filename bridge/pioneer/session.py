@@ -64,7 +64,6 @@ class Session:
         self._names = ("", "", "")
         self._report: BaseReport | None = None
         self._config: ConfigPac | None = None
-        self._gyro_seen = False
         self._out = bytearray()
         self._events: list[SessionEvent] = []
         self._reason = ""
@@ -258,6 +257,7 @@ class Session:
         assert robot is not None  # or this was a STRANGER
         self._odometer = Odometer(robot)
         self._report = self._config = None
+        self._gyro_seen = False
         self._opened_s = self._now
         self._send(Command.OPEN)
         self._ask_for_config()
@@ -272,15 +272,16 @@ class Session:
     def _first_sip(self) -> None:
         self._report = self._odometer.update(self._sip, self._now)
         if self._config is not None:
-            self._settle()
+            self._settle(self._config)
 
     def _configure(self) -> None:
+        assert self._config is not None  # it has just arrived
         first, self._odometer.config = self._odometer.config is None, self._config
         if self.state is SessionState.READY:
             if first:
                 self._ask_for_gyro()
         elif self._report is not None:
-            self._settle()
+            self._settle(self._config)
 
     def _ask_again(self) -> None:
         waited = self._now - self._opened_s
@@ -303,8 +304,8 @@ class Session:
         if self._config is not None and self._config.sends_gyro:
             self._send(Command.GYRO, 1)
 
-    def _settle(self) -> None:
-        switches = self._config is not None and self._config.autobaud == states.CAN_SWITCH
+    def _settle(self, config: ConfigPac) -> None:
+        switches = config.autobaud == states.CAN_SWITCH
         slow = self._rate is not None and self._rate < states.FAST_RATE
         self._dispatch(Input.SLOW if switches and slow else Input.SETTLED)
 

@@ -7,10 +7,10 @@ from itertools import cycle, pairwise
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.arcos_bench import BYTES, CONFIG, NAMES, Bench, frame, sip
+from kit.arcos_bench import BYTES, CONFIG, ECHO0, ECHO1, NAMES, RESET, Bench, frame, sip
 from kit.arcos_captures import CAPTURES
 
-from bridge.base import BaseReport, Failed, Lost, Notice, Ready, Recovered
+from bridge.base import BaseReport, Failed, Lost, Notice, Ready, Recovered, TurnRate
 from bridge.pioneer.framing import Command, encode_frame
 from bridge.pioneer.packets import ConfigPac, Flag, GyroPac, Kind
 from bridge.pioneer.session import BaudChanged, Session
@@ -68,9 +68,9 @@ def test_a_base_with_a_gyro_for_its_client_is_asked_to_send_it():
         bench.hear(frame(ConfigPac(has_gyro=has_gyro).encode()) + readings + sip())
         assert bench.session.state is SessionState.READY
         assert [sent for sent in bench.sent() if sent[0] is Command.GYRO] == asked
-    bench.events.clear()
     bench.hear(readings + frame(GyroPac().encode()) + sip())
-    turned, _ = bench.events  # nothing before it was ready, nothing of no readings
+    # Nothing before it was ready, nothing of no readings.
+    (turned,) = (event for event in bench.events if isinstance(event, TurnRate))
     # 11 below rest, to the left: 11 of 0.954 deg/s (ARIA's factors).
     assert turned.rate == pytest.approx(math.radians(11 * 5 / 1023 * 120 * 1.626))
 
@@ -299,11 +299,14 @@ def test_every_action_of_the_table_exists():
 def test_a_gyro_that_the_configuration_promises_is_silent_until_its_first_packet(has_gyro):
     bench = Bench().go_to(SessionState.CONFIGURING)
     assert (bench.session.gyro_silent, bench.session.watchdog_s) == (False, None)
-    bench.hear(frame(ConfigPac(has_gyro=has_gyro, watchdog=1500).encode()) + sip())
+    config = frame(ConfigPac(has_gyro=has_gyro, watchdog=1500).encode()) + sip()
+    bench.hear(config)
     assert bench.session.gyro_silent is (has_gyro == 1)
     assert bench.session.watchdog_s == 1.5
     bench.hear(frame(GyroPac(((502, 30),)).encode()))
     assert not bench.session.gyro_silent
+    bench.hear(RESET + ECHO0 + ECHO1 + NAMES + config)  # restarted, with another gyro or without one
+    assert bench.session.gyro_silent is (has_gyro == 1)
 
 
 def test_a_report_behind_a_false_header_is_read_when_silence_follows(bench):
@@ -322,4 +325,4 @@ def test_a_description_of_ones_own_has_precedence_over_the_reported_model():
     bench = Bench()
     bench.session = Session(load_description("p3at").model_copy(update={"name": "mine"}))
     bench.go_to(SessionState.SYNC2).hear(NAMES + CONFIG + sip())
-    assert bench.session.state is SessionState.READY
+    assert [event.robot.name for event in bench.events if isinstance(event, Ready)] == ["mine"]

@@ -78,9 +78,10 @@ def identify(log: MotionLog, name: str, bands: DeadBands = (None, None)) -> Rove
             names = "odometry_heading", "slip_s", "wheel_mismatch_rad_m", None, "turn_asymmetry"
             found |= _named(names, turn)
             odometry = odometry[0], OdometryErrors(turn.values[:2], turn.covariance[:2, :2])
-        if center := fit_center(standstills):
-            centers = "rotation_center_m", "rotation_center_left_m"
-            found |= _named((*centers, "downhill_x_m", "downhill_y_m"), center)
+            # Poses that do not turn with the robot are those of another object: they show no centre either.
+            if center := fit_center(standstills):
+                centers = "rotation_center_m", "rotation_center_left_m"
+                found |= _named((*centers, "downhill_x_m", "downhill_y_m"), center)
     found |= {key: _Value(band, 0.0) for key, band in zip(_BANDS, bands, strict=True) if band is not None}
     obeyed = np.where(np.abs(log.sent) < 0.999 * np.array([band or 0.0 for band in bands]), 0.0, log.sent)
     log = log._replace(sent=obeyed)

@@ -12,7 +12,14 @@ from deploy.identify.odometry_fit import Stand, fit_turns
 from rover_ncp.core.geometry import ORIGIN, Pose, Velocity
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import load_description
-from rover_ncp.wire.messages import COURSE_FRAME, odometry, pose_with_covariance, read_odometry, twist_stamped
+from rover_ncp.wire.messages import (
+    COURSE_FRAME,
+    odometry,
+    pose_with_covariance,
+    read_odometry,
+    read_pose,
+    twist_stamped,
+)
 
 RATES = [0.12, 0.12, 0.3, 0.3, 0.5, 0.5]
 NOISE_RAD = 0.0005
@@ -105,6 +112,30 @@ def test_clocks_of_driver_and_bridge_may_differ(skew_s):
     found = identify(log, "skewed")
     assert found.odometry_distance == pytest.approx(1.05, abs=0.004)
     assert abs(found.odometry_distance - 1.05) < 4.0 * found.std["odometry_distance"]
+
+
+@pytest.mark.parametrize(
+    "seen",
+    [
+        lambda number, pose: pose if number < 20 else None,
+        lambda number, pose: Pose(3.0, 1.0, 0.5),
+        lambda number, pose: Pose(0.2 * pose.x, 0.2 * pose.y, 0.2 * pose.theta),
+    ],
+    ids=["end early", "stand still", "of another object"],
+)
+def test_external_poses_that_do_not_show_the_drive_give_no_errors_of_odometry(seen):
+    messages, number = [], 0
+    for message in messages_of([[way] for way in [*STRAIGHT, *HALF_CIRCLE, (0.0, 0.5), (0.0, -0.5)] * 2]):
+        if message.topic == "pose":
+            sample, number = read_pose(message.data), number + 1
+            if (pose := seen(number, sample.pose)) is None:
+                continue
+            data = pose_with_covariance(pose, sample.covariance, sample.stamp_ns, sample.frame)
+            message = replace(message, data=data)  # noqa: PLW2901
+        messages.append(message)
+    found = identify(motion_log(messages), "astray")
+    assert (found.odometry_distance, found.odometry_heading, found.slip_s) == (None, None, None)
+    assert (found.rotation_center_m, found.wheel_mismatch_rad_m, found.turn_asymmetry) == (None, None, None)
 
 
 def test_motion_of_a_robot_that_reports_mean_speeds_is_that_of_its_poses():

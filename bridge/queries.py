@@ -26,7 +26,7 @@ from bridge.gate.state import (
 )
 from bridge.guarded_base import GuardedBase
 from bridge.inbox import Query
-from rover_ncp.core.bridge_lines import STOP_REQUESTED
+from rover_ncp.core.bridge_lines import LEASE_OF, STOP_REQUESTED
 from rover_ncp.core.errors import FormatError
 from rover_ncp.wire.protocol import (
     KEY_BYTES,
@@ -107,7 +107,7 @@ class Answers:
             return _refusal(verdict.refusal, gate)
         assert verdict.lease is not None  # it was granted
         if sequence is None:
-            self._log(f"the lease is that of {_who(query)}")
+            self._log(f"{LEASE_OF}{_who(query)}")
         key = secret.hex() if verdict.lease.secret == secret else ""
         return MotorsReply(granted=True, lease=verdict.lease.number, key=key)
 

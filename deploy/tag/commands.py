@@ -173,6 +173,8 @@ def run(
     if file is not None and camera is None:
         settings = file.need("camera", "'tag run' needs it, or --camera")
         camera, camera_file = file.camera, camera_file or file.place_of(settings.file)
+        if picture is None and settings.picture is not None:
+            picture, overwrite = file.place_of(settings.picture), True
     if file is not None and map is None:
         map = file.place_of(file.need("tags", "'tag run' needs it, or --map"))
     if camera is None or map is None:

@@ -19,7 +19,7 @@ from pydantic import Field
 from deploy.up.advice import Begin, LineBreaks
 from deploy.up.lock import RobotLock
 from deploy.up.restarts import Restarts
-from rover_ncp.core.bridge_lines import READY
+from rover_ncp.core.bridge_lines import LEASE_OF, READY
 from rover_ncp.core.child import Child, ParentPipe
 from rover_ncp.core.config import ResultModel, read_yaml
 from rover_ncp.core.console import Output
@@ -196,7 +196,8 @@ class _Up:
         ready = False
         for line in self._child.new_lines():
             advice = self._breaks.take(line, time.monotonic())
-            self._bridge.say(f"{line}; {advice}" if advice else line)
+            if not line.startswith(LEASE_OF):
+                self._bridge.say(f"{line}; {advice}" if advice else line)
             ready |= line.startswith(READY)
         return ready
 
@@ -204,10 +205,10 @@ class _Up:
         if self._docking is not None:
             assert self._docking.child is not None  # it is started once
             lines, ended = self._docking.child.new_lines(), self._docking.child.code is not None
-            for line in lines:
+            for line in lines[:1] if ended else lines:  # the verdict is the first line of a result
                 self._docking.say(line)
             if ended:
-                self._docking.say(self._docking.child.end)
+                self._docking.say(self._docking.child.end if self._docking.child.code else "ended with 0")
                 self._docking.child.close()
                 self._docking = None
                 self._breaks.ended()

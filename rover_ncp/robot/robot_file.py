@@ -38,6 +38,9 @@ class CameraSettings(StrictModel):
     file: str | None = Field(
         default=None, description="calibration and mount, as 'tag calibrate' writes them; ROS has its own"
     )
+    picture: str | None = Field(
+        default=None, description="JPEG that gets the newest picture once a second, its tags outlined"
+    )
 
 
 class RobotSettings(StrictModel):

@@ -36,9 +36,10 @@ class Robot:
     def __init__(self, folder, **settings):
         self.folder, self.file = folder, folder / "robot.yaml"
         (folder / "mock").mkdir()
-        mock = ["--listen", "127.0.0.1:0", "--truth", str(folder / "truth.csv")]
-        self.processes = [Process("mock", mock, folder / "mock")]
-        self.base = f"tcp/{self.processes[0].wait_for_line('listening on ')}"
+        mock = ["--listen", "127.0.0.1:0", "--truth", str(folder / "truth.csv"), "--fault", "-"]
+        self.mock = Process("mock", mock, folder / "mock", reads_lines=True)
+        self.processes = [self.mock]
+        self.base = f"tcp/{self.mock.wait_for_line('listening on ')}"
         self.bridge = f"tcp/127.0.0.1:{free_port('127.0.0.1')}"
         self.write(page=None, **settings)
         self.truth = TruthReader(folder / "truth.csv")
@@ -54,8 +55,9 @@ class Robot:
             process.wait_for_line("bridge    ready")
         return process
 
-    def driving(self):
+    def driving(self, name="test"):
         driver = Driver(self.bridge)
+        driver.name = name
         driver.start()
         driver.drive(1.0)
         assert self.speed() > 0.1
@@ -206,6 +208,25 @@ def test_a_stop_that_nobody_confirms_is_not_called_one(run_json):
     code, heard = run_json(f"stop --robot tcp/127.0.0.1:{free_port('127.0.0.1')}")
     assert (code, heard["confirmed"], heard["stands"]) == (1, False, None)
     assert "nothing answers" in heard["problem"]
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_docking_that_a_silent_line_ended_begins_anew_unless_somebody_stops_it(robot, run_json, stopped):
+    robot.write(page=None, resume=True)
+    up = robot.up()
+    with robot.driving(name="docking at home") as driver:
+        robot.mock.tell("mute@0-1.5")
+        driver.drive(1.0)
+        assert "begins anew in 5 s (1 of 3)" in up.wait_for_line(
+            "bridge    the base sends packets again", 20.0
+        )
+    if stopped:
+        assert run_json(f"stop --robot {robot.file}")[0] == 0
+        time.sleep(6.0)
+        assert "docking " not in lines_of(up).partition("begins anew in")[2]
+    else:
+        assert "home.yaml: no such file" in up.wait_for_line("docking   ended with 2", 20.0)
+    assert up.stop().result["docked_again"] == int(not stopped)
 
 
 def test_a_restarted_router_of_a_ros_2_robot_is_one_line_with_what_to_do(tmp_path):

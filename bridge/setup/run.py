@@ -1,6 +1,7 @@
 """The command ``setup``: its questions in order, and what they lead to."""
 
 import json
+import secrets
 import signal
 import subprocess
 import sys
@@ -27,6 +28,8 @@ from rover_ncp.wire.probe import Listener, listener_at
 from rover_ncp.wire.zenoh import PORT
 
 READY_S = 60.0
+BOARDS = 57
+"""Boards that 'tag print --board' knows."""
 ON_FLOOR = {"turtlebot4"}
 """Models that cannot be tested on blocks: sensors under them report lifted wheels."""
 
@@ -52,7 +55,7 @@ def run(path: Path, output: Output, *, overwrite: bool, terminal: bool) -> int:
     dialog = Dialog(_ask, partial(print_line, sys.stderr if output.as_json else sys.stdout))
     robot, images = _robot(dialog, known)
     chosen = known | robot
-    chosen |= _localiser(dialog, images, known)
+    chosen |= _localiser(dialog, path, images, known)
     keys = dialog.text(
         "Folder with certificates, if other machines shall drive or watch",
         "Without certificates only this machine reaches the robot; 'rover-ncp keys --out keys' makes them.",
@@ -61,6 +64,12 @@ def run(path: Path, output: Output, *, overwrite: bool, terminal: bool) -> int:
     chosen = {name: value for name, value in (chosen | {"keys": keys}).items() if value is not None}
     settings = _write(path, chosen)
     output.say(f"wrote {path}")
+    camera = settings.camera
+    if camera is not None and camera.file is not None and not (path.parent / camera.file).exists():
+        output.say(
+            f"{camera.file} is missing: rover-ncp tag calibrate --camera {camera.source} --camera-file "
+            f"{path.parent / camera.file}"
+        )
     model = chosen.get("model")
     if chosen["base"].startswith(ROS2):
         measured = _measure(dialog, path, model)
@@ -167,7 +176,7 @@ def _ros_robots(dialog: Dialog, base: str | None) -> list[RosRobot]:
     return robots
 
 
-def _localiser(dialog: Dialog, images: list[str], known: dict[str, Any]) -> dict[str, Any]:
+def _localiser(dialog: Dialog, path: Path, images: list[str], known: dict[str, Any]) -> dict[str, Any]:
     """Return camera and tags; ``images`` are cameras of the robot."""
     earlier = known.get("camera") or {}
     found = dict.fromkeys(images, "of the robot")
@@ -182,16 +191,38 @@ def _localiser(dialog: Dialog, images: list[str], known: dict[str, Any]) -> dict
     )
     if source is None:
         return {"camera": None, "tags": None}
-    camera = {"source": source}
     file = dialog.text(
         "File with the camera's calibration",
         "'rover-ncp tag calibrate' writes it. A ROS 2 camera has its own: leave none there.",
         earlier.get("file") or (None if source.startswith(ROS2) else "camera.yaml"),
     )
-    tags = dialog.text(
-        "File with the tags", "It says which tags hang where (docs/tags).", known.get("tags") or "tags.yaml"
+    camera = {**earlier, "source": source, "file": file}
+    camera = {name: value for name, value in camera.items() if value is not None}
+    return {"camera": camera, "tags": _tags(dialog, path, known)}
+
+
+def _tags(dialog: Dialog, path: Path, known: dict[str, Any]) -> str | None:
+    """Return the board or the file of the tags; print a board if there is none."""
+    folder = path.parent
+    boards = [each.stem for each in sorted(folder.glob("board-*.pdf"))]
+    default = known.get("tags") or ("tags.yaml" if (folder / "tags.yaml").exists() else None)
+    default = default or (boards[0] if boards else None)
+    if default is None and dialog.yes(
+        "Write a board of tags to print?",
+        "One page that hangs at the place; nothing is surveyed. Say no if tags hang there already.",
+        default=True,
+    ):
+        number = secrets.choice(range(1, BOARDS + 1))
+        default = f"board-{number}-a4"
+        out = str(folder / f"{default}.pdf")
+        code, _ = _run("tag", "print", "--board", "--number", str(number), "--out", out)
+        if code != 0:
+            default = None
+    return dialog.text(
+        "Board or file of the tags",
+        "Their places: the name of a board (board-17-a4), or a file that says where single tags hang.",
+        default,
     )
-    return {"camera": camera | ({"file": file} if file else {}), "tags": tags}
 
 
 def _measure(dialog: Dialog, path: Path, model: str | None) -> float | None:

@@ -176,7 +176,8 @@ def run(
         if picture is None and settings.picture is not None:
             picture, overwrite = file.place_of(settings.picture), True
     if file is not None and map is None:
-        map = file.place_of(file.need("tags", "'tag run' needs it, or --map"))
+        file.need("tags", "'tag run' needs it, or --map")
+        map = file.tags
     if camera is None or map is None:
         raise UsageError("--camera and --map are missing, and so is robot.yaml, which would name both")
     return run_localiser(

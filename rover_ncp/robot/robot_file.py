@@ -23,7 +23,7 @@ NAMES = ("robot.yaml", "robot.yml")
 SUFFIXES = (".yaml", ".yml")
 PIONEERS_BRIDGE, ROS2_BRIDGE = "tcp/127.0.0.1:7447", "tcp/127.0.0.1:7449"
 """Where the bridge listens by default; a ROS 2 robot's own router may have the first port."""
-_EVERYWHERE = {"0.0.0.0": "127.0.0.1", "::": "::1"}
+_EVERYWHERE = {"0.0.0.0", "::"}
 _ABOUT_ROS2 = ("base_zenoh_config", "measured_base_timeout_s", "no_base_watchdog")
 
 
@@ -83,7 +83,10 @@ class RobotSettings(StrictModel):
         description="limits of the gate: a file, or keys such as {v_max: 0.2, sonar_stop_m: 0.3}",
     )
     camera: CameraSettings | None = Field(default=None, description="camera of the localiser")
-    tags: str | None = Field(default=None, description="file with the printed tags that the camera sees")
+    tags: str | None = Field(
+        default=None,
+        description="printed board that the camera sees, such as board-17-a4, or a file of single tags",
+    )
     places: str = Field(default="places", description="folder of the places that 'place set NAME' writes")
     page: int | None = Field(
         default=8080, ge=0, le=65535, description="port of the live page of 'up'; null for no page"
@@ -125,8 +128,7 @@ class RobotFile:
         found = parse_address(self.listen, 0)
         if found is None or found.host not in _EVERYWHERE:
             return self.listen
-        host = _EVERYWHERE[found.host]
-        return str(found._replace(host=host)) if found.port else f"{found.protocol}/{host}"
+        return f"{found.protocol}/localhost{f':{found.port}' if found.port else ''}"
 
     @property
     def model(self) -> str | None:
@@ -152,6 +154,12 @@ class RobotFile:
         source = self.settings.camera.source
         folder = self.path.parent / source
         return str(folder) if folder.is_dir() else source
+
+    @property
+    def tags(self) -> Path | None:
+        """The board's name, or the file of the tags."""
+        tags = self.settings.tags
+        return Path(tags) if tags is not None and not is_path(tags) else self.place_of(tags)
 
     def place_of(self, name: str | None) -> Path | None:
         """Return the path that a value of the file names."""
@@ -238,7 +246,7 @@ _EXAMPLES = {
     "keys": "keys",
     "limits": {"v_max": 0.2},
     "camera": {"source": "0", "file": "camera.yaml"},
-    "tags": "tags.yaml",
+    "tags": "board-17-a4",
 }
 """Values of keys without a default, for the commented file."""
 

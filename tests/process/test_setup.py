@@ -63,7 +63,8 @@ def test_a_pioneer_by_its_address_and_a_camera_need_no_more_than_the_defaults(tm
     assert code == 0, text
     settings = load_robot_file(tmp_path / "robot.yaml").settings
     assert (settings.base, settings.camera.source) == ("tcp/127.0.0.1:8101", "http://127.0.0.1:8102/")
-    assert (settings.camera.file, settings.tags) == ("camera.yaml", "tags.yaml")
+    assert settings.camera.file == "camera.yaml"
+    assert (tmp_path / f"{settings.tags}.pdf").exists()
 
 
 def test_without_a_terminal_it_says_what_is_missing_and_asks_nothing(tmp_path, monkeypatch, capsys):

@@ -97,4 +97,4 @@ def test_inline_limits_wider_than_the_robots_name_their_key(folder):
 def test_drivers_of_this_machine_reach_a_bridge_that_listens_everywhere(tmp_path):
     path = tmp_path / "robot.yaml"
     path.write_text("base: tcp/a\nbridge: tls/0.0.0.0:7450\n")
-    assert load_robot_file(path).address == "tls/127.0.0.1:7450"
+    assert load_robot_file(path).address == "tls/localhost:7450"

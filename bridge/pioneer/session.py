@@ -59,8 +59,7 @@ class Session:
         self._chosen = robot
         self._setpoints = Setpoints(limits or MotionLimits(), self._send)
         # Replaced when the base has sent its name.
-        self._odometer = Odometer(robot or ROBOTS[DEFAULT_ROBOT])
-        self._sip = Sip()
+        self._odometer = Odometer(ROBOTS[DEFAULT_ROBOT])
         self._names = ("", "", "")
         self._report: BaseReport | None = None
         self._config: ConfigPac | None = None
@@ -181,9 +180,10 @@ class Session:
     def _classify(self, packet: Packet) -> Input | None:
         """Store a packet's content and return its input; None for a packet that a session does not use."""
         if packet.kind in SIP_KINDS:
-            sip = Sip.decode(packet)
-            self._sip = sip or self._sip
-            return None if sip is None else Input.SIP
+            if (sip := Sip.decode(packet)) is None:
+                return None
+            self._sip = sip
+            return Input.SIP
         if packet.kind == Kind.SYNC2:
             self._names = decode_names(packet.payload)
             return Input.STRANGER if self._robot() is None or self._contradicts() else Input.NAMES

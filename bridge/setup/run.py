@@ -66,10 +66,7 @@ def run(path: Path, output: Output, *, overwrite: bool, terminal: bool) -> int:
     output.say(f"wrote {path}")
     camera = settings.camera
     if camera is not None and camera.file is not None and not (path.parent / camera.file).exists():
-        output.say(
-            f"{camera.file} is missing: rover-ncp tag calibrate --camera {camera.source} --camera-file "
-            f"{path.parent / camera.file}"
-        )
+        output.say(f"{camera.file} is missing: 'rover-ncp tag calibrate' writes it (docs/tags)")
     model = chosen.get("model")
     if chosen["base"].startswith(ROS2):
         measured = _measure(dialog, path, model)

@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -10,6 +10,9 @@ from deploy.options import Namespace, Robot, ZenohConfig, choose_robot
 from rover_ncp.core.console import Json, Output, Overwrite, reject
 from rover_ncp.core.errors import UsageError
 from rover_ncp.wire.key_table import Role
+
+if TYPE_CHECKING:
+    from rover_ncp.robot.robot_file import RobotFile
 
 tag = typer.Typer(
     name="tag",
@@ -24,9 +27,8 @@ SOURCES = (
     "A device (0, /dev/video0; 'tag cameras' lists them), a stream or picture (http://...), a folder of "
     "pictures, or a ROS 2 topic (ros2/tcp/HOST#image=TOPIC)."
 )
-Camera = Annotated[str, typer.Option(help=SOURCES)]
-OF_FILE = "that of the robot's file"
-OwnCamera = Annotated[str | None, typer.Option(help=SOURCES, show_default=OF_FILE)]
+OF_FILE = "that of robot.yaml"
+Camera = Annotated[str | None, typer.Option(help=SOURCES, show_default=OF_FILE)]
 TAGS = "The tags: sizes and places (YAML), or the name of a board, such as board-17-a4"
 Seconds = Annotated[
     float | None, typer.Option(min=0.1, help="End after so many seconds.", show_default=False)
@@ -89,8 +91,11 @@ def print_tags(
 @tag.command()
 def calibrate(
     *,
-    camera: Camera,
-    camera_file: Annotated[Path, typer.Option(help="The camera's file to write, or to improve.")],
+    camera: Camera = None,
+    camera_file: Annotated[
+        Path | None,
+        typer.Option(help="The camera's file to write, or to improve.", show_default=OF_FILE),
+    ] = None,
     camera_info: Annotated[
         Path | None, typer.Option(help="Take the intrinsics from a YAML file of ROS or OpenCV.")
     ] = None,
@@ -115,11 +120,18 @@ def calibrate(
     into it. Yaw: drive about 1 m straight ahead with 'rover-ncp teleop', tags in view.
 
         rover-ncp tag calibrate --camera pictures/ --camera-file camera.yaml
-        rover-ncp tag calibrate --camera 0 --camera-file camera.yaml --map tags.yaml
+        rover-ncp tag calibrate --map board-17-a4
     """
     from deploy.tag.run import calibrate_intrinsics, calibrate_yaw
+    from rover_ncp.robot.robot_file import find_robot_file
 
     output, pixels = Output(json), None if size is None else parse_size(size)
+    if camera is None or camera_file is None:
+        camera, camera_file = _camera(find_robot_file(None), camera, camera_file)
+    if camera is None or camera_file is None:
+        raise UsageError(
+            "--camera and --camera-file are missing, and so is robot.yaml, which would name both"
+        )
     if map is None:
         calibrate_intrinsics(camera, camera_file, camera_info, size=pixels, seconds=seconds, output=output)
     elif camera_info is not None or size is not None:
@@ -131,7 +143,7 @@ def calibrate(
 @tag.command()
 def run(
     *,
-    camera: OwnCamera = None,
+    camera: Camera = None,
     map: Annotated[Path | None, typer.Option(help=f"{TAGS}.", show_default=OF_FILE)] = None,
     camera_file: Annotated[
         Path | None,
@@ -171,10 +183,9 @@ def run(
     if robot is not None or file is not None:
         address = choose_robot(robot, namespace, zenoh_config, role=Role.LOCALISER).address
     if file is not None and camera is None:
-        settings = file.need("camera", "'tag run' needs it, or --camera")
-        camera, camera_file = file.camera, camera_file or file.place_of(settings.file)
-        if picture is None and settings.picture is not None:
-            picture, overwrite = file.place_of(settings.picture), True
+        if picture is None and file.picture is not None:
+            picture, overwrite = file.picture, True
+        camera, camera_file = _camera(file, camera, camera_file)
     if file is not None and map is None:
         file.need("tags", "'tag run' needs it, or --map")
         map = file.tags
@@ -204,6 +215,16 @@ def cameras(*, json: Json = False) -> int:
     from deploy.tag.run import list_cameras
 
     return list_cameras(Output(json))
+
+
+def _camera(
+    file: "RobotFile | None", camera: str | None, camera_file: Path | None
+) -> tuple[str | None, Path | None]:
+    """Return a camera and its file; what is not given is that of the robot's file. Raises ConfigError."""
+    if file is None:
+        return camera, camera_file
+    settings = file.need("camera", "here, or as --camera and --camera-file")
+    return camera or file.camera, camera_file or file.place_of(settings.file)
 
 
 def parse_ids(text: str) -> list[int]:

@@ -128,7 +128,7 @@ class RobotFile:
         found = parse_address(self.listen, 0)
         if found is None or found.host not in _EVERYWHERE:
             return self.listen
-        return f"{found.protocol}/localhost{f':{found.port}' if found.port else ''}"
+        return f"{found.protocol}/127.0.0.1{f':{found.port}' if found.port else ''}"
 
     @property
     def model(self) -> str | None:
@@ -154,6 +154,12 @@ class RobotFile:
         source = self.settings.camera.source
         folder = self.path.parent / source
         return str(folder) if folder.is_dir() else source
+
+    @property
+    def picture(self) -> Path | None:
+        """The picture that the localiser writes."""
+        camera = self.settings.camera
+        return None if camera is None else self.place_of(camera.picture)
 
     @property
     def tags(self) -> Path | None:

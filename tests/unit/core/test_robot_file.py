@@ -97,4 +97,13 @@ def test_inline_limits_wider_than_the_robots_name_their_key(folder):
 def test_drivers_of_this_machine_reach_a_bridge_that_listens_everywhere(tmp_path):
     path = tmp_path / "robot.yaml"
     path.write_text("base: tcp/a\nbridge: tls/0.0.0.0:7450\n")
-    assert load_robot_file(path).address == "tls/localhost:7450"
+    assert load_robot_file(path).address == "tls/127.0.0.1:7450"
+
+
+def test_a_camera_is_calibrated_by_the_file(folder, capsys):
+    (folder / "robot.yaml").write_text(f"{TURTLEBOT}camera: {{source: shots, file: camera.yaml}}\n")
+    assert cli.run(["tag", "calibrate"]) == 2
+    assert "shots: no such folder" in capsys.readouterr().err
+    (folder / "robot.yaml").write_text(TURTLEBOT)
+    assert cli.run(["tag", "calibrate"]) == 2
+    assert "robot.yaml: $.camera: this key is missing" in capsys.readouterr().err

@@ -201,7 +201,7 @@ class PlantEvaluator:
             circuits = _Circuits(
                 ctypes.cast(required().rover_ncp_fill_lanes, c_void_p),
                 ctypes.cast(required().rover_ncp_tick_lanes, c_void_p),
-                *(structure.address for structure in tick.args),
+                *(structure.value for structure in tick.args),
                 rows.shape[1],
                 self.agent.circuit.size,
                 rows.ctypes.data,

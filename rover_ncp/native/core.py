@@ -10,6 +10,8 @@ import hashlib
 import math
 from collections.abc import Callable
 from functools import cache, partial
+from importlib.machinery import PathFinder
+from importlib.util import module_from_spec
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
@@ -112,22 +114,17 @@ class Axes:
         self.names, self.below, self.lowest = [str(name) for name in names], below, lowest
 
 
-class Structure:
+class Structure(ctypes.c_void_p):
     """A named tuple or an array as the library reads it. It keeps the arrays whose addresses it has."""
 
     def __init__(self, value: Any, words: list[int]) -> None:
-        self._value, self.words = value, np.array(words, np.uint64)
-        self._as_parameter_ = ctypes.c_void_p(self.words.ctypes.data)
+        self._value, self._words = value, np.array(words, np.uint64)
+        super().__init__(self._words.ctypes.data)
 
     @property
     def size(self) -> int:
         """Its bytes."""
-        return self.words.nbytes
-
-    @property
-    def address(self) -> int:
-        """Where it is."""
-        return int(self.words.ctypes.data)
+        return self._words.nbytes
 
 
 def structures(**arguments: Any) -> list[Structure]:
@@ -331,14 +328,25 @@ def row_addresses(array: FloatArray, *shape: int) -> range:
 @cache
 def linear_algebra() -> tuple[int, ...]:
     """Return ``Routines`` of least_squares.cpp: the addresses of functions of scipy's BLAS and LAPACK."""
-    from scipy.linalg import cython_blas, cython_lapack
-
     get_pointer = ctypes.pythonapi.PyCapsule_GetPointer
     get_pointer.restype, get_pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
     get_name = ctypes.pythonapi.PyCapsule_GetName
     get_name.restype, get_name.argtypes = ctypes.c_char_p, [ctypes.py_object]
-    capsules = [
-        *(cython_blas.__pyx_capi__[name] for name in ("dsyrk", "dgemv", "ddot")),
-        cython_lapack.__pyx_capi__["dpotrf"],
-    ]
+    blas, lapack = _scipy_linalg("cython_blas"), _scipy_linalg("cython_lapack")
+    capsules = [*(blas[name] for name in ("dsyrk", "dgemv", "ddot")), lapack["dpotrf"]]
     return tuple(int(get_pointer(capsule, get_name(capsule)) or 0) for capsule in capsules)
+
+
+def _scipy_linalg(name: str) -> Any:
+    """Return the functions of a module of scipy.linalg.
+
+    It is loaded without this package, whose other modules cost each training process 0.1 s and 14 MB.
+    """
+    import scipy
+
+    spec = PathFinder.find_spec(f"scipy.linalg.{name}", [str(Path(scipy.__file__).parent / "linalg")])
+    if spec is None or spec.loader is None:
+        raise ModuleNotFoundError(f"scipy {scipy.__version__} has no linalg.{name}")
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.__pyx_capi__

@@ -142,7 +142,7 @@ class Descent:
     def take(self, steps: Sequence[ScoredPoint]) -> bool:
         """Move to the best step if it is higher; return whether the descent continues."""
         scores = [self.score(step) for step in steps]
-        best = max(range(len(steps)), key=scores.__getitem__)
+        best = scores.index(max(scores))
         if scores[best] > self.scores[-1]:
             self.problem.correct(self.at, steps[best], self.to_beat)
             self.at = steps[best]

@@ -80,21 +80,19 @@ class _Tried:
         assert self._best is not None  # the start is evaluated first
         return self._best
 
-    def evaluate(
-        self, points: Vector, to_beat: Sequence[float] | float = -math.inf
-    ) -> _Part[list[ScoredPoint]]:
-        """Return the outcomes of points (n, D); those whose return is below ``to_beat`` may be truncated."""
-        thresholds = np.empty(len(points))
-        thresholds[:] = to_beat
+    def evaluate(self, points: Vector, to_beat: Sequence[float] = ()) -> _Part[list[ScoredPoint]]:
+        """Return the outcomes of points (n, D); those below their ``to_beat`` may be truncated."""
+        thresholds = np.array(to_beat or [-math.inf] * len(points))
         scores = yield Batch(self._box.vectors(points), thresholds)
-        # A copy, because an evaluator may use its array again.
-        found = scored(points, scores.returns.tolist(), scores.residuals.copy())
-        highest = _highest(found)
-        if any(math.isnan(outcome.value) for outcome in found):
+        values = scores.returns.tolist()
+        if any(map(math.isnan, values)):
             raise ValueError("a return is not a number")
+        # A copy, because an evaluator may use its array again.
+        found = scored(points, values, scores.residuals.copy())
         self.count += len(points)
-        if self._best is None or highest.value > self._best.value:
-            self._best = highest
+        highest = max(values)
+        if self._best is None or highest > self._best.value:
+            self._best = found[values.index(highest)]
         return found
 
 
@@ -180,7 +178,8 @@ def _race(tried: _Tried, draw: _Draw, origin: ScoredPoint, checkpoints: int) -> 
     for _ in range(CONSTANTS.races):
         if not _is_good(tried.best, checkpoints):
             break
-        found = yield from tried.evaluate(draw.restarts(origin.point, wide=True), leader.value)
+        restarts = draw.restarts(origin.point, wide=True)
+        found = yield from tried.evaluate(restarts, [leader.value] * len(restarts))
         leader = _highest([leader, *found])
     return [leader]
 

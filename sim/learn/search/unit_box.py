@@ -34,12 +34,18 @@ class UnitBox:
         logarithmic: BoolArray,
         inert: BoolArray | None = None,
     ) -> None:
-        self.defaults = np.array(defaults, np.float64)
-        self.free = np.flatnonzero(~inert) if inert is not None else np.arange(len(self.defaults))
-        self._lower, self._upper = lower[self.free], upper[self.free]
-        self._logarithmic = _runs(logarithmic[self.free])
+        searched = np.ones(len(defaults), np.bool_) if inert is None else ~inert
+        self.free = np.flatnonzero(searched)
+        # An inert parameter has no range: its value is the default, whatever its coordinate.
+        self._lower = np.where(searched, lower, defaults)
+        self._upper = np.where(searched, upper, defaults)
+        self._coordinate = np.maximum(np.cumsum(searched) - 1, 0)
+        self._logarithmic = _runs(logarithmic)
         self._first = self._scaled(self._lower)
         self._span = self._scaled(self._upper) - self._first
+        start: Vector = (self._scaled(defaults) - self._first)[self.free] / self._span[self.free]
+        self.start = start
+        """(D,) where the defaults are."""
 
     @classmethod
     def of(cls, layout: ParameterLayout, defaults: Vector, inert: BoolArray | None = None) -> Self:
@@ -54,22 +60,15 @@ class UnitBox:
         """D, the number of free parameters."""
         return len(self.free)
 
-    @property
-    def start(self) -> Vector:
-        """(D,) where the defaults are."""
-        start: Vector = (self._scaled(self.defaults[self.free]) - self._first) / self._span
-        return start
-
     def vectors(self, points: Vector) -> Vector:
         """Return the parameter vectors (n, P) of points (n, D)."""
-        values: Vector = points * self._span
+        values: Vector = points.take(self._coordinate, axis=1)
+        values *= self._span
         values += self._first
         for run in self._logarithmic:
             np.exp(values[:, run], out=values[:, run])
-        vectors = np.empty((len(points), len(self.defaults)))
-        vectors[:] = self.defaults
-        vectors[:, self.free] = np.minimum(np.maximum(values, self._lower), self._upper)
-        return vectors
+        np.maximum(values, self._lower, out=values)
+        return np.minimum(values, self._upper, out=values)
 
     def _scaled(self, values: Vector) -> Vector:
         scaled = values.copy()

@@ -1,10 +1,11 @@
 """What can be found of a robot: serial ports, a Pioneer on one, a ROS 2 robot behind its router, cameras."""
 
 import json
+import math
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,6 +32,8 @@ PROBE_S = 20.0
 TICK_S = 0.02
 TOKENS_S = 2.0
 BY_ID = Path("/dev/serial/by-id")
+ANY_MODEL = "turtlebot4"
+"""The first proposal for a robot that fits no shipped description."""
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
 
@@ -104,32 +107,47 @@ def ros_robots_at(endpoint: str) -> list[RosRobot]:
 
 
 def robots_among(endpoint: str, form: str, announced: Iterable[Announced]) -> list[RosRobot]:
-    """Return the robots among topics that one form of Zenoh integration announces. Pure."""
+    """Return the robots among topics that one form of Zenoh integration announces. Pure.
+
+    An odometry topic may be that of several models, in namespaces within each other: the best fit counts.
+    """
     topics = {(each.topic, each.ros_type) for each in announced}
-    odometry = sorted(topic for topic, ros_type in topics if ros_type == ODOMETRY)
+    fits = [fit for topic, kind in topics if kind == ODOMETRY for fit in _fits(topic, topics)]
+    best = dict[str, _Fit]()
+    for fit in sorted(fits, key=lambda each: (-each.score, each.namespace, each.model)):
+        outer = [name for name in best if f"{fit.namespace}/".startswith(f"{name}/" if name else "")]
+        if all(best[name].score <= fit.score and name != fit.namespace for name in outer):
+            best[fit.namespace] = fit
     robots = []
-    for space in dict.fromkeys(topic.rpartition("/")[0] if "/" in topic else "" for topic in odometry):
-        prefix = f"{space}/" if space else ""
-        own = {(name.removeprefix(prefix), kind) for name, kind in topics if name.startswith(prefix)}
+    for space, fit in sorted(best.items()):
         settings = "&".join(part for part in (form, f"namespace={space}" if space else "") if part)
-        images = tuple(sorted(name for name, kind in own if kind in IMAGES))
-        robots.append(RosRobot(f"ros2/{endpoint}{f'#{settings}' if settings else ''}", fitting(own), images))
+        prefix = f"{space}/" if space else ""
+        images = sorted(
+            name.removeprefix(prefix) for name, kind in topics if kind in IMAGES and name.startswith(prefix)
+        )
+        address = f"ros2/{endpoint}{f'#{settings}' if settings else ''}"
+        robots.append(RosRobot(address, fit.model, tuple(images)))
     return robots
 
 
-def fitting(topics: set[tuple[str, str]]) -> str:
-    """Return the shipped model most of whose topics are among these."""
+class _Fit(NamedTuple):
+    score: float
+    namespace: str
+    model: str
 
-    def score(model: str) -> float:
+
+def _fits(odometry: str, topics: set[tuple[str, str]]) -> Iterator[_Fit]:
+    """Yield each shipped model that an odometry topic may belong to, and one for a robot of another model."""
+    yield _Fit(-math.inf, odometry.rpartition("/")[0], ANY_MODEL)
+    for model in shipped_names("robots"):
         named = load_description(model).topics
-        if named is None:
-            return -1.0
+        if named is None or not f"/{odometry}".endswith(f"/{named.odom}"):
+            continue
+        space = odometry.removesuffix(named.odom).rstrip("/")
         wanted = [*sensor_topics(named), *((each.topic, kind) for each, kind in hazard_topics(named))]
         wanted.append((named.cmd_vel, command_type(named)))
-        present = sum(each in topics for each in wanted)
-        return present - 0.5 * (len(wanted) - present)
-
-    return max(shipped_names("robots"), key=score)
+        present = sum((f"{space}/{name}".lstrip("/"), kind) in topics for name, kind in wanted)
+        yield _Fit(1.5 * present - 0.5 * len(wanted), space, model)
 
 
 def cameras(complain: Callable[[str], None]) -> list[CameraFound]:

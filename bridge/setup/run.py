@@ -180,7 +180,7 @@ def _localiser(dialog: Dialog, path: Path, images: list[str], known: dict[str, A
     found |= {each.path: each.name for each in cameras(lambda words: dialog.say(f"  {words}"))}
     source = dialog.choice(
         "Which camera sees the tags?",
-        "It tells where the rover is in the room, which docking needs. "
+        "Docking needs the poses that it gives. "
         + (", ".join(f"{path}: {name}" for path, name in found.items()) or "None was found."),
         list(found),
         "http://... or ros2/tcp/HOST#image=TOPIC",
@@ -217,7 +217,7 @@ def _tags(dialog: Dialog, path: Path, known: dict[str, Any]) -> str | None:
             default = None
     return dialog.text(
         "Board or file of the tags",
-        "Their places: the name of a board (board-17-a4), or a file that says where single tags hang.",
+        "A board has a name (board-17-a4); a file has the places of single tags.",
         default,
     )
 

@@ -16,7 +16,7 @@ from rover_ncp.core.bridge_lines import (
 )
 
 NOTICE_S = 5.0
-"""Time between the announcement of a docking that begins anew and its beginning."""
+"""Time between the announcement of a docking that resumes and its start."""
 MAX_RESUMES = 3
 SAME_BREAK_S = 2.0
 """Lines of one break come within this time."""
@@ -26,7 +26,7 @@ _OF_A_BREAK = re.compile(r"(no-base|odometry)\b")
 
 @dataclass(frozen=True)
 class Begin:
-    """A docking at ``place`` begins anew, for the ``number``-th time."""
+    """A docking at ``place`` resumes, for the ``number``-th time."""
 
     place: str
     number: int
@@ -36,7 +36,7 @@ class LineBreaks:
     """Follows the bridge's log, and says what a person has to do after a line break.
 
     ``take`` returns the advice that goes with a line; "" for none. With ``resume`` the docking that a break
-    alone ended begins anew; `due` returns it when its notice is over.
+    alone ended resumes; `due` returns it when its notice is over.
     """
 
     def __init__(self, *, fenced: bool, resume: bool) -> None:
@@ -51,7 +51,7 @@ class LineBreaks:
         self._begins_s: float | None = None
         self._begun = 0
         self._ours = False
-        """Whether a docking that began anew runs."""
+        """Whether a docking that resumed runs."""
 
     def take(self, line: str, now_s: float) -> str:
         """Take a line of the bridge's log; return the advice that belongs to it."""
@@ -68,7 +68,7 @@ class LineBreaks:
             if not again:
                 return ""
             where = "put the rover where the fence begins, end 'rover-ncp up' and start it again, then "
-            return f"odometry began anew: {where if self._fenced else ''}start the drive again"
+            return f"odometry restarted: {where if self._fenced else ''}start the drive again"
         self._follow(line, now_s)
         return ""
 
@@ -80,7 +80,7 @@ class LineBreaks:
         return Begin(self._broken, self._begun)
 
     def ended(self) -> None:
-        """Note that the docking that began anew is over."""
+        """Note that the docking that resumed is over."""
         self._ours = False
 
     def _back(self, now_s: float) -> str:
@@ -90,10 +90,10 @@ class LineBreaks:
         if not self._resume:
             return f"start the docking again: rover-ncp deploy --to {place}"
         if self._begun >= MAX_RESUMES:
-            return f"the docking at {place} began anew {MAX_RESUMES} times: mend the line, then start it"
+            return f"the docking at {place} has resumed {MAX_RESUMES} times: repair the line, then start it"
         self._begins_s = now_s + NOTICE_S
         return (
-            f"the docking at {place} begins anew in {NOTICE_S:g} s ({self._begun + 1} of {MAX_RESUMES}); "
+            f"the docking at {place} resumes in {NOTICE_S:g} s ({self._begun + 1} of {MAX_RESUMES}); "
             "'rover-ncp stop' or Ctrl-C prevents it"
         )
 

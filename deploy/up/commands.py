@@ -27,9 +27,9 @@ def up(
     Ctrl-C, SIGTERM and a closed terminal stop the rover first and then end all. If this command is killed,
     its processes end by themselves, and the bridge stops the rover.
 
-    After a break of the line to the base it says what to do. With 'resume: true' in the file it begins the
-    docking that the break interrupted again, after a notice of 5 s and at most three times; never after a
-    stop, a hazard, or odometry that began anew.
+    After a break of the line to the base it prints what to do. With 'resume: true' in the file it resumes the
+    docking that the break interrupted, after a notice of 5 s and at most three times; never after a
+    stop, a hazard, or odometry that restarted.
 
         rover-ncp up
         rover-ncp up --robot lab/robot.yaml
@@ -62,13 +62,13 @@ def stop(
 ) -> int:
     """Stop the robot, from any terminal, until it is released.
 
-    Prints what the bridge answers and whether odometry shows that the robot stands. It reaches the robot
+    Prints the bridge's answer and whether odometry shows that the robot stands. It reaches the robot
     through the bridge: press the robot's own stop button where a person is in danger.
 
         rover-ncp stop
         rover-ncp stop --release
 
-    Ends with 0 if the bridge confirms it, and with 1 if nothing was heard.
+    Ends with 0 if the bridge confirms it, and with 1 if no confirmation came.
     """
     from deploy.stop import run
 

@@ -46,7 +46,7 @@ class UpResult(ResultModel):
     robot: str = Field(description="the robot's file")
     bridge: str = Field(description="how the bridge ended")
     restarts: dict[str, int] = Field(description="of the other processes, by name")
-    docked_again: int = Field(description="dockings that began anew after a lost line")
+    resumed: int = Field(description="dockings that resumed after a lost line")
     exit_code: int = Field(description="of the bridge, and of this command")
 
 
@@ -145,7 +145,7 @@ class _Up:
         self._bridge = self._part("bridge", "bridge", "--robot", str(file.path))
         self._others: list[_Part] = []
         self._docking: _Part | None = None
-        self._docked_again = 0
+        self._resumed = 0
         self._breaks = LineBreaks(fenced=_has_fence(file), resume=file.settings.resume)
         self._late = False
 
@@ -179,7 +179,7 @@ class _Up:
             robot=str(self._file.path),
             bridge=self._how(),
             restarts={part.name: part.restarts.count for part in self._others},
-            docked_again=self._docked_again,
+            resumed=self._resumed,
             exit_code=code if code >= 0 else KILLED,
         )
 
@@ -216,9 +216,9 @@ class _Up:
             self._dock(begin)
 
     def _dock(self, begin: Begin) -> None:
-        self._docked_again += 1
+        self._resumed += 1
         self._docking = self._part("docking", "deploy", "--robot", str(self._file.path), "--to", begin.place)
-        self._docking.say(f"at {begin.place} begins anew ({begin.number})")
+        self._docking.say(f"at {begin.place} resumes ({begin.number})")
         self._docking.start(self._pipe)
 
     def _end(self) -> None:

@@ -93,7 +93,7 @@ class RobotSettings(StrictModel):
     )
     resume: bool = Field(
         default=False,
-        description="true: after a lost line 'up' begins an interrupted docking again, with 5 s of notice",
+        description="true: after a lost line 'up' resumes an interrupted docking, with 5 s of notice",
     )
 
     @model_validator(mode="after")

@@ -41,13 +41,12 @@ class DockedResult(BaseModel):
 
 def run_dock(output: Output, out: Path, *, overwrite: bool) -> int:
     """Run ``park --dock`` and return its exit code. Raises RoverNcpError when a process fails."""
-    for name in ("run.mcap", "view.jpg", "run.html", f"log/{TRUTH}"):
+    for name in ("run.mcap", "view.jpg", "run.html", "robot.yaml", f"log/{TRUTH}"):
         require_writable(out / name, overwrite=overwrite)
     files = {name: out / f"{name}.yaml" for name in ("camera", "tags", "place")}
     for name, path in files.items():  # the files of an earlier, failed run are the same
         same = path.is_file() and read_bytes(path) == read_bytes(resolve("dock", name))
         require_writable(path, overwrite=overwrite or same)
-    require_writable(out / "robot.yaml", overwrite=True)
     out.mkdir(parents=True, exist_ok=True)
     for name, path in files.items():
         shutil.copyfile(resolve("dock", name), path)

@@ -9,7 +9,9 @@ import time
 
 import pytest
 
+from bridge.setup.find import pioneer_at
 from rover_ncp import cli
+from rover_ncp.core.errors import NoRobot
 from rover_ncp.robot.robot_file import load_robot_file
 from sim.park.live import Process
 
@@ -55,6 +57,15 @@ def test_a_turtlebot_is_found_behind_its_router_and_measured(tmp_path):
     settings = load_robot_file(tmp_path / "robot.yaml").settings
     assert (settings.base, settings.model) == (f"ros2/tcp/{router}", "turtlebot4")
     assert 0.3 < settings.measured_base_timeout_s < 1.5
+
+
+def test_a_pioneer_is_asked_for_its_name_and_left_as_it_was(tmp_path):
+    with Process("mock", ["--listen", "127.0.0.1:0"], tmp_path) as mock:
+        base = f"tcp/{mock.wait_for_line('listening on ')}"
+        assert "p3at-sh" in pioneer_at(base)
+        assert "p3at-sh" in pioneer_at(base)  # the line is free again
+    with pytest.raises(NoRobot):
+        pioneer_at(base)
 
 
 def test_a_pioneer_by_its_address_and_a_camera_need_no_more_than_the_defaults(tmp_path):

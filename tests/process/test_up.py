@@ -211,22 +211,20 @@ def test_a_stop_that_nobody_confirms_is_not_called_one(run_json):
 
 
 @pytest.mark.parametrize("stopped", [False, True])
-def test_a_docking_that_a_silent_line_ended_begins_anew_unless_somebody_stops_it(robot, run_json, stopped):
+def test_a_docking_that_a_silent_line_ended_resumes_unless_somebody_stops_it(robot, run_json, stopped):
     robot.write(page=None, resume=True)
     up = robot.up()
     with robot.driving(name="docking at home") as driver:
         robot.mock.tell("mute@0-1.5")
         driver.drive(1.0)
-        assert "begins anew in 5 s (1 of 3)" in up.wait_for_line(
-            "bridge    the base sends packets again", 20.0
-        )
+        assert "resumes in 5 s (1 of 3)" in up.wait_for_line("bridge    the base sends packets again", 20.0)
     if stopped:
         assert run_json(f"stop --robot {robot.file}")[0] == 0
         time.sleep(6.0)
-        assert "docking " not in lines_of(up).partition("begins anew in")[2]
+        assert "docking " not in lines_of(up).partition("resumes in")[2]
     else:
         assert "home.yaml: no such file" in up.wait_for_line("docking   ended with 2", 20.0)
-    assert up.stop().result["docked_again"] == int(not stopped)
+    assert up.stop().result["resumed"] == int(not stopped)
 
 
 def test_a_restarted_router_of_a_ros_2_robot_is_one_line_with_what_to_do(tmp_path):

@@ -28,10 +28,10 @@ def made(**how):
 
 
 @pytest.mark.parametrize("broken", [[LATE, RELEASED, LOST], [LOST, REVOKED], [REVOKED, LOST]])
-def test_a_docking_that_a_lost_line_ended_begins_anew_after_its_notice(broken):
+def test_a_docking_that_a_lost_line_ended_resumes_after_its_notice(broken):
     breaks = made()
     advice, now_s = follow(breaks, [DOCKS, *broken, BACK])
-    assert "begins anew in 5 s (1 of 3)" in advice
+    assert "resumes in 5 s (1 of 3)" in advice
     assert breaks.due(now_s + NOTICE_S - 0.5) is None
     assert breaks.due(now_s + NOTICE_S) == Begin("home", 1)
     assert breaks.due(now_s + NOTICE_S + 1.0) is None
@@ -53,20 +53,20 @@ def test_a_docking_that_a_lost_line_ended_begins_anew_after_its_notice(broken):
         ["undocking from home got the lease", LOST, "undocking from home lost the lease: no-base, x", BACK],
     ],
 )
-def test_nothing_begins_anew_after_anything_else(lines):
+def test_nothing_resumes_after_anything_else(lines):
     breaks = made()
     _, now_s = follow(breaks, lines)
     assert breaks.due(now_s + 2 * NOTICE_S) is None
 
 
-def test_nothing_begins_anew_unless_the_file_says_so():
+def test_nothing_resumes_unless_the_file_says_so():
     breaks = made(resume=False)
     advice, now_s = follow(breaks, [DOCKS, LATE, RELEASED, LOST, BACK])
     assert advice == "start the docking again: rover-ncp deploy --to home"
     assert breaks.due(now_s + 2 * NOTICE_S) is None
 
 
-def test_a_docking_begins_anew_three_times_at_most_unless_a_person_begins_it():
+def test_a_docking_resumes_three_times_at_most_unless_a_person_begins_it():
     breaks, now_s = made(), 0.0
     for _ in range(2):
         for number in range(MAX_RESUMES):
@@ -76,7 +76,7 @@ def test_a_docking_begins_anew_three_times_at_most_unless_a_person_begins_it():
             now_s += NOTICE_S
             assert breaks.due(now_s) == Begin("home", number + 1)
         advice, now_s = follow(breaks, [DOCKS, LATE, RELEASED, LOST, BACK], now_s)
-        assert "began anew 3 times" in advice
+        assert "has resumed 3 times" in advice
         assert breaks.due(now_s + 2 * NOTICE_S) is None
         breaks.ended()
 

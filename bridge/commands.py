@@ -90,7 +90,7 @@ def bridge(
         typer.Option(
             "--measure-timeout",
             help="Serve no driver: measure when a ROS 2 robot halts after its last command, and print the "
-            "line for its description. It drives forward at 0.1 m/s for up to 7 s: put it on blocks, or on "
+            "line for robot.yaml. It drives forward at 0.1 m/s for up to 7 s: put it on blocks, or on "
             "the floor with 1 m free ahead if sensors under it forbid blocks.",
         ),
     ] = False,

@@ -80,7 +80,7 @@ def words_for(result: TimeoutResult) -> str:
         return f"{after}, expected at most {MAX_BASE_TIMEOUT_S:g} s; {unsafe}"
     return (
         "this is by the robot's odometry, which looks the same if it freezes when the commands stop: only if "
-        "the wheels stood too, add this line to the robot's description, then start the bridge:\n"
+        "the wheels stood too, add this line to robot.yaml, then start the bridge:\n"
         f"{result.line}"
     )
 

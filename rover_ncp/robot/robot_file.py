@@ -12,7 +12,7 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from rover_ncp.core.config import StrictModel, dump_yaml, read_filled, read_yaml, validated
+from rover_ncp.core.config import MAX_NAME, StrictModel, dump_yaml, read_filled, read_yaml, validated
 from rover_ncp.core.errors import ConfigError, UsageError
 from rover_ncp.core.files import resolve
 from rover_ncp.robot.description import MAX_BASE_TIMEOUT_S
@@ -240,7 +240,7 @@ def load_robot_file(path: Path) -> RobotFile:
 
 def _about_unknown(name: str, known: list[str]) -> str:
     near = get_close_matches(name, known, 1)
-    return f"$.{name}: unknown key; expected {near[0] if near else ', '.join(known)}"
+    return f"$.{name[:MAX_NAME]}: unknown key; expected {near[0] if near else ', '.join(known)}"
 
 
 _EXAMPLES = {

@@ -6,6 +6,7 @@ from typing import NamedTuple
 from bridge.bases import ChosenBase, choose_base, gate_limits
 from bridge.gate.limits import Limits
 from rover_ncp.core.config import validated
+from rover_ncp.core.errors import ConfigError, FileError, UsageError
 from rover_ncp.robot.robot_file import RobotFile, find_robot_file, missing, require_robot_file
 from rover_ncp.wire.key_table import Role
 
@@ -25,13 +26,20 @@ class BridgeSettings(NamedTuple):
     base_zenoh_config: Path | None = None
     no_base_watchdog: bool = False
     measured_base_timeout_s: float | None = None
+    source: str = ""
+    """The robot's file that had something to add."""
 
     def chosen(self) -> ChosenBase:
         """Return the base. Raises UsageError, FileError or ConfigError."""
         if self.base is None:
             raise missing("a file; or --base, the robot's address")
         model = self.model or "auto"
-        return choose_base(self.base, model, self.base_zenoh_config, self.measured_base_timeout_s)
+        try:
+            return choose_base(self.base, model, self.base_zenoh_config, self.measured_base_timeout_s)
+        except UsageError as error:
+            if not self.source or isinstance(error, ConfigError | FileError):
+                raise
+            raise UsageError(f"{self.source}: {error}") from error
 
     def gate_limits(self, chosen: ChosenBase) -> Limits:
         """Return the gate's limits for a base. Raises UsageError, FileError or ConfigError."""
@@ -76,4 +84,5 @@ def _of_file(file: RobotFile, base: str | None) -> BridgeSettings:
         base_zenoh_config=file.place_of(settings.base_zenoh_config),
         no_base_watchdog=same and settings.no_base_watchdog,
         measured_base_timeout_s=settings.measured_base_timeout_s if same else None,
+        source=str(file.path),
     )

@@ -22,6 +22,8 @@ SAME_BREAK_S = 2.0
 """Lines of one break come within this time."""
 _OF_A_BREAK = re.compile(r"(no-base|odometry)\b")
 """Reasons of the gate when the line to the base fails."""
+_DOCKING = re.compile(rf"{DOCKING}([a-z0-9][a-z0-9_-]*){GOT_LEASE}")
+"""A driver chooses its name: only that of a place in the robot's folder of places counts."""
 
 
 @dataclass(frozen=True)
@@ -99,8 +101,8 @@ class LineBreaks:
 
     def _follow(self, line: str, now_s: float) -> None:
         if line.endswith(GOT_LEASE):
-            name = line.removesuffix(GOT_LEASE)
-            self._docking = name.removeprefix(DOCKING) if name.startswith(DOCKING) else ""
+            found = _DOCKING.fullmatch(line)
+            self._docking = found[1] if found else ""
             if not self._ours:
                 self._begun = 0
             self._forget()

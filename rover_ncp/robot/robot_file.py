@@ -104,6 +104,8 @@ class RobotSettings(StrictModel):
                 raise ValueError(f"{odd[0]} is for a ROS 2 robot (ros2/tcp/HOST), but base is {self.base}")
         if self.base is not None and self.base.startswith(ROS2) and self.model is None:
             raise ValueError("model is missing: only a Pioneer says what it is; expected a name or a file")
+        if self.bridge is not None and parse_address(self.bridge, 0) is None:
+            raise ValueError(f"bridge is {self.bridge}, expected PROTOCOL/HOST[:PORT]")
         if self.tags is not None and self.camera is None:
             raise ValueError("tags needs camera, which sees them")
         return self

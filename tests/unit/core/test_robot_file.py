@@ -57,6 +57,7 @@ def test_what_was_measured_on_the_files_robot_does_not_hold_for_another(folder):
         ("base: tcp/a\nbse: tcp/b\n", ["$.bse: unknown key", "expected base"]),
         ("base: serial//dev/ttyUSB0\nmeasured_base_timeout_s: 0.5\n", ["measured_base_timeout_s", "ROS 2"]),
         ("base: ros2/tcp/a\n", ["model is missing"]),
+        ("base: tcp/a\nbridge: 127.0.0.1\n", ["bridge is 127.0.0.1", "PROTOCOL/HOST"]),
         ("page: 99999\n", ["$.page", "65535", "99999"]),
         ("name: mine\nbased_on: turtlebot4\n", ["description", "model: FILE"]),
         ("- base\n", ["mapping"]),
@@ -72,6 +73,12 @@ def test_a_mistake_is_one_line_with_the_file_the_key_and_what_was_expected(folde
         assert printed.count("\n") == 1
         assert "robot.yaml" in printed
         assert [word for word in words if word not in printed] == []
+
+
+def test_a_model_of_another_kind_of_base_names_the_file(folder, capsys):
+    (folder / "robot.yaml").write_text("base: ros2/tcp/127.0.0.1\nmodel: p3at-sh\n")
+    assert cli.run(["bridge"]) == 2
+    assert "robot.yaml: --model p3at-sh: the description has no topics" in capsys.readouterr().err
 
 
 def test_two_files_an_unreadable_one_and_none_are_told_apart(folder, capsys):

@@ -49,6 +49,7 @@ def test_a_docking_that_a_lost_line_ended_resumes_after_its_notice(broken):
         [DOCKS, LATE, RELEASED, LOST, BACK, LOST],
         [DOCKS, "stopped: bumper", "docking at home lost the lease: bumper, ", LOST, BACK],
         [DOCKS, LATE, RELEASED, LOST, CONNECTED],  # odometry restarted
+        ["docking at ../x got the lease", LATE, "docking at ../x released the lease", LOST, BACK],
         ["policy course got the lease", LATE, "policy course released the lease", LOST, BACK],
         ["undocking from home got the lease", LOST, "undocking from home lost the lease: no-base, x", BACK],
     ],

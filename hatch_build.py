@@ -3,11 +3,15 @@
 ``python hatch_build.py [--sanitized FOLDER]`` builds it by itself. Without a compiler the wheel is pure:
 circuits then run in Python, which is fast enough to drive, and training says what it needs. The environment
 variable ``ROVER_NCP_PURE`` demands such a wheel, ``ROVER_NCP_TARGET`` a wheel for one of ``TARGETS``.
+
+``ROVER_NCP_SOURCE`` and ``ROVER_NCP_SITE`` are the addresses of the repository and of the pages. A release
+sets them: links and the picture of README.md then lead there, because an index has no such files.
 """
 
 import hashlib
 import os
 import platform
+import re
 import subprocess
 import sys
 import tempfile
@@ -35,6 +39,7 @@ TARGETS = {
 """Platform tags of the wheels of a release, and what zig calls these platforms."""
 ZIG = [sys.executable, "-m", "ziglang", "c++"]
 ZIG_PACKAGE = 'ziglang==0.13.0; platform_machine in "x86_64 aarch64 armv7l arm64"'
+PAPER = "https://doi.org/10.48550/arXiv.1809.04423"
 PROBE = "#include <math.h>\n#include <stdint.h>\nint64_t probe(double x) { return (int64_t)hypot(x, 1); }\n"
 
 
@@ -90,6 +95,16 @@ def build(folder: Path = NATIVE, target: str | None = None, extra: list[str] | N
     return built
 
 
+def with_addresses(text: str, source: str, tag: str) -> str:
+    """Return Markdown whose relative links and pictures lead to a repository at a tag."""
+
+    def link(found: re.Match[str]) -> str:
+        kind = "raw" if found[1].startswith("!") else "blob"
+        return f"{found[1]}({source}/{kind}/{tag}/{found[2]})"
+
+    return re.sub(r"(!?\[[^\]]*\])\((?!\w+:|#)([^)]+)\)", link, text)
+
+
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--sanitized"]:
         Path(sys.argv[2]).mkdir(parents=True, exist_ok=True)
@@ -101,6 +116,22 @@ if __name__ == "__main__":
     print(*libraries, sep="\n")
 else:
     from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+    from hatchling.metadata.plugin.interface import MetadataHookInterface
+
+    class Metadata(MetadataHookInterface):
+        """hatchling's hook for what depends on the place of the repository."""
+
+        def update(self, metadata: dict[str, Any]) -> None:
+            """Add the description and the addresses."""
+            source, site = os.environ.get("ROVER_NCP_SOURCE"), os.environ.get("ROVER_NCP_SITE")
+            text = (Path(self.root) / "README.md").read_text()
+            metadata["urls"] = {"Paper": PAPER}
+            if source:
+                text = with_addresses(text, source, f"v{metadata['version']}")
+                metadata["urls"] |= {"Source": source, "Changelog": f"{source}/blob/HEAD/CHANGELOG.md"}
+            if site:
+                metadata["urls"]["Documentation"] = site
+            metadata["readme"] = {"content-type": "text/markdown", "text": text}
 
     class NativeBuild(BuildHookInterface):  # type: ignore[type-arg]
         """hatchling's hook."""

@@ -36,13 +36,26 @@ EXIT_CODES = {
 """The meaning of each exit code."""
 
 # Which extra brings a library that a command found missing.
-_EXTRAS = {
+_LIBRARIES = {
     **dict.fromkeys(("filterpy", "scipy", "matplotlib", "cryptography"), "drive"),
     **dict.fromkeys(("jinja2", "markupsafe", "anyio", "starlette", "uvicorn", "websockets"), "drive"),
     **dict.fromkeys(("pymunk", "cmaes", "gymnasium"), "train"),
     **dict.fromkeys(("apriltag", "cv2"), "tag"),
     **dict.fromkeys(("mujoco", "imageio", "distributed", "psutil"), "research"),
 }
+# Which extra a command needs for whatever it does, and which one an option adds.
+_COMMANDS = {
+    **dict.fromkeys(("park", "train", "eval", "mock", "explain"), "train"),
+    **dict.fromkeys(("deploy", "replay", "identify", "place", "course", "export"), "drive"),
+    **dict.fromkeys(("watch", "report", "keys"), "drive"),
+    "tag": "tag",
+}
+_OPTIONS = {
+    **dict.fromkeys(("--dock", "--images", "--camera"), "tag"),
+    **dict.fromkeys(("mujoco", "--cluster"), "research"),
+}
+_BROUGHT = {"train": {"drive"}, "tag": {"drive"}, "research": {"drive", "train"}}
+"""Extras that another one makes superfluous for the libraries of its commands."""
 # The panels of ``--help``, in the order in which a newcomer meets the commands. Other packages' come first.
 _PANELS = {
     "Park": ["park"],
@@ -128,16 +141,30 @@ def _fail(message: str, kind: str, code: int, as_json: bool) -> int:
     return code
 
 
-def _failed(error: Exception, as_json: bool) -> int:
+def _missing(library: str, arguments: list[str]) -> MissingExtra:
+    """Return the error for a library that a command line did not find."""
+    words = {word for argument in arguments for word in argument.split("=")}
+    extras = {_LIBRARIES[library], _COMMANDS.get(arguments[0], _LIBRARIES[library])}
+    extras |= {extra for option, extra in _OPTIONS.items() if option in words}
+    extras = extras.difference(*(_BROUGHT.get(extra, set()) for extra in extras))
+    requirement = f"rover-ncp[{','.join(sorted(extras))}]"
+    # The file, folder or repository that it was installed from: an index may not have this version.
+    if origin := json.loads(distribution("rover-ncp").read_text("direct_url.json") or "{}"):
+        requirement += f" @ {'git+' if 'vcs_info' in origin else ''}{origin['url']}"
+    return MissingExtra(library, requirement, arguments)
+
+
+def _failed(error: Exception, arguments: list[str]) -> int:
     """Report a user's mistake and return its exit code; raise any other error, which is a bug."""
+    as_json = "--json" in arguments
     if isinstance(error, _WrongCommandLine):
         message = error.format_message() if hasattr(error, "format_message") else str(error)
         # Without a message typer has just shown the help: a command was missing.
         return _fail(message, "UsageError", 2, as_json) if message else 2
     if isinstance(error, ModuleNotFoundError):
         library = (error.name or "").split(".")[0]
-        if library in _EXTRAS:
-            error = MissingExtra(library, _EXTRAS[library])
+        if library in _LIBRARIES:
+            error = _missing(library, arguments)
     if isinstance(error, OSError):  # such as the use of a deleted folder
         place = f"{error.filename}: " if error.filename else ""
         error = FileError(f"{place}{error.strerror or error}")
@@ -172,7 +199,7 @@ def _run(arguments: list[str]) -> int:
             raise eof from None
         if isinstance(error, typer.Abort):
             return interrupted(arguments)
-        return _failed(error, "--json" in arguments)
+        return _failed(error, arguments)
     if result == INTERRUPTED:  # typer turns Ctrl-C into this code, without a message
         return interrupted(arguments)
     return result if isinstance(result, int) else 0

@@ -11,6 +11,7 @@ A message is one line that names what was found, where, and what was expected. E
 wrapped with ``raise ... from``. Anything else that reaches the user is a bug and shows its traceback.
 """
 
+import shlex
 from collections.abc import Sequence
 
 INTERRUPTED = 130
@@ -53,9 +54,11 @@ class PortInUse(UsageError):
 class MissingExtra(UsageError):
     """A command needs a library of an extra that is not installed."""
 
-    def __init__(self, library: str, extra: str) -> None:
+    def __init__(self, library: str, requirement: str, arguments: Sequence[str]) -> None:
         super().__init__(
-            f"{library} is not installed: install rover-ncp with the extra {extra}, as rover-ncp[{extra}]"
+            f"{arguments[0]} needs {library}, which is not installed. Install it with: "
+            f"pip install '{requirement}'. Or run without an installation: "
+            f"uvx --from '{requirement}' rover-ncp {shlex.join(arguments)}"
         )
 
 

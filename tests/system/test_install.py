@@ -36,6 +36,7 @@ WORKS = {
         ("eval course --stack --body mujoco --randomize nominal", 0),
     ],
 }
+SOURCE = "https://example.org/rover-ncp"
 COURSE = """
 name: moment
 start_signal_s: 0.5
@@ -44,7 +45,11 @@ checkpoints:
 - {t: 1.0, x: 0.0, y: 0.0, theta: 0.0}
 """
 # A command that needs other extras, and those.
-MISSING = {"": ("eval parking", "drive,train"), "drive": ("mock", "train")}
+MISSING = {
+    "": ("park --dock", "tag,train"),
+    "drive": ("mock", "train"),
+    "train": ("eval course --stack --body=mujoco", "research"),
+}
 
 
 def run(command, folder, code=0, **variables):
@@ -60,7 +65,8 @@ def run(command, folder, code=0, **variables):
 def built(tmp_path_factory):
     """The sdist, and the wheel that is built from it, by suffix."""
     folder = tmp_path_factory.mktemp("built")
-    run([sys.executable, "-m", "build", "--outdir", str(folder), str(ROOT)], folder)
+    build = [sys.executable, "-m", "build", "--outdir", str(folder), str(ROOT)]
+    run(build, folder, ROVER_NCP_SOURCE=SOURCE, ROVER_NCP_SITE=f"{SOURCE}/site")
     return {path.suffix: path for path in folder.iterdir()}
 
 
@@ -73,8 +79,26 @@ def test_wheel_and_sdist_hold_the_packages_with_their_data(built):
     with tarfile.open(built[".gz"]) as sdist:
         held = {name.split("/", 1)[-1] for name in sdist.getnames()}
     assert tracked | {"pyproject.toml", "README.md", "LICENSE", "hatch_build.py"} <= held
+    assert not [name for name in held if name.startswith("paper/results")]
     # Of this machine: on another they would be taken for a library that does not work.
     assert not [name for name in held if name.endswith(".so")]
+
+
+def test_an_index_shows_where_the_source_is_and_links_that_lead_there(built):
+    wheel = zipfile.ZipFile(built[".whl"])
+    (name,) = (name for name in wheel.namelist() if name.endswith("/METADATA"))
+    head, _, page = wheel.read(name).decode().partition("\n\n")
+    assert {f"Project-URL: Source, {SOURCE}", f"Project-URL: Documentation, {SOURCE}/site"} <= {
+        *head.splitlines()
+    }
+    assert "\nAuthor" in head
+    links = re.findall(r"\]\(([^)]+)\)", page)
+    tag = f"v{re.search('^Version: (.+)$', head, re.MULTILINE)[1]}"
+    assert f"{SOURCE}/raw/{tag}/docs/drive.webp" in links
+    for link in links:
+        assert link.startswith(("https://", "#"))
+        if link.startswith(f"{SOURCE}/blob/{tag}/"):
+            assert (ROOT / link.removeprefix(f"{SOURCE}/blob/{tag}/").split("#")[0]).is_file()
 
 
 @COLD
@@ -115,7 +139,10 @@ def check_install(extras, archive, folder):
         line, needed = MISSING[extras]
         error = json.loads(run([command, *line.split(), "--json"], folder, 2).stdout)
         assert error["kind"] == "MissingExtra"
-        assert re.search(f"rover-ncp\\[({needed.replace(',', '|')})\\]$", error["error"])
+        # Both ways as they are printed, of the wheel that was installed.
+        requirement = f"rover-ncp[{needed}] @ {archive.as_uri()}"
+        assert f"pip install '{requirement}'. " in error["error"]
+        assert error["error"].endswith(f"uvx --from '{requirement}' rover-ncp {line} --json")
 
 
 @COLD

@@ -40,8 +40,10 @@ def load_own_policy(name: str) -> OwnPolicy:
 def own_policy(name: str, load: Callable[[], Any]) -> OwnPolicy:
     """Check the function that ``load`` returns; return it as a policy. Raises ConfigError or UsageError."""
     policy = load()
-    if not callable(policy):
-        raise UsageError(f"policy {name}: expected a function of an observation, got {policy!r}")
+    if _function(policy) is None:
+        raise UsageError(
+            f"policy {name}: expected a function of an observation, or a model with predict, got {policy!r}"
+        )
     signals = getattr(policy, "signals", DEFAULT_SIGNALS)
     if isinstance(signals, str) or not isinstance(signals, Sequence):
         raise UsageError(f"policy {name}: expected signals as a tuple of names, got {signals!r}")
@@ -67,18 +69,34 @@ def _imported(source: str) -> Any:
 
 def _function_runner(name: str, load: Callable[[], Any]) -> FunctionRunner:
     policy = load()
-    return FunctionRunner(partial(_command, name, policy), getattr(policy, "reset", lambda: None))
+    function = _function(policy)
+    assert function is not None  # own_policy checked the same
+    observes = ", ".join(getattr(policy, "signals", DEFAULT_SIGNALS))
+    if not hasattr(policy, "signals"):
+        observes += " without an attribute signals"
+    return FunctionRunner(partial(_command, name, function, observes), getattr(policy, "reset", lambda: None))
 
 
-def _command(name: str, policy: Any, observation: FloatArray) -> FloatArray:
+def _function(policy: Any) -> Callable[[FloatArray], Any] | None:
+    """Return a policy as a function: itself, or a model of Stable-Baselines3 without its noise."""
+    if callable(policy):
+        return policy  # type: ignore[no-any-return]
+    if predict := getattr(policy, "predict", None):
+        return lambda observation: predict(observation, deterministic=True)[0]
+    return None
+
+
+def _command(
+    name: str, function: Callable[[FloatArray], Any], observes: str, observation: FloatArray
+) -> FloatArray:
     """Return the policy's v and omega. Raises UsageError unless they are two finite numbers."""
     try:
-        answer = policy(observation)
+        answer = function(observation)
         command = np.asarray(answer, np.float64)
     except RoverNcpError:
         raise
     except Exception as error:
-        raise UsageError(f"policy {name}: {_described(error)}") from error
+        raise UsageError(f"policy {name}: {_described(error)}; it observes {observes}") from error
     if command.shape != (2,) or not np.isfinite(command).all():
         raise UsageError(f"policy {name}: expected v and omega as two finite numbers, got {answer!r}")
     return command

@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from rover_ncp.circuit.circuit import BOUNDS, DEFAULTS, Circuit, ParameterKind, SynapseKind
 from rover_ncp.circuit.motors import Motors
+from rover_ncp.circuit.own_policy import is_own
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.sensing import Sensing
 from rover_ncp.core.config import (
@@ -24,7 +25,7 @@ from rover_ncp.core.config import (
     read_filled,
     read_yaml,
 )
-from rover_ncp.core.errors import ConfigError
+from rover_ncp.core.errors import ConfigError, UsageError
 from rover_ncp.core.files import resolve, shipped_names, write_atomic
 
 
@@ -96,7 +97,11 @@ class _PolicyFile(StrictModel):
 
 
 def load_policy(name_or_path: str | Path) -> Policy:
-    """Load a shipped policy by name, or a policy file by path. Raises FileError or ConfigError."""
+    """Load a shipped policy by name, or a policy file by path. Raises UsageError, also as a subclass."""
+    if is_own(str(name_or_path)):
+        raise UsageError(
+            f"{name_or_path}: a policy in Python, expected one of a circuit; eval and deploy take both"
+        )
     path = resolve("policies", name_or_path)
     return policy_from_yaml(read_filled(path), str(path))
 

@@ -123,7 +123,6 @@ def on_files(files: Any, config: Any) -> Any:
     """Add the front page, the reference and the long tables on the paper to the site."""
     from mkdocs.structure.files import File
 
-    from paper.claims import judge_claims, load_claims
     from paper.report import long_report
     from paper.store import ResultStore
 
@@ -132,10 +131,8 @@ def on_files(files: Any, config: Any) -> Any:
     for name, page in reference_pages().items():
         files.append(File.generated(config, f"reference/{name}", content=page))
     store = ResultStore(DOCS.parent / "paper" / "results")
-    tables = long_report(store, judge_claims(store, load_claims().claims))
-    files.append(
-        File.generated(config, "paper_tables.md", content=f"# The paper: all claims and runs\n\n{tables}\n")
-    )
+    content = f"# The paper: settings and runs\n\n{long_report(store)}\n"
+    files.append(File.generated(config, "paper_tables.md", content=content))
     return files
 
 

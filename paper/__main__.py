@@ -118,29 +118,20 @@ def replay(
 def report(
     *,
     results: Results = RESULTS,
-    long: Annotated[
-        bool, typer.Option("--long", help="All claims, the settings and the stored runs.")
-    ] = False,
-    curves: Annotated[
-        Path | None,
-        typer.Option(help="Write the published search's curves to this PNG.", show_default=False),
-    ] = None,
+    long: Annotated[bool, typer.Option("--long", help="The settings and the stored runs.")] = False,
 ) -> None:
     """Report the paper's claims, and whether the stored runs reproduce them.
 
     Without --long it prints the first part of docs/paper.md.
     """
     from paper.claims import judge_claims, load_claims
-    from paper.report import draw_curves, long_report, short_report
+    from paper.report import long_report, short_report
     from paper.store import ResultStore
 
     if not results.is_dir():
         raise FileError(f"{results}: no such folder")
     store, file = ResultStore(results), load_claims()
-    if curves is not None:
-        draw_curves(store, curves)
-    judged = judge_claims(store, file.claims)
-    print(long_report(store, judged) if long else short_report(store, file, judged))
+    print(long_report(store) if long else short_report(store, file, judge_claims(store, file.claims)))
 
 
 def run_command_line(app: typer.Typer, name: str) -> None:

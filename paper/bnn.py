@@ -18,12 +18,12 @@ writes a circuit with parking's motor neurons as a policy with parking's mapping
 circuit. The policy's sensors are not clamped: the published code trains circuits so.
 """
 
-import re
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 
 from paper.__main__ import run_command_line
 from rover_ncp.circuit.circuit import DEFAULTS, MAX_NEURONS, Circuit, ParameterKind, SynapseKind
@@ -41,106 +41,64 @@ _VALUES = {
     "const": ParameterKind.LEAK_POTENTIAL,
 }
 _SYNAPSES = {"ex": SynapseKind.EXCITATORY, "inh": SynapseKind.INHIBITORY, "gj": SynapseKind.GAP}
-_USAGE = {
-    **dict.fromkeys(_VALUES, "neuron value"),
-    "ex": "source destination weight [sigma]",
-    "inh": "source destination weight [sigma]",
-    "gj": "source destination weight",
-}
-_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
-_INDEX = re.compile(r"\d{1,6}", re.ASCII)
 _NEURONS = ("PVD", "PLM", "AVA", "AVD", "PVC", "AVB", "AVM", "ALM", "DVA", "FWD", "REV")
 _PARKING_NEURONS = (*_NEURONS[:9], "LFT", "RGT", "FWD")
 
-_Synapse = tuple[SynapseKind, int, int, float, float]
-
 
 def circuit_from_bnn(text: str, name: str, source: str) -> Circuit:
-    """Read a circuit; raises ConfigError naming ``source``, and the line of every unreadable statement."""
-    size, problems = 0, []
-    values: dict[tuple[str, int], float] = {}
-    synapses: list[_Synapse] = []
+    """Read a circuit; raises ConfigError naming ``source``, and the first line that cannot be read."""
+    size = 0
+    values: dict[str, dict[int, float]] = {word: {} for word in _VALUES}
+    synapses: list[tuple[SynapseKind, int, int, float, float]] = []
     for number, line in enumerate(text.splitlines(), start=1):
-        words = line.partition("#")[0].split()
-        if not words:
-            continue
+        word, *fields = line.partition("#")[0].split() or [""]
         try:
-            if not size:
-                size = _size(words)
-                continue
-            word, indices, numbers = _statement(words, size)
             if word in _SYNAPSES:
-                weight, sigma, *_ = (*numbers, DEFAULTS[ParameterKind.SIGMA])
-                synapses.append((_SYNAPSES[word], indices[0], indices[1], weight, sigma))
-            elif (word, *indices) in values:
-                raise ValueError(f"{word} {indices[0]} appears twice")
-            else:
-                values[word, indices[0]] = numbers[0]
-        except ValueError as error:
-            problems.append(f"line {number}: {error}")
-            if not size:  # no index can be checked without it
-                break
-    if not size and not problems:
-        problems.append("no size statement")
-    if problems:
-        raise ConfigError(source, problems)
+                origin, destination, weight, *sigma = fields
+                ends = _neuron(origin, size), _neuron(destination, size)
+                last = float(*sigma) if sigma else DEFAULTS[ParameterKind.SIGMA]
+                synapses.append((_SYNAPSES[word], *ends, float(weight), last))
+            elif word in _VALUES:
+                neuron, value = fields
+                values[word][_neuron(neuron, size)] = float(value)
+            elif word == "size" and not size:
+                [count] = fields
+                size = _neuron(count, MAX_NEURONS + 1)
+            elif word:
+                raise ValueError("unknown statement")
+        except (ValueError, TypeError) as error:
+            raise ConfigError(source, [f"line {number}: {line.strip()[:40]!r}: {error}"]) from error
+    if not size:
+        raise ConfigError(source, ["no size statement"])
+
+    def per_neuron(word: str) -> NDArray[np.float64]:
+        return np.array([values[word].get(i, DEFAULTS[_VALUES[word]]) for i in range(size)])
+
+    kind, origins, destinations, weights, sigmas = zip(*synapses, strict=True) if synapses else ((),) * 5
+    known = _NEURONS if size <= len(_NEURONS) else _PARKING_NEURONS
     try:
-        return _circuit(name, size, values, synapses)
+        return Circuit(
+            name=name,
+            neurons=tuple(known[i] if i < len(known) else f"N{i}" for i in range(size)),
+            kind=np.array(kind, np.int64),
+            source=np.array(origins, np.int64),
+            destination=np.array(destinations, np.int64),
+            weight=np.array(weights, np.float64),
+            sigma=np.array(sigmas, np.float64),
+            leak_potential=per_neuron("vleak"),
+            leak=per_neuron("gleak"),
+            capacitance=per_neuron("cm"),
+            held=values["const"],
+        )
     except ConfigError as error:
         raise ConfigError(source, error.problems) from error
 
 
-def _circuit(name: str, size: int, values: dict[tuple[str, int], float], synapses: list[_Synapse]) -> Circuit:
-    def per_neuron(word: str) -> list[float]:
-        return [values.get((word, i), DEFAULTS[_VALUES[word]]) for i in range(size)]
-
-    kind, origin, destination, weight, sigma = zip(*synapses, strict=True) if synapses else ((),) * 5
-    known = _NEURONS if size <= len(_NEURONS) else _PARKING_NEURONS
-    return Circuit(
-        name=name,
-        neurons=tuple(known[i] if i < len(known) else f"N{i}" for i in range(size)),
-        kind=np.array(kind, np.int64),
-        source=np.array(origin, np.int64),
-        destination=np.array(destination, np.int64),
-        weight=np.array(weight, np.float64),
-        sigma=np.array(sigma, np.float64),
-        leak_potential=np.array(per_neuron("vleak")),
-        leak=np.array(per_neuron("gleak")),
-        capacitance=np.array(per_neuron("cm")),
-        held={i: value for (word, i), value in values.items() if word == "const"},
-    )
-
-
-def _size(words: list[str]) -> int:
-    if words[0] != "size":
-        raise ValueError("a size statement must come first")
-    count = words[1] if len(words) == 2 else ""
-    if not _INDEX.fullmatch(count) or not 1 <= int(count) <= MAX_NEURONS:
-        raise ValueError(f"expected 'size N', N in 1..{MAX_NEURONS}, got {' '.join(words)[:40]!r}")
-    return int(count)
-
-
-def _statement(words: list[str], size: int) -> tuple[str, list[int], list[float]]:
-    """Return a statement's word, its neurons and its numbers."""
-    word, *texts = words
-    if word not in _USAGE:
-        raise ValueError(f"unknown statement {word[:20]!r} (expected one of {', '.join(_USAGE)})")
-    neurons, usage = (2 if word in _SYNAPSES else 1), _USAGE[word].split()
-    if not neurons + 1 <= len(texts) <= len(usage):
-        raise ValueError(f"expected '{word} {_USAGE[word]}', got {len(texts)} values")
-    return word, [_index(text, size) for text in texts[:neurons]], [_number(text) for text in texts[neurons:]]
-
-
-def _index(text: str, size: int) -> int:
-    if not _INDEX.fullmatch(text) or int(text) >= size:
-        raise ValueError(f"neuron {text[:20]!r} is not in 0..{size - 1}")
-    return int(text)
-
-
-def _number(text: str) -> float:
-    if not _NUMBER.fullmatch(text):
-        raise ValueError(f"expected a number, got {text[:20]!r}")
-    return float(text)
+def _neuron(text: str, size: int) -> int:
+    number = int(text)
+    if not 0 <= number < size:
+        raise ValueError(f"neuron {number} is not in 0..{size - 1}" if size else "size must come first")
+    return number
 
 
 def load_bnn(path: Path) -> Circuit | Policy:

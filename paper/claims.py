@@ -1,11 +1,11 @@
 """The paper's claims (``claims.yaml``) and their verdicts, from the stored runs.
 
-Five tests: ``rate`` of successes, ``value`` of a mean, ``compare`` of two agents, ``sign`` of Definition 1,
-number of ``parameters``. A claim *holds* only where a test excludes the opposite, or an interval
+A test is a function of its name below. A claim *holds* only where it excludes the opposite, or an interval
 lies within a stated margin of equality. Holm's correction is for the claims from one place of the paper.
 
 Definition 1 leaves three choices open: whether vertical steps count (the supplement calls them independence),
-whether the whole run counts or only the drive, and the threshold. A sign here is one that all choices give.
+whether the whole run counts or only the drive, and the threshold. Claims are judged by one reading: the whole
+run with vertical steps, and P > 1.5 Q. ``readings`` has all twelve.
 """
 
 from collections import Counter
@@ -20,21 +20,21 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from paper.statistics import LEVEL, Summary, even_odds, fisher, holm, mean_text, summary, welch, wilson
-from paper.store import ResultStore
+from paper.runs import PAIRS
+from paper.statistics import LEVEL, even_odds, fisher, holm, mean_text, summary, welch, wilson
+from paper.store import BudgetName, Result, ResultStore
 from paper.tasks import TASKS, Net, Vector
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.config import StrictModel, parse_yaml
 from rover_ncp.core.files import read_text
 from rover_ncp.course.course import load_course
-from rover_ncp.neurons.interpretation import STILL_MV, Sign, sign_of, time_constant_ranges
+from rover_ncp.neurons.interpretation import STILL_MV, Sign, sign_of, slopes, time_constant_ranges
 from sim.learn.rollout import Rollout, rollout
+from sim.learn.search.algorithm1 import ALPHA, SIGMA
 
 CLAIMS = Path(__file__).parent / "claims.yaml"
 MIN_RUNS = 5
 """Fewer runs of an agent give no verdict."""
-MIN_CLEAR = 6
-"""With fewer clear signs the sign test cannot reach the level."""
 RATE_MARGIN = 0.2
 """Difference of success rates that counts as none."""
 
@@ -45,6 +45,7 @@ class Verdict(StrEnum):
     HOLDS = "holds"
     DIFFERS = "does not hold"
     UNDECIDED = "undecided"
+    NOT_COMPARABLE = "not comparable"
     NOT_TESTED = "not tested"
 
 
@@ -54,20 +55,21 @@ class Claim(StrictModel):
     name: str
     words: str
     where: str
-    test: Literal["rate", "value", "compare", "sign", "parameters"] | None = None
-    """None: nothing in this project can test it."""
+    test: Literal["rate", "algorithm1", "compare", "sign", "parameters", "constants", "varying"]
     arguments: dict[str, Any] = Field(default_factory=dict)
     comparable: bool = True
-    """Whether the test decides. Figures of other things than the paper's, or true by construction, do not."""
+    """Whether the test decides. Figures of other things than the paper's do not."""
     why: str = ""
-    """Reason that a claim is not tested, or a deviation from the paper."""
+    """Reason that a claim is not tested or not comparable."""
 
 
 class ClaimsFile(StrictModel):
-    """``claims.yaml``: the page's questions, each with the claims that answer it, and all claims."""
+    """``claims.yaml``: the page's questions, the claims that answer them, and the paper's tables."""
 
     questions: dict[str, tuple[str, ...]]
     claims: tuple[Claim, ...]
+    tables: dict[str, dict[str, dict[str, tuple[float, ...]]]]
+    """Mean, standard deviation and success rate, where there is one, by table, task and agent."""
 
     def of(self, test: str) -> list[Claim]:
         """Return the claims that a test decides on."""
@@ -109,13 +111,10 @@ def load_claims() -> ClaimsFile:
 
 def judge_claims(store: ResultStore, claims: Sequence[Claim]) -> list[Judged]:
     """Return the verdicts on claims. Raises FileError."""
-    findings = [
-        _TESTS[claim.test](store, **claim.arguments) if claim.test else Finding(verdict=Verdict.NOT_TESTED)
-        for claim in claims
-    ]
+    findings = [_TESTS[claim.test](store, **claim.arguments) for claim in claims]
     for number, claim in enumerate(claims):
-        if not claim.comparable:
-            findings[number] = replace(findings[number], verdict=Verdict.NOT_TESTED, p=None)
+        if not claim.comparable and findings[number].verdict is not Verdict.NOT_TESTED:
+            findings[number] = replace(findings[number], verdict=Verdict.NOT_COMPARABLE, p=None)
     places: dict[tuple[str, str | None], dict[int, float]] = {}
     for number, (claim, finding) in enumerate(zip(claims, findings, strict=True)):
         if finding.p is not None:
@@ -134,16 +133,17 @@ def _judged(claim: Claim, finding: Finding) -> Judged:
     if verdict is Verdict.UNDECIDED:
         why = finding.why if finding.p is None else f"p = {finding.p:.2g}, {finding.why}"
     elif verdict is Verdict.NOT_TESTED:
-        why = claim.why or finding.why
-    from_paper = finding.against and claim.test != "compare"
+        why = f"{finding.why}; {claim.why}" if claim.why else finding.why
+    elif verdict is not Verdict.NOT_COMPARABLE:
+        why = ""
+    from_paper = finding.against and claim.test in ("rate", "algorithm1")
     against = f"{claim.where}: {finding.against}" if from_paper else finding.against
     return Judged(claim.name, claim.words, claim.where, verdict, finding.figure, against, why)
 
 
 def _too_few(count: int) -> Finding:
-    return Finding(
-        verdict=Verdict.NOT_TESTED, why=f"{count} runs, {MIN_RUNS} are needed" if count else "no runs"
-    )
+    why = f"{count or 'no'} runs, {MIN_RUNS} are needed"
+    return Finding(verdict=Verdict.NOT_TESTED, why=why)
 
 
 def rate(
@@ -164,31 +164,6 @@ def rate(
     figure = f"{count} of {len(runs)} [{low:.0%}, {high:.0%}]"
     verdict = Verdict.HOLDS if found.within(RATE_MARGIN) else None
     return Finding(figure, f"{hits} of {of}", verdict, f"n = {len(runs)} and {of}", found.p)
-
-
-def value(
-    store: ResultStore,
-    *,
-    task: str,
-    agent: str,
-    mean: float,
-    std: float,
-    of: int = 10,
-    rate: float | None = None,
-    budget: str = "published",
-) -> Finding:
-    """Compare mean and standard deviation of returns with the paper's.
-
-    ``rate`` is what the paper's table says beside them.
-    """
-    returns = store.returns(task, agent, budget)
-    if len(returns) < MIN_RUNS:
-        return _too_few(len(returns))
-    ours = summary(returns)
-    found = welch(ours, Summary(mean, std, of))
-    verdict = Verdict.HOLDS if found.within(TASKS[task].margin) else None
-    texts = mean_text(ours.mean, ours.std), mean_text(mean, std)
-    return Finding(*texts, verdict, f"n = {ours.runs} and {of}", found.p)
 
 
 def compare(
@@ -218,19 +193,68 @@ def compare(
     )
 
 
-def sign(store: ResultStore, *, source: str, destination: str, expected: str) -> Finding:
-    """Ask whether most of the circuits in which all readings agree have the paper's sign (sign test)."""
-    found = [readings(policy, drive, source, destination) for policy, drive in drives(store)]
+def algorithm1(store: ResultStore, *, task: str, hits: int, of: int) -> Finding:
+    """Compare the success rates of Algorithm 1 with another one, for each pair of alpha and sigma.
+
+    The claim does not hold only if all pairs are trained and their rates differ: the largest p decides.
+    """
+    found = by_pair(store.results(task, "circuit", BudgetName.ALGORITHM1)).values()
+    counts = [(sum(run.success for run in runs), len(runs)) for runs in found if len(runs) >= MIN_RUNS]
+    if not counts:
+        return _too_few(0)
+    successes, total = (sum(column) for column in zip(*counts, strict=True))
+    figure = f"{successes} of {total} runs of {len(counts)} settings, at most {max(counts)[0]} of one"
+    if len(counts) < len(PAIRS):
+        return Finding(
+            figure, f"{hits} of {of}", Verdict.UNDECIDED, f"{len(counts)} of {len(PAIRS)} settings"
+        )
+    p = max(fisher(*count, hits, of).p for count in counts)
+    return Finding(figure, f"{hits} of {of}", None, f"n = {min(runs for _, runs in counts)} and {of}", p)
+
+
+def by_pair(runs: Iterable[Result]) -> dict[tuple[float, float], list[Result]]:
+    """Return runs of Algorithm 1 by their alpha and first sigma."""
+    found: dict[tuple[float, float], list[Result]] = {}
+    for run in runs:
+        found.setdefault(run.name.setting or (ALPHA, SIGMA), []).append(run)
+    return found
+
+
+def sign(store: ResultStore, *, source: str, destination: str, expected: Sign) -> Finding:
+    """Ask whether most circuits of the published search have the paper's sign (sign test)."""
+    found = signs(store, BudgetName.PUBLISHED, source, destination)
     if len(found) < MIN_RUNS:
         return _too_few(len(found))
-    clear = clear_signs(found)
-    hits, count = sum(each == expected for each in clear), len(clear)
-    figure = f"{hits} of {count}, {len(found) - count} unclear"
-    if count < MIN_CLEAR:
-        why = f"{count} clear, {MIN_CLEAR} needed"
-        return Finding(figure, verdict=Verdict.NOT_TESTED, why=why)
-    significant = Verdict.HOLDS if 2 * hits > count else Verdict.DIFFERS
-    return Finding(figure, "", None, f"n = {count}", even_odds(hits, count), significant)
+    hits, own = found.count(expected), signs(store, BudgetName.DEFAULT, source, destination)
+    significant = Verdict.HOLDS if 2 * hits > len(found) else Verdict.DIFFERS
+    return Finding(
+        f"{hits} of {len(found)}",
+        f"default search: {own.count(expected)} of {len(own)}",
+        None,
+        f"n = {len(found)}",
+        even_odds(hits, len(found)),
+        significant,
+    )
+
+
+def constants(store: ResultStore, *, ranges: Mapping[str, tuple[float, float]]) -> Finding:
+    """Ask whether each neuron's time constants overlap the paper's."""
+    ours = time_constants(store)
+    if not ours:
+        return _too_few(0)
+    same = sum(ours[neuron][0] <= high and low <= ours[neuron][1] for neuron, (low, high) in ranges.items())
+    verdict = Verdict.HOLDS if same == len(ranges) else Verdict.DIFFERS
+    return Finding(f"{same} of {len(ranges)} ranges overlap", verdict=verdict)
+
+
+def varying(store: ResultStore, *, ratio: float) -> Finding:
+    """Ask whether most neurons' time constants vary by more than a ratio."""
+    ours = time_constants(store).values()
+    if not ours:
+        return _too_few(0)
+    count = sum(high > ratio * low for low, high in ours)
+    verdict = Verdict.HOLDS if 2 * count > len(ours) else Verdict.DIFFERS
+    return Finding(f"{count} of {len(ours)} neurons, by {ratio - 1:.0%} or more", verdict=verdict)
 
 
 def parameters(_: ResultStore, *, task: str, other: str) -> Finding:
@@ -244,9 +268,11 @@ def parameters(_: ResultStore, *, task: str, other: str) -> Finding:
 
 _TESTS: Mapping[str, Callable[..., Finding]] = {
     "rate": rate,
-    "value": value,
+    "algorithm1": algorithm1,
     "compare": compare,
     "sign": sign,
+    "constants": constants,
+    "varying": varying,
     "parameters": parameters,
 }
 
@@ -257,14 +283,22 @@ _MOVING = 1e-4
 """Distance in m, or turn in rad, in a tick of 0.1 s above which the rover drives."""
 
 
-@lru_cache(maxsize=1)
-def drives(store: ResultStore) -> tuple[tuple[Policy, Rollout], ...]:
-    """Return the published search's parking circuits that succeed, the best first, each with its drive."""
-    results = [result for result in store.results("parking", "circuit") if result.success]
+@lru_cache(maxsize=2)
+def drives(store: ResultStore, budget: BudgetName) -> tuple[tuple[Policy, Rollout], ...]:
+    """Return a search's parking circuits that succeed, the best first, each with its drive."""
+    results = [result for result in store.results("parking", "circuit", budget) if result.success]
     results.sort(key=lambda result: -result.mean)
     untrained = TASKS["parking"].policy(TASKS["parking"].circuit())
     policies = [untrained.with_parameters(result.parameters.array()) for result in results]
     return tuple((policy, rollout(policy, load_course("parking"))) for policy in policies)
+
+
+def signs(store: ResultStore, budget: BudgetName, source: str, destination: str) -> list[Sign]:
+    """Return the sign of a pair in each parking circuit of a search, by the reading that judges claims."""
+    return [
+        slopes(*(drive.potentials[:, policy.circuit.index(neuron)] for neuron in (source, destination))).sign
+        for policy, drive in drives(store, budget)
+    ]
 
 
 def counts(a: Vector, b: Vector, *, vertical: bool) -> tuple[int, int]:
@@ -273,8 +307,8 @@ def counts(a: Vector, b: Vector, *, vertical: bool) -> tuple[int, int]:
     A vertical step (b changes, a does not) has the sign of b's change; without ``vertical`` it is left out.
     """
     a, b = (np.where(np.abs(each) <= STILL_MV, 0.0, each) for each in (a, b))
-    slopes = np.where((a == 0.0) & vertical, b, a * b)
-    return int(np.sum(slopes > 0.0)), int(np.sum(slopes < 0.0))
+    steps = np.where((a == 0.0) & vertical, b, a * b)
+    return int(np.sum(steps > 0.0)), int(np.sum(steps < 0.0))
 
 
 def readings(policy: Policy, drive: Rollout, source: str, destination: str) -> Counter[Sign]:
@@ -297,7 +331,7 @@ def clear_signs(found: Iterable[Counter[Sign]]) -> list[Sign]:
 
 def time_constants(store: ResultStore) -> dict[str, tuple[float, float]]:
     """Return the time constants in s of the best parking circuit over its drive, by neuron."""
-    for policy, drive in drives(store)[:1]:
+    for policy, drive in drives(store, BudgetName.PUBLISHED)[:1]:
         ranges = time_constant_ranges(policy.circuit, drive.potentials, policy.sensing.neurons)
         return {each.neuron: (each.lowest_s, each.highest_s) for each in ranges}
     return {}

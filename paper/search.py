@@ -190,12 +190,12 @@ class ParkingEvaluator:
 
         Without chance, the ``number`` of an evaluation does not matter.
         """
-        by_distance = self.task.reward == "distance"
+        count = self.task.distance_of
         self.steps += len(vectors) * self.task.horizon
-        self._stream.submit(0, Batch(vectors, np.full(len(vectors), -math.inf if by_distance else to_beat)))
+        self._stream.submit(0, Batch(vectors, np.full(len(vectors), -math.inf if count else to_beat)))
         [(_, scores)] = self._stream.collect()
-        if by_distance:
-            distances: Vector = np.hypot(scores.residuals[..., 0], scores.residuals[..., 1]).sum(axis=1)
+        if count:
+            distances: Vector = np.linalg.norm(scores.residuals[..., :count], axis=2).sum(axis=1)
             return -distances
         return scores.returns.copy()
 

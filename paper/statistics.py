@@ -1,8 +1,7 @@
-"""Tests of two sets of runs with effect sizes, Holm's correction, and interquartile means."""
+"""Tests of two sets of runs with effect sizes, and Holm's correction."""
 
 from collections.abc import Sequence
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +10,6 @@ from scipy import stats
 FloatArray = NDArray[np.float64]
 
 LEVEL = 0.05
-_RESAMPLES = 9999
-_PAIR_RESAMPLES = 2000
-_SEED = 20
 
 
 class Estimate(NamedTuple):
@@ -44,34 +40,6 @@ class Summary(NamedTuple):
 def summary(values: FloatArray) -> Summary:
     """Return mean and standard deviation of one or more values (n,)."""
     return Summary(float(np.mean(values)), float(np.std(values, ddof=min(len(values) - 1, 1))), len(values))
-
-
-def interquartile_mean(values: FloatArray) -> Estimate:
-    """Return the mean of the middle half of values (n,), n > 1, with a bootstrap interval (Agarwal 2021)."""
-    middle = partial(stats.trim_mean, proportiontocut=0.25)
-    rng = np.random.default_rng(_SEED)
-    found = stats.bootstrap((values,), middle, n_resamples=_RESAMPLES, rng=rng, method="percentile")
-    low, high = found.confidence_interval
-    return Estimate(float(middle(values)), float(low), float(high))
-
-
-def improvement(pairs: Sequence[tuple[FloatArray, FloatArray]]) -> Estimate:
-    """Return the probability that a run of the first set beats one of the second, mean over tasks.
-
-    Ties count half. The interval is a bootstrap within each set of each task (Agarwal et al. 2021).
-    """
-    rng = np.random.default_rng(_SEED)
-
-    def above(ours: FloatArray, theirs: FloatArray) -> Any:
-        difference = ours[..., :, None] - theirs[..., None, :]
-        return ((difference > 0.0) + 0.5 * (difference == 0.0)).mean(axis=(-2, -1))
-
-    drawn = [
-        above(*(values[rng.integers(0, len(values), (_PAIR_RESAMPLES, len(values)))] for values in pair))
-        for pair in pairs
-    ]
-    low, high = np.percentile(np.mean(drawn, axis=0), [2.5, 97.5])
-    return Estimate(float(np.mean([above(*pair) for pair in pairs])), float(low), float(high))
 
 
 def welch(ours: Summary, theirs: Summary) -> Estimate:

@@ -90,9 +90,10 @@ class Task(StrictModel):
     """A name of ``STRATEGIES`` (``search.py``)."""
     warm_up: int = 0
     """Ticks of a circuit before the first step of an episode, in the task's published code."""
-    reward: Literal["squares", "distance"] = "squares"
-    """What the search maximises at parking's checkpoints: minus squared distance and angle, as the published
-    code, or minus the distance, as the paper's text. Results are judged by the squares."""
+    distance_of: int | None = None
+    """Parking is rewarded by minus the distance from a checkpoint in so many of x, y and heading, as the
+    paper's text has it. None: minus its square in all three, as the published code and all results have it.
+    """
 
     def circuit(self) -> Circuit:
         """Return the untuned circuit."""

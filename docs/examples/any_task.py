@@ -19,7 +19,7 @@ from rover_ncp.circuit.policy_file import load_policy, policy_to_yaml
 from rover_ncp.circuit.runner import Runner
 
 EPISODES = 8  # of a candidate
-FRESH = 10**6  # the first seed of the episodes that score the result
+FRESH = 10**6  # the first seed of the episodes that score a mean or the result
 
 
 def play(environment, policy, seed):
@@ -44,22 +44,26 @@ def score(environment, policy, episodes=100, first=FRESH):
 
 
 def search(environment, policy, generations, seed=0):
-    """Return the policy of the search's last mean. All candidates of a generation play the same episodes."""
+    """Return the policy of the best mean. All candidates of a generation play the same episodes."""
     layout = policy.layout()
     span = layout.upper - layout.lower
     start = (policy.parameters() - layout.lower) / span
-    unit = np.tile([0.0, 1.0], (layout.size, 1))
-    cma = CMA(start, 0.15, bounds=unit, seed=seed)
 
     def at(point):
         return policy.with_parameters(np.clip(layout.lower + point * span, layout.lower, layout.upper))
 
+    noise = np.random.default_rng(seed).normal(0.0, 0.3, (1000, layout.size))  # few reach a distant goal
+    best = max([start, *np.clip(start + noise, 0, 1)], key=lambda point: score(environment, at(point), 2, 0))
+    cma = CMA(best, 0.1, bounds=np.tile([0.0, 1.0], (layout.size, 1)), seed=seed)
+    most = score(environment, at(best), EPISODES)
     for generation in range(generations):
         points = [cma.ask() for _ in range(cma.population_size)]
         returns = [score(environment, at(point), EPISODES, generation * EPISODES) for point in points]
         cma.tell([(point, -each) for point, each in zip(points, returns, strict=True)])
-        print(f"generation {generation + 1} of {generations}: best return {max(returns):.4g}")
-    return at(np.clip(cma.mean, 0.0, 1.0))
+        value = score(environment, at(cma.mean), EPISODES)
+        best, most = (cma.mean, value) if value > most else (best, most)
+        print(f"generation {generation + 1} of {generations}: best mean {most:.4g}")
+    return at(best)
 
 
 def main(name, start, generations, out):

@@ -30,3 +30,11 @@ def test_circuit_of_the_tutorial_learns_and_the_file_scores_the_same(capsys):
     before, after = (EXAMPLE["score"](environment, load_policy(name)) for name in ("wall.yaml", "out.yaml"))
     assert after > 0.6 * before  # returns are negative
     assert capsys.readouterr().out.splitlines()[-1] == f"out.yaml: return {after:.4g}, untrained {before:.4g}"
+
+
+@pytest.mark.long
+def test_circuit_of_the_paper_solves_mountain_car(tmp_path):
+    out = tmp_path / "car.yaml"
+    start = ROOT / "docs" / "tutorials" / "mountain_car.yaml"
+    EXAMPLE["main"]("MountainCarContinuous-v0", start, "2", out)
+    assert EXAMPLE["score"](gymnasium.make("MountainCarContinuous-v0"), load_policy(str(out)), 20) >= 90.0

@@ -1,9 +1,8 @@
 """Tests of two sets of runs, intervals and corrections, against textbooks."""
 
-import numpy as np
 import pytest
 
-from paper.statistics import Summary, fisher, holm, improvement, interquartile_mean, welch
+from paper.statistics import Summary, fisher, holm, welch
 
 
 def test_holms_correction_is_that_of_the_textbook():
@@ -29,22 +28,3 @@ def test_welchs_test_is_that_of_the_textbook():
     )
     assert welch(Summary(1.0, 0.0, 10), Summary(1.0, 0.0, 10)).p == 1.0
     assert welch(Summary(1.1, 0.0, 10), Summary(1.0, 0.0, 10)).p == 0.0
-
-
-def test_interquartile_mean_leaves_out_the_outer_quarters():
-    found = interquartile_mean(np.array([-1e9, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 1e9]))
-    assert found.value == pytest.approx(3.5)
-    assert interquartile_mean(np.full(10, 7.0)) == (7.0, 7.0, 7.0, 1.0)
-    draws = np.random.default_rng(1).normal(10.0, 1.0, 40)
-    found = interquartile_mean(draws)
-    assert found.low < found.value < found.high < 11.0
-
-
-def test_probability_of_improvement_counts_ties_by_half():
-    pair = np.array([3.0, 3.0, 5.0]), np.array([3.0, 1.0, 3.0])
-    alone = improvement([pair])
-    assert alone.value == pytest.approx((3 * 1 + 2 * 2 * 0.5 + 2) / 9)
-    assert alone.low <= alone.value <= alone.high
-    sure = np.array([9.0, 8.0]), np.array([1.0, 2.0])
-    assert improvement([sure]) == (1.0, 1.0, 1.0, 1.0)
-    assert improvement([pair, sure]).value == pytest.approx((alone.value + 1.0) / 2)

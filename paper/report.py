@@ -162,7 +162,7 @@ def runs_table(store: ResultStore) -> str:
         ("search", "task", "agent", "runs", "return", "10⁶ steps", "core s a run", "of commit")
     ]
     for budget in _BUDGETS:
-        for task, agent in dict.fromkeys((group.task, group.agent) for group in grid(budget)):
+        for task, agent in dict.fromkeys((name.task, name.agent) for name in grid(budget)):
             runs = store.results(task, agent, budget)
             if not runs:
                 rows.append((budget, task, agent, 0, *[""] * 4))

@@ -12,7 +12,7 @@ from importlib import metadata
 from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -84,29 +84,18 @@ _PAIR_SEEDS = {"parking": 12, "pendulum": 5}
 """Runs of each pair."""
 
 
-class Group(NamedTuple):
-    """The runs of a task, an agent and a budget, one for each seed from 0 on."""
-
-    task: str
-    agent: str
-    budget: BudgetName
-    runs: int
-    setting: tuple[float, float] | None = None
-
-
-def grid(budget: BudgetName) -> Iterator[Group]:
-    """Yield all groups of a budget."""
-    for name, task in TASKS.items():
+def grid(budget: BudgetName, seeds: Sequence[int] | None = None) -> Iterator[RunName]:
+    """Yield all runs of a budget, or those of any seeds given."""
+    for task in TASKS.values():
         agents: Sequence[str] = PAPERS if isinstance(task, Benchmark) else PAPERS[:1]
-        if budget in _OTHERS:
-            tasks, agents = _OTHERS[budget]
-            if name not in tasks:
-                continue
-        if budget is BudgetName.ALGORITHM1 and name in _PAIR_SEEDS:
-            yield from (Group(name, agents[0], budget, _PAIR_SEEDS[name], pair) for pair in PAIRS)
-            continue
-        seeds = _OWN_SEEDS.get((name, budget), _SEEDS)
-        yield from (Group(name, agent, budget, seeds) for agent in agents)
+        tasks, agents = _OTHERS.get(budget, (tuple(TASKS), agents))
+        settings: Sequence[tuple[float, float] | None] = (None,)
+        count = _OWN_SEEDS.get((task.name, budget), _SEEDS)
+        if budget is BudgetName.ALGORITHM1 and task.name in _PAIR_SEEDS:
+            settings, count = PAIRS, _PAIR_SEEDS[task.name]
+        for agent, setting, seed in product(agents, settings, dict.fromkeys(seeds or range(count))):
+            if task.name in tasks:
+                yield RunName(task=task.name, agent=agent, seed=seed, budget=budget, setting=setting)
 
 
 def select(
@@ -115,7 +104,7 @@ def select(
     seeds: Sequence[int] | None,
     budget: BudgetName = BudgetName.PUBLISHED,
 ) -> list[RunName]:
-    """Return the selected runs of a budget, circuits and low seeds first: of the grid, or of any seeds given.
+    """Return the selected runs of a budget, circuits and low seeds first.
 
     Raises UsageError for an unknown task or agent, and where nothing is left.
     """
@@ -123,10 +112,9 @@ def select(
         for name in set(given or ()) - set(known):
             raise UsageError(f"no {what} {name!r}; expected one of {', '.join(known)}")
     names = [
-        RunName(task=group.task, agent=group.agent, seed=seed, budget=budget, setting=group.setting)
-        for group in grid(budget)
-        if group.agent in (agents or AGENTS) and group.task in (tasks or TASKS)
-        for seed in dict.fromkeys(seeds or range(group.runs))
+        name
+        for name in grid(budget, seeds)
+        if name.agent in (agents or AGENTS) and name.task in (tasks or TASKS)
     ]
     if not names:
         raise UsageError(f"the budget {budget} has no such runs; python -m paper report --long lists them")

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from rover_ncp.circuit.circuit import BOUNDS, DEFAULTS, Circuit, ParameterKind, SynapseKind
 from rover_ncp.circuit.motors import Motors
@@ -204,28 +204,17 @@ def random_circuit(seed: int, neurons: Sequence[str], synapses: int) -> Circuit:
         target = targets[int(generator.integers(len(targets)))]
         weight = float(generator.uniform(0.0, 2.0))
         rows.setdefault((kind, source, target), weight)
-    table = [(*ends, weight) for ends, weight in rows.items()]
-    return build_circuit(f"random-{seed}", neurons, table)
-
-
-def build_circuit(
-    name: str,
-    neurons: Sequence[str],
-    synapses: Sequence[tuple[SynapseKind, int, int, float]],
-    sigma: ArrayLike = DEFAULTS[ParameterKind.SIGMA],
-) -> Circuit:
-    """Build a circuit from rows (kind, source, destination, weight in S), everything else at its default."""
-    n, m = len(neurons), len(synapses)
-    columns = [np.array([row[i] for row in synapses], np.int64).reshape(m) for i in range(3)]
+    kinds, origins, destinations = (np.array(column, np.int64) for column in zip(*rows, strict=True))
+    count = len(neurons)
     return Circuit(
-        name=name,
+        name=f"random-{seed}",
         neurons=tuple(neurons),
-        kind=columns[0],
-        source=columns[1],
-        destination=columns[2],
-        weight=np.array([row[3] for row in synapses], np.float64).reshape(m),
-        sigma=np.broadcast_to(np.asarray(sigma, np.float64), (m,)),
-        leak_potential=np.full(n, DEFAULTS[ParameterKind.LEAK_POTENTIAL]),
-        leak=np.full(n, DEFAULTS[ParameterKind.LEAK]),
-        capacitance=np.full(n, DEFAULTS[ParameterKind.CAPACITANCE]),
+        kind=kinds,
+        source=origins,
+        destination=destinations,
+        weight=np.array(list(rows.values())),
+        sigma=np.full(synapses, DEFAULTS[ParameterKind.SIGMA]),
+        leak_potential=np.full(count, DEFAULTS[ParameterKind.LEAK_POTENTIAL]),
+        leak=np.full(count, DEFAULTS[ParameterKind.LEAK]),
+        capacitance=np.full(count, DEFAULTS[ParameterKind.CAPACITANCE]),
     )

@@ -4,8 +4,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from paper.tasks import build_circuit
-from rover_ncp.circuit.circuit import SynapseKind
+from rover_ncp.circuit.circuit import DEFAULTS, Circuit, ParameterKind, SynapseKind
 from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.sensing import Channel, Sensing
@@ -51,3 +50,21 @@ def wirings(draw):
     layers = {"input_layer": np.zeros((2, 3)), "output_layer": np.zeros((3, 2))} if layered else {}
     policy = Policy(circuit, sensing, motors, **layers)
     return policy.with_parameters(in_bounds(policy, draw(unit_vectors(policy.layout().size))))
+
+
+def build_circuit(name, neurons, synapses, sigma=DEFAULTS[ParameterKind.SIGMA]):
+    """Build a circuit from rows (kind, source, destination, weight in S), everything else at its default."""
+    n, m = len(neurons), len(synapses)
+    columns = [np.array([row[i] for row in synapses], np.int64).reshape(m) for i in range(3)]
+    return Circuit(
+        name=name,
+        neurons=tuple(neurons),
+        kind=columns[0],
+        source=columns[1],
+        destination=columns[2],
+        weight=np.array([row[3] for row in synapses], np.float64).reshape(m),
+        sigma=np.broadcast_to(np.asarray(sigma, np.float64), (m,)),
+        leak_potential=np.full(n, DEFAULTS[ParameterKind.LEAK_POTENTIAL]),
+        leak=np.full(n, DEFAULTS[ParameterKind.LEAK]),
+        capacitance=np.full(n, DEFAULTS[ParameterKind.CAPACITANCE]),
+    )

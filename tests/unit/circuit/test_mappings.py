@@ -1,9 +1,9 @@
 from dataclasses import replace
 
 import pytest
+from kit.wirings import build_circuit
 from pydantic import ValidationError
 
-from paper.tasks import build_circuit
 from rover_ncp.circuit.motors import Motors, four_dof_motors, parking_motors
 from rover_ncp.circuit.policy import Policy, absolute_policy, course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit

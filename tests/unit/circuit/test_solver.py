@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.wirings import in_bounds, unit_vectors, wirings
+from kit.wirings import build_circuit, in_bounds, unit_vectors, wirings
 
-from paper.tasks import build_circuit
 from rover_ncp.circuit import reference
 from rover_ncp.circuit import runner as runner_module
 from rover_ncp.circuit.circuit import SynapseKind, time_constants

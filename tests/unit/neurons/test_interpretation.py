@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.wirings import build_circuit
 
-from paper.tasks import build_circuit
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.neurons.interpretation import (
     Sign,

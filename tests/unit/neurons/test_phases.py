@@ -2,8 +2,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from kit.wirings import build_circuit
 
-from paper.tasks import build_circuit
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.motors import Motors
 from rover_ncp.circuit.policy import Policy, course_policy, parking_policy

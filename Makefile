@@ -63,6 +63,22 @@ types: $(STAMP) ## Strict types.
 contracts: $(STAMP) ## Which package may import which.
 	$(BIN)/lint-imports
 
+# Beside a copy of the clone without the packages: only the wheel can be imported.
+WHEEL := $(CURDIR)/build/wheel
+.PHONY: test-wheel
+test-wheel: $(STAMP) ## The quick tests and the tutorials, with the built wheel in an environment of its own.
+	rm -rf $(WHEEL) && mkdir -p $(WHEEL)/clone
+	$(BIN)/python -m build --wheel --outdir $(WHEEL) .
+	git ls-files | grep --extended-regexp --invert-match '^((rover_ncp|bridge|deploy|sim)/|tests/unit/test_architecture)' \
+		| tar --create --files-from - | tar --extract --directory $(WHEEL)/clone
+	$(MAKE) VENV=$(WHEEL)/env install-wheel
+	$(MAKE) --directory $(WHEEL)/clone VENV=$(WHEEL)/env test tutorials
+
+.PHONY: install-wheel
+install-wheel: $(VENV)/.made
+	$(INSTALL) "$$(echo $(WHEEL)/*.whl)[research,tag]" --group dev
+	touch $(STAMP)
+
 .PHONY: test-long
 test-long: $(STAMP) ## The long tests that measure no times: they mostly wait.
 	$(BIN)/pytest tests/unit tests/computing tests/process tests/system -m "long and not browser and not timed" \

@@ -81,6 +81,7 @@ RESULTS = {
     "train": "sim.learn.ensemble:TrainResult",
     "train --randomize": "sim.learn.robust:RobustResult",
     "eval": "sim.evaluate.results:EvalResult",
+    "eval --card": "sim.evaluate.card:Card",
     "mock": "sim.mock.run:MockResult",
     "bridge": "bridge.node:BridgeResult",
     "export": "rover_ncp.export.commands:Exported",

@@ -1,17 +1,9 @@
 """The command ``eval``; heavy libraries load only when it runs."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
 from rover_ncp.core.console import Output, command, reject
 from rover_ncp.core.errors import UsageError
-from sim.evaluate.options import EvalOptions, Sensors, driver_sensors
+from sim.evaluate.options import EvalOptions
 from sim.world.bodies import Body
-
-if TYPE_CHECKING:
-    from sim.evaluate.evaluate import Ended
-    from sim.stack.docking import Docked
-    from sim.stack.trials import Driven
 
 
 @command
@@ -60,8 +52,20 @@ def evaluate(options: EvalOptions) -> int:
 
         rover-ncp eval dock --stack --to home.yaml --trials 30 --body mujoco --randomize varied
 
+    --card measures a circuit under the conditions of the shipped policies' cards and writes its card:
+    policy.card.md beside policy.yaml, with the file's hash, the training's command and a table with 95 %
+    intervals. --course names the course if the policy's file does not. The extra research is needed, and some
+    minutes.
+
+        rover-ncp eval policy.yaml --card
+
     Ends with 1 if a single trial was driven and did not park, else with 0.
     """
+    if options.card:
+        from sim.evaluate.card import run_card
+
+        return run_card(options)
+    reject("needs --card", overwrite=options.overwrite)
     if not options.stack:
         if options.body is Body.MUJOCO:
             raise UsageError("--body mujoco needs --stack: plain simulation is pymunk's")
@@ -82,42 +86,8 @@ def evaluate(options: EvalOptions) -> int:
 
 def _run(options: EvalOptions) -> int:
     """Drive trials; return 1 if a single one was driven and did not park or dock."""
-    from rover_ncp.robot.description import load_description
-    from sim.evaluate.evaluate import fitted_courses, load_courses, tally
-    from sim.evaluate.results import EvalResult, docking_result, drives_of, result_words, stack_result
-    from sim.evaluate.trial_runs import drive_courses, drive_dockings, drive_stack
-    from sim.world.described import ranges_for
+    from sim.evaluate.results import measure, result_words
 
-    robot = None if options.model is None else load_description(options.model)
-    ranges = ranges_for(options.randomization, options.profile, options.body, robot)
-    stack, docking, scaled = None, None, list[str]()
-    ended: Sequence[Ended | Driven | Docked]
-    if options.to is not None:
-        gyro, _ = driver_sensors(options.sensors or (None if robot else Sensors.GYRO), robot)
-        place, dockings = drive_dockings(options, options.to, robot, ranges, gyro)
-        ended, docking = dockings, docking_result(place, dockings)
-    else:
-        courses, scaled = fitted_courses(
-            load_courses(options.courses, options.random_courses, options.seed), robot
-        )
-        if options.stack:
-            sensors = driver_sensors(options.sensors, robot)
-            drives, driven_s, wall_s = drive_stack(options, courses, robot, ranges, sensors)
-            ended, stack = drives, stack_result(drives, driven_s, wall_s)
-        else:
-            ended = drive_courses(options, courses, robot, ranges)
-    found = EvalResult(
-        **vars(tally(ended)),
-        randomize=options.randomization or ranges.name,
-        model=options.model,
-        scaled=scaled,
-        body=options.body.value,
-        seed=options.seed,
-        random_courses=options.random_courses or 0,
-        course="" if options.to else ",".join(options.courses),
-        stack=stack,
-        docking=docking,
-        drives=list(drives_of(ended)),
-    )
+    found = measure(options)
     Output(options.json).result(found, "\n".join(result_words(found)))
     return 1 if found.trials == 1 and found.success_rate < 1 else 0

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rover_ncp.core.console import MAX_SEED, Json
+from rover_ncp.core.console import MAX_SEED, Json, Overwrite
 from rover_ncp.core.errors import UsageError
 from sim.world.bodies import BODY_WORDS, PRESET_WORDS, PRESETS, Body
 
@@ -143,6 +143,13 @@ class EvalOptions:
             show_default="one for each core",
         ),
     ] = None
+    card: Annotated[
+        bool,
+        typer.Option(
+            "--card", help="Measure a circuit under the conditions of a card, and write it: NAME.card.md."
+        ),
+    ] = False
+    overwrite: Overwrite = False
     json: Json = False
 
     @property

@@ -7,10 +7,14 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from pydantic import BaseModel, Field
 
-from sim.evaluate.evaluate import Ended, Evaluation
+from rover_ncp.robot.description import load_description
+from sim.evaluate.evaluate import Ended, Evaluation, fitted_courses, load_courses, tally
+from sim.evaluate.options import EvalOptions, Sensors, driver_sensors
+from sim.evaluate.trial_runs import drive_courses, drive_dockings, drive_stack
 from sim.stack.docking import Docked
 from sim.stack.estimates import EstimateSummary, summary, words
 from sim.stack.trials import Driven
+from sim.world.described import ranges_for
 
 FINE_M, FINE_RAD = 0.01, math.radians(1.0)
 DOCKED = "docked"
@@ -77,6 +81,41 @@ class EvalResult(Evaluation):
     stack: StackResult | None = Field(description="with --stack, without --to; else null")
     docking: DockingResult | None = Field(description="with --to; else null")
     drives: list[StackDrive] = Field(description="with --stack each trial; else empty")
+
+
+def measure(options: EvalOptions) -> EvalResult:
+    """Drive trials and return how they ended. Raises RoverNcpError."""
+    robot = None if options.model is None else load_description(options.model)
+    ranges = ranges_for(options.randomization, options.profile, options.body, robot)
+    stack, docking, scaled = None, None, list[str]()
+    ended: Sequence[Ended | Driven | Docked]
+    if options.to is not None:
+        gyro, _ = driver_sensors(options.sensors or (None if robot else Sensors.GYRO), robot)
+        place, dockings = drive_dockings(options, options.to, robot, ranges, gyro)
+        ended, docking = dockings, docking_result(place, dockings)
+    else:
+        courses, scaled = fitted_courses(
+            load_courses(options.courses, options.random_courses, options.seed), robot
+        )
+        if options.stack:
+            sensors = driver_sensors(options.sensors, robot)
+            drives, driven_s, wall_s = drive_stack(options, courses, robot, ranges, sensors)
+            ended, stack = drives, stack_result(drives, driven_s, wall_s)
+        else:
+            ended = drive_courses(options, courses, robot, ranges)
+    return EvalResult(
+        **vars(tally(ended)),
+        randomize=options.randomization or ranges.name,
+        model=options.model,
+        scaled=scaled,
+        body=options.body.value,
+        seed=options.seed,
+        random_courses=options.random_courses or 0,
+        course="" if options.to else ",".join(options.courses),
+        stack=stack,
+        docking=docking,
+        drives=list(drives_of(ended)),
+    )
 
 
 def stack_result(driven: Sequence[Driven], driven_s: float, wall_s: float) -> StackResult:

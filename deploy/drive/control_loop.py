@@ -31,7 +31,7 @@ from deploy.place.place import Proof
 from rover_ncp.core.bridge_lines import DOCKING
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import SafetyStop, UnreachableError
-from rover_ncp.core.geometry import Velocity
+from rover_ncp.core.geometry import ORIGIN, Velocity
 from rover_ncp.core.process import Clock
 from rover_ncp.course.course import TICK_S
 from rover_ncp.course.scoring import Parked, Verdict
@@ -153,13 +153,15 @@ class Drive:
         detector = StartDetector(self._link, self.measurements, self.config, self._clock)
         start = detector.wait(self.monitor)
         self._enter(Phase.ARMED)
-        seen, covariance = detector.pose()
+        found = detector.pose()
+        seen, covariance, unexplained = found or (None, None, ORIGIN)
         self.placed = covariance is not None
         pose = self.mission.start_pose(seen, self._pose_complaint())
         self._start = start.ref
         """The controller's time is in seconds from this sample."""
         described = self.config.described
-        self._lasting = (described and described.lasting_error) or self._link.lasting_error
+        declared = (described and described.lasting_error) or self._link.lasting_error
+        self._lasting = declared.at_least(max(unexplained.x, unexplained.y), unexplained.theta)
         record = StartRecord(
             sample=start.ref,
             pose=pose,

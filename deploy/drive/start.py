@@ -4,6 +4,7 @@ import math
 from bisect import bisect_left, insort
 from collections import deque
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,20 @@ from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import AnotherDriver, NoPose, SafetyStop
 from rover_ncp.core.geometry import Pose, near, wrap_angle
 from rover_ncp.core.process import Clock
+from rover_ncp.course.scoring import pose_error
 from rover_ncp.wire.messages import OdometrySample, PoseSample
+
+MAX_SCATTER = 6.0
+"""Largest variance of poses over the told one that chance explains: 1 in a million of six poses."""
+
+
+class StartPose(NamedTuple):
+    """A start pose by external poses, with its covariance (3, 3)."""
+
+    pose: Pose
+    covariance: NDArray[np.float64]
+    unexplained: Pose
+    """Standard deviations by which the poses scatter more than they tell, as those of two localisers."""
 
 
 class StartDetector:
@@ -55,12 +69,23 @@ class StartDetector:
         assert self._measurements.newest is not None  # it stands, so there was a sample
         return self._measurements.newest
 
-    def pose(self) -> tuple[Pose, NDArray[np.float64]] | tuple[None, None]:
-        """Return the start pose by external poses with its covariance, if there are any."""
+    def pose(self) -> StartPose | None:
+        """Return the start pose by external poses, if there are any."""
         if not self._poses:
-            return None, None
+            return None
+        poses = [seen.sample.pose for seen in self._poses]
+        told = [self._completed(seen) for seen in self._poses]
+        median = median_pose(poses)
+        scatter = np.mean([np.square(pose_error(pose, median)) for pose in poses], axis=0)
+        expected = np.diag(np.mean(told, axis=0))
+        unexplained = np.where(scatter > MAX_SCATTER * expected, scatter - expected, 0.0)
         # The covariance of the last one: errors of these poses are not independent.
-        return median_pose([seen.sample.pose for seen in self._poses]), self._poses[-1].sample.covariance
+        return StartPose(median, told[-1] + np.diag(unexplained), Pose(*np.sqrt(unexplained).tolist()))
+
+    def _completed(self, seen: Measurement[PoseSample]) -> NDArray[np.float64]:
+        covariance = completed(seen.sample.covariance, self._config.estimator)
+        assert covariance is not None  # others are not collected
+        return covariance
 
     def _stands(self) -> bool:
         gate = self._link.gate

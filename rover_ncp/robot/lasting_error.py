@@ -70,6 +70,18 @@ class LastingError(StrictModel):
         given = self.position_m, self.heading_rad, self.time_s
         return Lasting(*(own if value is None else value for value, own in zip(given, usual, strict=True)))
 
+    def at_least(self, position_m: float, heading_rad: float) -> Self:
+        """Return the same error, or a larger one with at least these standard deviations."""
+        values = self.values
+        if position_m <= values.position_m and heading_rad <= values.heading_rad:
+            return self
+        larger = {
+            "position_m": max(position_m, values.position_m),
+            "heading_rad": max(heading_rad, values.heading_rad),
+            "time_s": values.time_s,
+        }
+        return self.model_copy(update=larger)
+
 
 UNDECLARED = LastingError()
 """Of a source that declares nothing."""

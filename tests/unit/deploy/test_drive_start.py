@@ -17,6 +17,7 @@ from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, compose, distance,
 from rover_ncp.course.course import load_course
 from rover_ncp.course.scoring import SURE, Parked
 from rover_ncp.recording.recording import read_recording, rewrite
+from rover_ncp.robot.lasting_error import UNDECLARED
 from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import imu, pose_with_covariance, read_pose, read_text
 from rover_ncp.wire.protocol import StopRequest, dump_json, parse_json
@@ -233,6 +234,34 @@ def test_rover_with_an_external_start_pose_parks_on_the_true_pose(tmp_path):
     assert distance(end, course.goal) < course.parked.position_m / 2 < distance(start, ORIGIN)
     assert abs(wrap_angle(end.theta - course.goal.theta)) < course.parked.heading_rad
     assert replay(virtual.path).difference is None
+
+
+def test_poses_whose_errors_may_last_leave_the_verdict_uncertain(tmp_path):
+    virtual = VirtualDrive(
+        load_policy("course"), load_course("parking"), tmp_path / "run.mcap", pose="required"
+    )
+    localised(virtual.link, rng=np.random.default_rng(1))
+    virtual.link.lasting_error = UNDECLARED
+    result = virtual.run()
+    assert (result.verdict, result.stopped_by) == (Parked.UNCERTAIN, None)
+    assert result.reason.endswith(
+        "how long the errors of the external poses last is not declared (lasting_error)"
+    )
+    assert replay(virtual.path).difference is None
+
+
+def test_two_localisers_that_disagree_at_the_start_leave_the_verdict_uncertain():
+    virtual = VirtualDrive(load_policy("course"), load_course("parking"), pose="required")
+
+    def poses(sample):
+        far = Pose(sample.pose.x + 0.15, sample.pose.y, sample.pose.theta)
+        seen = [far] if virtual.link.lease.number else [sample.pose, far]
+        return [pose_with_covariance(pose, COVARIANCE, sample.stamp_ns, "course") for pose in seen]
+
+    virtual.link.put_with_odometry("pose", poses)
+    result = virtual.run()
+    assert result.stopped_by is None
+    assert result.verdict is not Parked.YES
 
 
 def test_motion_without_poses_adds_up_over_rests():

@@ -73,6 +73,7 @@ def run(
         )
 
     if left:
+        print(f"{len(left)} runs to make; a line for each when it ends", flush=True)
         make_runs(left, store, processes, on_result)
     print(f"{len(left)} runs made, {len(names) - len(left)} found")
 

@@ -49,6 +49,11 @@ def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Judged])
         f"{readings_table(store, file)}",
         f"**Time constants of parking, s**\n\n{time_constant_table(store, file)}",
     ]
+    if runs := store.results("half-cheetah", "circuit"):
+        best = max(runs, key=lambda run: run.mean)
+        parts.append(
+            f"**Half-cheetah: torque of a joint per motor neuron, best circuit**\n\n{joint_table(best)}"
+        )
     return "\n\n".join(parts)
 
 
@@ -143,6 +148,17 @@ def readings_table(store: ResultStore, file: ClaimsFile) -> str:
             cells.append(f"{_counts(Counter(clear_signs(found))) or 'none'} of {len(found)}")
         rows.append((" → ".join(pair), *cells))
     return markdown(rows)
+
+
+def joint_table(run: Result) -> str:
+    """Return what a half-cheetah's motor neurons do to its joints: the output layer."""
+    task = TASKS["half-cheetah"]
+    policy = task.policy(task.circuit()).with_parameters(run.parameters.array())
+    assert policy.output_layer is not None
+    names = [channel.positive for channel in policy.motors.channels]
+    weights = [[f"{weight:.2f}" for weight in row] for row in policy.output_layer]
+    joints = zip(policy.motors.outputs, weights, strict=True)
+    return markdown([("joint", *names), *((joint, *row) for joint, row in joints)])
 
 
 def time_constant_table(store: ResultStore, file: ClaimsFile) -> str:

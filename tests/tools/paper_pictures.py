@@ -26,7 +26,7 @@ SIZE, SCALE = (480, 270), 2
 INK, GROUND, PALE, ACCENT = "#30343f", "#8d99ae", "#d8dee9", "#c8553d"
 INPUTS = {"pendulum": [1, 0], "mountain-car": [0, 1], "half-cheetah": range(17)}
 """Entries of the observation that are the circuit's inputs."""
-STEPS = {"pendulum": (250, 2, 80), "mountain-car": (999, 4, 80), "half-cheetah": (160, 1, 50)}
+STEPS = {"pendulum": (250, 2, 80), "mountain-car": (999, 4, 80), "half-cheetah": (75, 1, 50)}
 """At most so many steps, steps between frames, and ms that a frame is shown."""
 
 

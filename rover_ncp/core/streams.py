@@ -13,7 +13,8 @@ import numpy as np
 class Domain(Enum):
     """Purpose of a stream. Its value is the tag in the spawn key: results change with it."""
 
-    TRIAL = ()
+    TRIAL = None
+    """No tag. An empty tuple would be no tuple in the Python 3.11.2 of Debian 12: its enum replaces it."""
     AGENT = (0,)
     SKID_ROBOT = (1,)
     CAMERA = (2, 0)
@@ -39,7 +40,7 @@ def stream_seed(seed: int, domain: Domain, index: int = 0) -> np.random.SeedSequ
     """Return the seed of stream ``index`` of a domain; ``seed`` and ``index`` are below 2**64."""
     # A number in a spawn key may be one word or two, so that two-word indices would look like tags.
     high, low = divmod(index, 2**32)
-    return np.random.SeedSequence(seed + (high << 64), spawn_key=(low, *domain.value))
+    return np.random.SeedSequence(seed + (high << 64), spawn_key=(low, *(domain.value or ())))
 
 
 def random_stream(seed: int, domain: Domain, index: int = 0) -> np.random.Generator:

@@ -150,7 +150,8 @@ def best(store, task):
 
 def curves(store, path):
     """Draw the learning curves of the published search, as in the paper's figure 4."""
-    tasks = [task for task in TASKS.values() if store.results(task.name, "circuit")]
+    # Rewards by distance have another unit than the threshold.
+    tasks = [task for task in TASKS.values() if not task.distance_of and store.results(task.name, "circuit")]
     figure = Figure(figsize=(10.2, 2.6 * -(-len(tasks) // 3)), dpi=100, layout="constrained")
     panels = list(figure.subplots(-(-len(tasks) // 3), 3, squeeze=False).flat)
     for axes, task in zip(panels, tasks, strict=False):

@@ -17,7 +17,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from model_cards import models_page
 from pydantic import BaseModel, TypeAdapter
 from typer.cli import get_docs_for_click
 
@@ -116,7 +115,6 @@ def reference_pages() -> dict[str, str]:
         "files.md": files_page(),
         "keys.md": keys_page(),
         "results.md": results_page(),
-        "models.md": models_page(),
     }
 
 

@@ -2,7 +2,7 @@ import json
 import math
 import re
 from dataclasses import replace
-from pathlib import Path
+from importlib import resources
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def test_messages_with_impossible_numbers_are_skipped(tmp_path, capsys, short, f
 
 def test_page_is_small_and_complete(drive):
     text, _ = drive
-    library = Path("deploy/view/assets/plotly-basic.min.js").read_text("utf-8")
+    library = (resources.files("deploy.view") / "assets" / "plotly-basic.min.js").read_text("utf-8")
     assert text.count(library) == 1
     assert len(text.encode()) < 2_000_000
     # Nothing refers to anything outside the page.

@@ -66,13 +66,14 @@ contracts: $(STAMP) ## Which package may import which.
 # Beside a copy of the clone without the packages: only the wheel can be imported.
 WHEEL := $(CURDIR)/build/wheel
 .PHONY: test-wheel
-test-wheel: $(STAMP) ## The quick tests and the tutorials, with the built wheel in an environment of its own.
+test-wheel: $(STAMP) ## The main job and the tutorials, with the built wheel in an environment of its own.
 	rm -rf $(WHEEL) && mkdir -p $(WHEEL)/clone
 	$(BIN)/python -m build --wheel --outdir $(WHEEL) .
 	git ls-files | grep --extended-regexp --invert-match '^((rover_ncp|bridge|deploy|sim)/|tests/unit/test_architecture)' \
 		| tar --create --files-from - | tar --extract --directory $(WHEEL)/clone
 	$(MAKE) VENV=$(WHEEL)/env install-wheel
-	$(MAKE) --directory $(WHEEL)/clone VENV=$(WHEEL)/env test tutorials
+	cd $(WHEEL) && env/bin/rover-ncp park --out park
+	$(MAKE) --directory $(WHEEL)/clone VENV=$(WHEEL)/env tutorials
 
 .PHONY: install-wheel
 install-wheel: $(VENV)/.made

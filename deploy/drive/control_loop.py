@@ -6,13 +6,14 @@ Rules of this file:
 2. Odometry triggers the tick. When it does not come in time, the tick runs on prediction and is counted.
 3. Before each command, a tick checks the bridge, the age of odometry, the estimator, the lease and the
    rover's response. If a check fails, the drive ends with the rule's name.
-4. Only while DRIVING may a command other than zero leave this process.
+4. Only while DRIVING or SEARCHING may a command other than zero leave this process.
 """
 
 import logging
 import time
 from collections.abc import Callable, Sequence
 from enum import Enum
+from functools import partial
 from typing import Any
 
 from deploy.drive.config import DriveConfig
@@ -22,6 +23,7 @@ from deploy.drive.mission import Mission
 from deploy.drive.rate_keeper import RateKeeper
 from deploy.drive.records import StartRecord, TickRecord, numbers
 from deploy.drive.safety_monitor import SafetyMonitor
+from deploy.drive.search import look_around
 from deploy.drive.start import StartDetector
 from deploy.drive.tick_messages import Publisher
 from deploy.estimator.estimator import Estimate
@@ -30,7 +32,7 @@ from deploy.place.outcome import Evidence
 from deploy.place.place import Proof
 from rover_ncp.core.bridge_lines import DOCKING
 from rover_ncp.core.clock_offset import NS_PER_S
-from rover_ncp.core.errors import SafetyStop, UnreachableError
+from rover_ncp.core.errors import NoPose, SafetyStop, UnreachableError
 from rover_ncp.core.geometry import ORIGIN, Velocity
 from rover_ncp.core.process import Clock
 from rover_ncp.course.course import TICK_S
@@ -52,6 +54,8 @@ class Phase(Enum):
 
     WAITING = "waiting"
     """Waiting for the bridge, for the permission to command, and for a rover that stands still."""
+    SEARCHING = "searching"
+    """No external pose shows the rover: it turns on the spot, under a lease, to find its tags."""
     ARMED = "armed"
     """The start pose is known; the driver requests the motors."""
     DRIVING = "driving"
@@ -94,7 +98,8 @@ class Drive:
         self._used: list[SampleRef] = []
         """Samples that the estimator got since the last tick."""
         self.measurements = Measurements(link, mission.frame)
-        self.monitor = SafetyMonitor(link, self.measurements, interrupted, config, clock)
+        self._new_monitor = partial(SafetyMonitor, link, self.measurements, interrupted, config, clock)
+        self.monitor = self._new_monitor()
         self._lasting = UNDECLARED
         """Lasting error of the external poses."""
         self.placed = False
@@ -151,7 +156,7 @@ class Drive:
 
     def _arm(self) -> None:
         detector = StartDetector(self._link, self.measurements, self.config, self._clock)
-        start = detector.wait(self.monitor)
+        start = self._find_start(detector)
         self._enter(Phase.ARMED)
         found = detector.pose()
         seen, covariance, unexplained = found or (None, None, ORIGIN)
@@ -173,6 +178,40 @@ class Drive:
         if not self.config.dry_run:
             self._request_motors()
         self._enter(Phase.DRIVING)
+
+    def _find_start(self, detector: StartDetector) -> Measurement[OdometrySample]:
+        """Return the odometry at the start; a rover that is to dock and that no pose shows looks around."""
+        try:
+            return detector.wait(self.monitor)
+        except NoPose as missing:
+            if self.config.place is None or self.config.dry_run:
+                raise
+            why = str(missing)
+        self._enter(Phase.SEARCHING)
+        looked = self._look_around(detector)
+        if not looked:
+            try:
+                return detector.wait(self.monitor)
+            except NoPose as lost:
+                why, looked = str(lost), "poses came while the rover turned, and none since it stands"
+        self.mission.start_pose(None, f"{why}; {looked}")
+        raise NoPose(why)
+
+    def _look_around(self, detector: StartDetector) -> str:
+        """Turn until poses come; return "" or where the rover looked. The turn has a lease of its own."""
+        self._request_motors()
+        try:
+            return look_around(
+                self._link,
+                self.measurements,
+                monitor=self.monitor,
+                detector=detector,
+                config=self.config,
+                clock=self._clock,
+            )
+        finally:
+            self._link.release()
+            self.monitor = self._new_monitor()
 
     def _pose_complaint(self) -> str:
         """Return why external poses that arrived cannot be used; "" if none arrived."""

@@ -3,22 +3,27 @@
 A link stores what arrives in an `Inbox` for each kind of measurement.
 """
 
+import math
 import threading
 from abc import ABC, abstractmethod
 from collections import deque
 from typing import Generic, NamedTuple, TypeVar
 
+import numpy as np
+
 from deploy.drive.signed_lease import DriverLease
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.lasting_error import UNDECLARED, LastingError
-from rover_ncp.wire.messages import read_battery, read_bumpers, read_docked, read_text
+from rover_ncp.wire.messages import read_battery, read_bumpers, read_docked, read_points, read_text
 from rover_ncp.wire.protocol import BaseReply, GateStatus, MotorsReply, parse_json
 
 ItemT = TypeVar("ItemT")
 INBOX_LENGTH = 1000
 CHARGING_NS = 3_000_000_000
 """Longest time without a message of the battery: the bridge sends it once a second."""
+ECHO_NS = 1_000_000_000
+"""How long an echo counts: each message has those of a part of the sonars."""
 REPEATED_NS = 500_000_000
 """Stamps that differ by no more are of one report of the battery."""
 
@@ -119,6 +124,8 @@ class Link(ABC):
         self.charge, self.docked = Charge(), DockedTopic()
         self.lasting_error = UNDECLARED
         """Of the external poses, as their source declares it."""
+        self._echoes = deque[tuple[int, float]](maxlen=INBOX_LENGTH)
+        """Arrival and distance of the nearest echo of each message of the sonars that had one, in m."""
         self.lease = DriverLease()
         self.complaints: dict[str, str] = {}
         """Why the first message of a topic that was not used could not be."""
@@ -149,11 +156,20 @@ class Link(ABC):
                 self.charge = Charge(
                     battery.charging, before.reports + is_new, battery.stamp_ns, arrival.arrival_ns
                 )
+            case "sonar":
+                points = read_points(arrival.data)
+                distances = np.hypot(points[:, 0], points[:, 1])
+                if np.isfinite(distances).any():
+                    self._echoes.append((arrival.arrival_ns, float(np.nanmin(distances))))
             case "docked":
                 self.docked = DockedTopic(read_docked(arrival.data)[0], self.docked.reports + 1)
             case "bumpers":
                 pressed, times = read_bumpers(arrival.data), self.bumpers.times
                 self.bumpers = Bumpers(pressed, (times[0] + pressed[0], times[1] + pressed[1]))
+
+    def nearest_echo_m(self, now_ns: int) -> float:
+        """Return the distance of the nearest new echo of the sonars from base_link; infinite without any."""
+        return min((m for arrived, m in list(self._echoes) if now_ns - arrived <= ECHO_NS), default=math.inf)
 
     @abstractmethod
     def authorised(self) -> bool:

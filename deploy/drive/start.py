@@ -22,6 +22,8 @@ from rover_ncp.core.process import Clock
 from rover_ncp.course.scoring import pose_error
 from rover_ncp.wire.messages import OdometrySample, PoseSample
 
+STEADY_S, MIN_POSES = 0.5, 3
+"""Time and number of external poses after which a rover that turns has its tags in the image."""
 MAX_SCATTER = 6.0
 """Largest variance of poses over the told one that chance explains: 1 in a million of six poses."""
 
@@ -87,6 +89,13 @@ class StartDetector:
         assert covariance is not None  # others are not collected
         return covariance
 
+    @property
+    def sees_steadily(self) -> bool:
+        """Whether external poses have come for `STEADY_S`, by more than two."""
+        if len(self._poses) < MIN_POSES:
+            return False
+        return self._poses[-1].ref.measured_ns - self._poses[0].ref.measured_ns >= STEADY_S * NS_PER_S
+
     def _stands(self) -> bool:
         gate = self._link.gate
         if gate.lease and not self._config.dry_run:
@@ -96,7 +105,7 @@ class StartDetector:
                 f"the bridge at {self._link.robot} refuses the motors: {holder} holds the lease"
             )
         if self._config.pose != "none":
-            self._collect_poses()
+            self.collect_poses()
         measured = self._measurements.odometry(0)
         if measured is None:
             return False
@@ -112,7 +121,8 @@ class StartDetector:
     def _same_place(self, a: Pose, b: Pose) -> bool:
         return near(a, b, self._still_m, self._still_rad)
 
-    def _collect_poses(self) -> None:
+    def collect_poses(self) -> None:
+        """Take the external poses that arrived; those that can be used are kept for `still_s`."""
         for seen in self._measurements.poses():
             valid = completed(seen.sample.covariance, self._config.estimator) is not None
             if valid and all(map(math.isfinite, seen.sample.pose)):

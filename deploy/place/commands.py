@@ -49,9 +49,9 @@ def place(
     Ends with 0, with 1 if check finds the rover outside the place's tolerances or poses in another frame, or
     with 3 if there is no bridge or no pose.
     """
-    from deploy.place.place import Place, PlacePose, load_place, place_path
-    from deploy.place.survey import PlaceResult, blurred, complaint
-    from rover_ncp.core.config import dump_yaml, validated
+    from deploy.place.place import load_place, place_path
+    from deploy.place.survey import PlaceResult, blurred, complaint, set_place
+    from rover_ncp.core.config import dump_yaml
     from rover_ncp.core.files import require_writable, write_atomic
 
     chosen = choose_robot(robot, namespace, zenoh_config)
@@ -68,8 +68,7 @@ def place(
         words = f"{stored.name}: {wrong or f'as stored, {stored.errors(pose)}'}"
     else:
         fields = stored.model_dump() if stored else {"name": path.stem}
-        fields |= {"pose": PlacePose(**pose._asdict()), "scatter": seen.scatter, "frame": seen.frame}
-        stored = validated(fields | ({"direction": direction} if direction else {}), Place, str(path))
+        stored = set_place(fields | ({"direction": direction} if direction else {}), seen, str(path))
         write_atomic(path, dump_yaml(stored.model_dump(mode="json", exclude_none=True)))
         words = f"wrote {path}: x {pose.x:.3f} m, y {pose.y:.3f} m, {math.degrees(pose.theta):.1f}°"
     if warning := blurred(stored, seen.scatter):

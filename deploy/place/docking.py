@@ -106,7 +106,10 @@ class Docking:
         self._approached = Approached()
 
     def start_pose(self, seen: Pose | None, complaint: str) -> Pose:
-        """Return the start pose: the place itself without external poses, of which none may be unusable."""
+        """Return the start pose. A rover that is to be undocked stands in its place if no pose shows it."""
+        if seen is None and not self._undock:
+            self._end(DockError.FAILED_TO_DETECT_DOCK, complaint)
+            raise SafetyStop("start-pose", complaint)
         if seen is None and complaint:
             raise SafetyStop("start-pose", f"external poses arrive, but none can be used: {complaint}")
         return self.place.goal if seen is None else seen

@@ -27,6 +27,7 @@ class DockError(IntEnum):
 
     NONE = 0
     FAILED_TO_STAGE = 903
+    FAILED_TO_DETECT_DOCK = 904
     FAILED_TO_CONTROL = 905
     FAILED_TO_CHARGE = 906
     UNKNOWN = 999
@@ -63,7 +64,9 @@ class DockResult(BaseModel):
     place: str = Field(description="its name")
     undock: bool = Field(description="whether the rover was to leave the place")
     success: bool = Field(description="docked, by the place's proof; of an undocking: at the staging pose")
-    error_code: int = Field(description="DockRobot's: 0, 903 stage, 905 control, 906 charge, 999")
+    error_code: int = Field(
+        description="DockRobot's: 0, 903 stage, 904 no pose, 905 control, 906 charge, 999"
+    )
     error_msg: str = Field(description="why not, in words")
     num_retries: int = Field(description="tries after the first")
     stage: Stage = Field(description="the last stage")

@@ -1,6 +1,7 @@
 """The file of a place, in the frame of the external poses."""
 
 import math
+import re
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
@@ -16,6 +17,10 @@ SUFFIXES = {".yaml", ".yml"}
 MAX_OBSTACLES = 100
 AT_PLACE_M = 0.05
 """How far from a place, along its heading, a rover may be that counts as standing in it."""
+
+
+BOARD = re.compile(r"board-(\d{1,3})-(a4|a3|letter)")
+"""Name of a board, `deploy.tag.board`: its number and its page."""
 
 
 class Proof(StrEnum):
@@ -39,6 +44,13 @@ class PlacePose(StrictModel):
     x: PlaceCoordinate
     y: PlaceCoordinate
     theta: Angle
+
+
+class TagsAt(StrictModel):
+    """Where the tags are that show the rover in its place."""
+
+    x: PlaceCoordinate
+    y: PlaceCoordinate
 
 
 class Scatter(StrictModel):
@@ -71,6 +83,9 @@ class Place(StrictModel):
     retries: int = Field(default=3, ge=0, le=20, description="further tries after a miss")
     obstacles: tuple[Obstacle, ...] = Field(
         default=(), max_length=MAX_OBSTACLES, description="that the way there must not touch"
+    )
+    tags: TagsAt | None = Field(
+        default=None, description="where the tags are, if known: the ways there keep them in view if they can"
     )
     scatter: Scatter | None = Field(default=None, description="of the poses that 'place set' saw")
 
@@ -107,6 +122,11 @@ class Place(StrictModel):
         """Whether errors are within the tolerances."""
         away = math.hypot(off.longitudinal_m, off.lateral_m)
         return away <= self.position_m and abs(off.yaw_rad) <= self.heading_rad
+
+
+def is_board(frame: str) -> bool:
+    """Return whether a frame is that of a board, whose origin is the board's middle."""
+    return BOARD.fullmatch(frame) is not None
 
 
 def place_path(name: str, folder: Path = Path()) -> Path:

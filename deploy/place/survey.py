@@ -1,15 +1,16 @@
 """The median of external poses with their scatter: what makes a place, and what checks one."""
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, Field
 
 from deploy.drive.start import median_pose
 from deploy.place.outcome import PoseErrors
-from deploy.place.place import Place, Scatter
+from deploy.place.place import Place, PlacePose, Scatter, TagsAt, is_board
+from rover_ncp.core.config import validated
 from rover_ncp.core.errors import NoPose
 from rover_ncp.core.geometry import Pose, same_frame, wrap_angle
 from rover_ncp.wire.messages import PoseSample
@@ -53,6 +54,19 @@ def survey(samples: Sequence[PoseSample], seconds: float, unreadable: str = "") 
     errors = [(pose.x - median.x, pose.y - median.y, wrap_angle(pose.theta - median.theta)) for pose in poses]
     x_m, y_m, theta_rad = np.sqrt(np.mean(np.square(errors), axis=0)).tolist()
     return Survey(frames[0], median, Scatter(x_m=x_m, y_m=y_m, theta_rad=theta_rad, poses=len(poses)))
+
+
+def set_place(fields: Mapping[str, Any], seen: Survey, source: str) -> Place:
+    """Return the place of these fields where the rover was seen. Raises ConfigError for those of ``source``.
+
+    A board is the origin of its frame.
+    """
+    stored = {"pose": PlacePose(**seen.pose._asdict()), "scatter": seen.scatter, "frame": seen.frame}
+    if is_board(seen.frame):
+        stored["tags"] = TagsAt(x=0.0, y=0.0)
+    elif fields.get("frame") != seen.frame:
+        stored["tags"] = None
+    return validated({**fields, **stored}, Place, source)
 
 
 def complaint(place: Place, seen: Survey) -> str:

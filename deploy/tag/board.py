@@ -3,14 +3,12 @@
 The axes of the frame: x out of the page, y to the reader's right, z up, from the middle of the page's tags.
 """
 
-import re
 from pathlib import Path
-from typing import Literal, get_args
 
+from deploy.place.place import BOARD
 from deploy.tag.tag_map import IDS, Tag, TagMap
 from rover_ncp.core.config import load_yaml
 
-Page = Literal["a4", "a3", "letter"]
 PAGES: dict[str, tuple[float, float]] = {
     "a4": (0.210, 0.297),
     "a3": (0.297, 0.420),
@@ -28,7 +26,6 @@ LAYOUT = (
 """Edge of each tag's black square, and its centre to the right and up, m on A4. Other pages scale it."""
 NUMBERS = range(1, IDS // len(LAYOUT))
 """Boards that can be told apart; the ids below those of board 1 are for single tags."""
-_NAME = re.compile(rf"board-(\d{{1,3}})-({'|'.join(get_args(Page))})")
 
 
 def board_name(number: int, page: str) -> str:
@@ -49,7 +46,7 @@ def board_map(number: int, page: str) -> TagMap:
 
 def board_of(name: str) -> TagMap | None:
     """Return the tags of the board of that name; None if no board has it."""
-    found = _NAME.fullmatch(name)
+    found = BOARD.fullmatch(name)
     return board_map(int(found[1]), found[2]) if found and int(found[1]) in NUMBERS else None
 
 

@@ -29,7 +29,7 @@ from rover_ncp.wire.protocol import DriverStatus, in_words, parse_json
 
 FINAL = frozenset({*map(str, Parked), "ended", "fault"})
 """States of a driver whose drive has ended."""
-FIRST = frozenset({"waiting", "armed"})
+FIRST = frozenset({"waiting", "searching", "armed"})
 """States of a driver before its drive; it may be refused the motors, and then ends without another status."""
 BEFORE = 50
 """Odometry, commands and voltages kept before a drive begins."""

@@ -297,6 +297,13 @@ class RobotDescription(StrictModel):
         return 2 * self.footprint.radius_m if isinstance(self.footprint, Circle) else self.footprint.width_m
 
     @property
+    def turning_radius_m(self) -> float:
+        """Radius of the circle that the outline sweeps in a turn on the spot."""
+        if isinstance(self.footprint, Circle):
+            return self.footprint.radius_m
+        return math.hypot(max(self.front_m, self.rear_m), self.width_m / 2)
+
+    @property
     def track_m(self) -> float:
         """The track by which the base turns a turn rate into wheel speeds."""
         return self.drive.effective_track_m or self.wheels.track_m

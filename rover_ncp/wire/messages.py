@@ -335,6 +335,15 @@ def point_cloud(points: Sequence[tuple[float, float, float]], stamp_ns: int) -> 
     )
 
 
+def read_points(data: bytes) -> FloatArray:
+    """Return x, y, z of the points of a cloud as `point_cloud` makes it, n × 3. Raises FormatError."""
+    message = decode("sensor_msgs/msg/PointCloud2", data)
+    content = bytes(message.data)
+    if message.point_step != 12 or len(content) % 12:
+        raise FormatError(f"a cloud with points of {message.point_step} bytes, expected x, y, z as float32")
+    return np.frombuffer(content, "<f4").reshape(-1, 3).astype(np.float64)
+
+
 def bumpers(front: int, rear: int) -> bytes:
     """Return the bumper bits as two bytes, front and rear; bit 0 is the first segment, 1 = pressed."""
     return encode(_BYTES, layout=_layout("front,rear", 2), data=np.array([front, rear], np.uint8))

@@ -10,8 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from deploy.place.place import Place, PlacePose
-from deploy.place.survey import survey
+from deploy.place.place import Place
+from deploy.place.survey import set_place, survey
 from deploy.tag.board import board_map
 from deploy.tag.camera import Picture
 from deploy.tag.localiser import Localiser
@@ -89,8 +89,7 @@ def _taught(kind: type[BoardLocaliser], place: Place) -> Place:
     for each in place.obstacles:
         moved = compose(seen.pose, relative(place.goal, Pose(each.x, each.y, each.theta)))
         obstacles.append(each.model_copy(update=moved._asdict()))
-    stored = {"pose": PlacePose(**seen.pose._asdict()), "frame": seen.frame, "scatter": seen.scatter}
-    return place.model_copy(update={**stored, "obstacles": tuple(obstacles)})
+    return set_place(place.model_dump() | {"obstacles": obstacles}, seen, place.name)
 
 
 class WrongMount(BoardLocaliser):

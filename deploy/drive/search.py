@@ -1,0 +1,75 @@
+"""A slow turn on the spot, by which a rover that no external pose shows looks for tags.
+
+It runs before the drive, under a lease of its own: the gate limits it as any other motion. Nothing here knows
+where the rover is, so that it only turns, and only in the circle that its outline needs.
+"""
+
+import math
+
+from deploy.drive.config import DriveConfig
+from deploy.drive.link import Link
+from deploy.drive.measurements import Measurements
+from deploy.drive.safety_monitor import SafetyMonitor
+from deploy.drive.start import StartDetector
+from rover_ncp.core.clock_offset import NS_PER_S
+from rover_ncp.core.files import DEFAULT_ROBOT
+from rover_ncp.core.geometry import STANDSTILL, Velocity, wrap_angle
+from rover_ncp.core.process import Clock
+from rover_ncp.course.course import TICK_S
+from rover_ncp.robot.dead_zone import DeadZone
+from rover_ncp.robot.description import load_description
+
+RATE_RAD_S = 0.2
+"""A camera of 65° has tags in its image for 5 s at this rate."""
+TURN_RAD = math.radians(390.0)
+"""One turn, and what the rover needs to accelerate and to find tags that were at the image's edge."""
+MARGIN_M = 0.03
+"""Room around the circle of the outline."""
+SLOW = 2.0
+"""The turn may take so many times as long as at the commanded rate."""
+POLL_S = 0.02
+
+
+def look_around(
+    link: Link,
+    measurements: Measurements,
+    *,
+    monitor: SafetyMonitor,
+    detector: StartDetector,
+    config: DriveConfig,
+    clock: Clock,
+) -> str:
+    """Turn until external poses come steadily; return "" or, without any, where the rover looked, in words.
+
+    The lease is granted, and stays so. Raises SafetyStop and KeyboardInterrupt as a drive does.
+    """
+    described = config.described or load_description(DEFAULT_ROBOT)
+    needed_m = described.turning_radius_m + MARGIN_M
+    rate = max(RATE_RAD_S, DeadZone(config.rover, config.described).least.omega)
+    assert measurements.newest is not None  # the rover stood
+    turned, before = 0.0, measurements.newest.sample
+    until_ns = clock.monotonic_ns() + round(SLOW * TURN_RAD / rate * NS_PER_S)
+    next_ns = clock.monotonic_ns()
+    try:
+        while abs(turned) < TURN_RAD and clock.monotonic_ns() < until_ns:
+            if (newest := measurements.odometry(POLL_S)) is not None:
+                turned += wrap_angle(newest.sample.pose.theta - before.pose.theta)
+                before = newest.sample
+            measurements.gyro()
+            monitor.check()
+            detector.collect_poses()
+            if detector.sees_steadily:
+                return ""
+            if (echo_m := link.nearest_echo_m(clock.monotonic_ns())) < needed_m:
+                return (
+                    f"the rover turned by {math.degrees(turned):.0f}° and stopped: sonars show something "
+                    f"{echo_m:.2f} m from its middle, and it needs {needed_m:.2f} m to turn"
+                )
+            if clock.monotonic_ns() >= next_ns:
+                next_ns += round(TICK_S * NS_PER_S)
+                command = Velocity(0.0, rate)
+                monitor.check_command(command, before.velocity)
+                link.command(command)
+    finally:
+        link.command(STANDSTILL)
+    return f"the rover turned by {math.degrees(turned):.0f}° on the spot and looked in every direction"

@@ -1,0 +1,80 @@
+"""A rover that no pose shows at the start of a docking turns on the spot until its tags are in view."""
+
+import math
+
+import pytest
+from kit.virtual_docking import BEFORE_STAGING, STAGING, VirtualDocking, place
+
+from deploy.place.outcome import DockError
+from deploy.place.plan import blind_s, to_staging
+from deploy.replay import replay
+from rover_ncp.core.geometry import Pose, distance, wrap_angle
+from rover_ncp.wire.messages import point_cloud
+
+AWAY = BEFORE_STAGING._replace(theta=2.5)
+TAGS = {"x": 2.5, "y": 1.0}
+
+
+def ahead(pose, now):
+    """What a camera sees that looks ahead, 30° to either side, at tags in the direction of the place."""
+    bearing = math.atan2(TAGS["y"] - pose.y, TAGS["x"] - pose.x)
+    return pose if abs(wrap_angle(bearing - pose.theta)) < math.radians(30.0) else None
+
+
+def test_rover_turns_until_poses_come_and_docks(tmp_path):
+    drive = VirtualDocking(place(), AWAY, path=tmp_path / "d.mcap", see=ahead)
+    result = drive.run()
+    assert (result.dock.success, result.exit_code) == (True, 0)
+    assert math.hypot(*drive.off[:2]) < 0.02
+    assert "searching" in [status.state for status in drive.link.statuses]
+    assert replay(drive.path).same
+
+
+def test_without_tags_the_rover_turns_once_and_stands_where_it_was():
+    drive = VirtualDocking(place(), AWAY, see=lambda pose, now: None)
+    result = drive.run()
+    assert (result.exit_code, result.stopped_by) == (4, "start-pose")
+    assert result.dock.error_code == DockError.FAILED_TO_DETECT_DOCK == 904
+    assert "turned by 39" in result.dock.error_msg
+    assert distance(drive.rover.pose, AWAY) < 0.05
+    assert drive.stands()
+    assert drive.link.released_ns is not None
+
+
+def test_rover_does_not_turn_where_an_echo_is_in_the_circle_of_its_outline():
+    drive = VirtualDocking(place(), AWAY, see=lambda pose, now: None)
+    drive.link.put_with_odometry(
+        "sonar", lambda odometry: [point_cloud([(0.0, 0.3, 0.2)], odometry.stamp_ns)]
+    )
+    result = drive.run()
+    assert result.dock.error_code == DockError.FAILED_TO_DETECT_DOCK
+    assert "0.30 m from its middle" in result.dock.error_msg
+    assert drive.rover.pose == pytest.approx(AWAY, abs=0.02)
+
+
+def test_rover_that_is_to_leave_its_place_does_not_turn_in_it():
+    drive = VirtualDocking(place(), place().goal, see=lambda pose, now: None, undock=True)
+    drive.run()
+    assert "searching" not in [status.state for status in drive.link.statuses]
+
+
+def test_dry_run_does_not_turn():
+    drive = VirtualDocking(place(), AWAY, see=lambda pose, now: None, dry_run=True)
+    with pytest.raises(Exception, match="no external pose"):
+        drive.run()
+    assert drive.rover.pose == pytest.approx(AWAY, abs=1e-3)
+
+
+def test_way_keeps_the_tags_in_view_though_another_takes_less_time():
+    start = Pose(1.9, 1.5, -math.pi / 2)
+    ways = [to_staging(place(tags=tags), start)[0] for tags in (None, TAGS)]
+    known = place(tags=TAGS)
+    assert blind_s(known, ways[1]) <= blind_s(known, ways[0])
+
+
+def test_way_that_loses_the_tags_for_a_minute_is_not_begun():
+    slow, start = 12.0, STAGING._replace(theta=math.pi)
+    assert to_staging(place(), start, None, slow)[0] is not None
+    way, problems = to_staging(place(tags=TAGS), start, None, slow)
+    assert way is None
+    assert "loses the tags for" in str(problems[0])

@@ -94,9 +94,10 @@ def deploy(
     --pose required it waits 10 s for a pose (3 without one), and 3 s of motion without a pose that fits end
     the drive (4, pose-age).
 
-    With --to it waits for an external pose, drives to the staging pose of a place and from there into it,
-    tries again after a miss, and ends docked (0) or back at the staging pose (1; docs/place.md). With
-    --dry-run it plans the first way, and ends with 4 if there is none.
+    With --to it waits for an external pose, and turns once on the spot to find its tags if none comes. It
+    drives to the staging pose of a place and from there into it, tries again after a miss, and ends docked
+    (0) or back at the staging pose (1; docs/place.md). Without tags it ends with 4 (start-pose). With
+    --dry-run it plans the first way, and ends with 4 if there is none, or with 3 if no pose comes.
 
     The estimate is judged: parked; not parked, also after a bumper or a stall; or "parked, uncertain" if the
     rover may be outside the tolerances with a probability of more than 5 %. Ends with 0 parked, 1 not parked,

@@ -19,7 +19,7 @@ from deploy.place.outcome import DockError, DockResult, PoseErrors
 from deploy.place.place import Place
 from deploy.place.plan import approach
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.errors import NoPose, UsageError
+from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose, compose
 from rover_ncp.core.streams import Domain, integer_seed, random_stream
@@ -47,7 +47,7 @@ class Docked(NamedTuple):
 
     result: DockResult
     stop: str
-    """The safety rule that stopped the drive, ``no-pose`` if no pose came at the start, or ""."""
+    """The safety rule that stopped the drive, or ""."""
     off: PoseErrors
     """Of the true pose."""
     docked: bool
@@ -153,10 +153,7 @@ class DockTrials:
         base.observe, link.lasting_error = camera.observe, camera.lasting_error
         docking = copy.deepcopy(self._docking)
         drive = new_drive(link, docking, self.dock.circuit.neurons, self._config)
-        try:
-            drive_whole(drive)
-            stop, reason = "" if drive.stop is None else drive.stop.rule, drive.reason
-        except NoPose as error:
-            stop, reason = "no-pose", str(error)
+        drive_whole(drive)
+        stop = "" if drive.stop is None else drive.stop.rule
         off, docked = self.place.errors(rover.pose), self.place.holds(rover.pose)
-        return Docked(docking.result(reason), stop, off, docked, bridge.monotonic())
+        return Docked(docking.result(drive.reason), stop, off, docked, bridge.monotonic())

@@ -59,7 +59,7 @@ def test_a_trial_whose_robot_never_sees_the_tags_is_counted():
     drawn = dataclasses.replace(trials(), localiser=Blind)
     driven = drive_all(drawn.drive, 2, 1)
     assert docking_result("dock", driven).verdicts == {"stopped": 2}
-    assert tally(driven).failures == {"stopped by no-pose": 2}
+    assert tally(driven).failures == {"stopped by start-pose": 2}
 
 
 @pytest.mark.parametrize("pose", [Pose(1.9, 1.0, 0.0), Pose(0.2, 0.3, 0.4)])

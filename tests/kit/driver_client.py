@@ -83,6 +83,8 @@ class DriverClient:
         self.bridge.wait_for(lambda: self.motors().granted)
 
         def drives():
+            if not self.gate.lease:  # a stall of the computer ended it
+                self.motors()
             self.drive(PERIOD_S, v, omega)
             return self.odom is not None and abs(self.odom.velocity.v - v) <= 0.02
 

@@ -155,7 +155,7 @@ def run_search(
     points: dict[int, Point] = {}
     if saved is not None and (last := saved.load()):
         progress, place.steps, points = *last[:2], {_mark(point[0]): point for point in last[2]}
-    for now in climb(strategy, progress, budget.iterations, place.estimate, place.most_ahead):
+    for now in climb(strategy, progress, budget.iterations, place.estimate, place.max_ahead):
         if now.value != progress.value:
             points[_mark(now.done)] = now.done, place.steps, now.value
         progress = now

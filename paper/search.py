@@ -141,7 +141,7 @@ class BenchmarkEstimator(PlantEvaluator):
 
     def __init__(self, task: Benchmark, agent: Policy | Net, seed: int, budget: Budget) -> None:
         super().__init__(task, agent, for_search=True, warm_up=budget.warm_up)
-        self.most_ahead = _MAX_AHEAD if self.lanes.pool is None else 1  # MuJoCo's lanes save no time
+        self.max_ahead = _MAX_AHEAD if self.lanes.pool is None else 1  # MuJoCo's lanes save no time
         self._seed, self._rollouts, self._worst = seed, budget.rollouts, budget.worst
 
     def estimate(self, vectors: Vector, number: int, to_beat: float) -> Vector:
@@ -173,7 +173,7 @@ class BenchmarkEstimator(PlantEvaluator):
 class ParkingEvaluator:
     """Scores parameter vectors of a circuit by the course, without chance. One thread at a time."""
 
-    most_ahead = _MAX_AHEAD
+    max_ahead = _MAX_AHEAD
 
     def __init__(self, task: Task, policy: Policy) -> None:
         self.task, self.steps = task, 0
@@ -205,7 +205,7 @@ def climb(
     progress: Progress,
     iterations: int,
     estimate: Callable[[Vector, int, float], Vector],
-    most_ahead: int = _MAX_AHEAD,
+    max_ahead: int = _MAX_AHEAD,
 ) -> Iterator[Progress]:
     """Maximise an estimate; yield the progress after each batch of candidates.
 
@@ -240,5 +240,5 @@ def climb(
                     rng.bit_generator.state = state
                     break
                 scale = strategy.after(False, used)
-        ahead = min(2 * ahead if value == before else _MIN_AHEAD, most_ahead)
+        ahead = min(2 * ahead if value == before else _MIN_AHEAD, max_ahead)
         yield Progress(incumbent, scale, rng.bit_generator.state, value, evaluations, done, ahead)

@@ -129,6 +129,11 @@ class Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy ships no t
         """Apply a measurement by its innovation, its Jacobian and the covariance of its noise."""
         self.update(innovation, lambda _: H, lambda _: 0.0, R=covariance)
 
+    def expected(self, measured: PoseMeasurement) -> tuple[Array, Array]:
+        """Return an external pose's innovation (3,) and the covariance (3, 3) of that."""
+        innovation, H = self.innovation(measured)
+        return innovation, H @ self.P @ H.T + measured.covariance
+
     def innovation(self, measured: PoseMeasurement) -> tuple[Array, Array]:
         """Return an external pose's innovation (3,) and its Jacobian (3, 22).
 

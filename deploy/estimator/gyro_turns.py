@@ -19,7 +19,7 @@ import numpy as np
 from deploy.estimator.filter import CENTERS, Filter
 from deploy.estimator.inputs import Turn
 from deploy.estimator.motion import GAIN, TURN
-from deploy.estimator.settings import GYRO_S, EstimatorSettings
+from deploy.estimator.settings import GYRO_S
 
 MIN_TURN_RAD = 0.004
 """Smallest turn by odometry that can show another turn gain."""
@@ -42,8 +42,8 @@ DISTURBANCE_STD_SHARE = 0.3
 class GyroTurns:
     """Applies the turns of a gyro to a filter that is at their end."""
 
-    def __init__(self, settings: EstimatorSettings, ekf: Filter) -> None:
-        self._settings, self._filter = settings, ekf
+    def __init__(self, ekf: Filter) -> None:
+        self._filter = ekf
         self._disturbance_rad = 0.0
         """Size of the disturbance that the last turns show, rad."""
         self._sign = 0.0
@@ -53,7 +53,7 @@ class GyroTurns:
 
     def apply(self, angle: float, seconds: float, ahead: float) -> Turn | None:
         """Apply a gyro's turn, as a disturbance if it does not fit; return it, None if it is rejected."""
-        s, x, P = self._settings, self._filter.x, self._filter.P
+        s, x, P = self._filter.settings, self._filter.x, self._filter.P
         turn = Turn(angle, seconds, ahead, s.gyro_rad**2 * seconds / GYRO_S)
         row = turn.row[0]
         variance = float(row @ P @ row) + turn.variance
@@ -98,9 +98,9 @@ class GyroTurns:
         The gain falls where the wheels of one side slip, which moves the centre to the other side. It rises
         where those of one axle slip, which moves it towards the other axle. A gyro does not show which.
         """
-        s = self._settings
-        least, most = (limit * s.turn_gain for limit in GYRO_GAINS)
-        gain = min(max(float(self._filter.x[GAIN]), least), most)
+        s = self._filter.settings
+        minimum, maximum = (limit * s.turn_gain for limit in GYRO_GAINS)
+        gain = min(max(float(self._filter.x[GAIN]), minimum), maximum)
         std = math.sqrt(self._filter.P[GAIN, GAIN]) / gain
         known = self._known_gain
         learnt = known is None and std < LEARNT_STD

@@ -37,8 +37,10 @@ from deploy.estimator.inputs import (
     Whiteness,
     normalised_square,
     residual,
+    squared,
     stands,
     still_limits,
+    whitened,
 )
 from deploy.estimator.motion import (
     BIAS,
@@ -93,8 +95,7 @@ class History:
     def __init__(
         self, settings: EstimatorSettings, t: float, own: Pose, pose: Pose, covariance: Array | None
     ) -> None:
-        s = self._settings = settings
-        self._filter = Filter(settings)
+        s, self._filter = settings, Filter(settings)
         x, P = initial(s, own, pose, covariance)
         self._still = still_limits(settings)
         z = np.array([*own, 0.0, 0.0])
@@ -114,9 +115,13 @@ class History:
         """The first poses that were rejected since the last accepted one."""
         self._turn_began = t, GyroAngle(math.nan, t), 0.0
         """Begin of the turn in s, the gyro's angle there, and odometry's turn since that angle's reading."""
-        self._white, self._gyro_turns = Whiteness(), GyroTurns(settings, self._filter)
+        self._white, self._gyro_turns = Whiteness(), GyroTurns(self._filter)
         self.nis: dict[bool, tuple[int, float]] = {True: (0, 0.0), False: (0, 0.0)}
         """Number and sum of the NIS of external poses, while the rover stood and while it moved."""
+
+    @property
+    def _settings(self) -> EstimatorSettings:
+        return self._filter.settings
 
     @property
     def t(self) -> float:
@@ -230,17 +235,15 @@ class History:
         self._apply_again(place)
         stood = self._entries[min(place, len(self._entries) - 1)].stood
         self._predict(self._entries[place - 1], t, stood)
-        innovation, H = self._filter.innovation(measured)
-        covariance = H @ self._filter.P @ H.T + measured.covariance
-        nis = normalised_square(innovation, covariance)
-        if not self._white.passes(innovation, covariance, math.sqrt(self._settings.pose_gate)):
-            larger = self._longer_errors()
-            self._entries.insert(place, self._updated(t, stood, larger))
+        innovation, covariance = self._filter.expected(measured)
+        white = whitened(innovation, covariance)
+        if not self._white.passes(white, math.sqrt(self._settings.pose_gate)):
+            self._entries.insert(place, self._updated(t, stood, self._longer_errors()))
             place, self._valid = place + 1, place + 1
             self._predict(self._entries[place - 1], t, stood)
-            innovation, H = self._filter.innovation(measured)
-            covariance = H @ self._filter.P @ H.T + measured.covariance
-            nis = normalised_square(innovation, covariance)
+            innovation, covariance = self._filter.expected(measured)
+            white = whitened(innovation, covariance)
+        nis = squared(white)
         accepted = nis <= self._settings.pose_gate
         if accepted:
             count, total = self.nis[stood]
@@ -259,12 +262,12 @@ class History:
 
     def _longer_errors(self) -> LongerErrors:
         """Double the lasting error of the external poses, up to an unknown source's; return what is added."""
-        s, (most_m, most_rad, _) = self._settings, BY_KIND[Kind.UNKNOWN]
-        m, rad = (
-            max(s.lasting_m, min(2.0 * s.lasting_m, most_m)),
-            max(s.lasting_rad, min(2.0 * s.lasting_rad, most_rad)),
-        )
-        self._settings = self._filter.settings = s.model_copy(update={"lasting_m": m, "lasting_rad": rad})
+        s, (max_m, max_rad, _) = self._settings, BY_KIND[Kind.UNKNOWN]
+        larger = {
+            "lasting_m": max(s.lasting_m, min(2.0 * s.lasting_m, max_m)),
+            "lasting_rad": max(s.lasting_rad, min(2.0 * s.lasting_rad, max_rad)),
+        }
+        self._filter.settings = s.model_copy(update=larger)
         return LongerErrors(np.diag(lasting_variances(self._settings) - lasting_variances(s)))
 
     def _pushed(self, measured: PoseMeasurement) -> bool:

@@ -117,10 +117,9 @@ class Whiteness:
     def __init__(self) -> None:
         self._sum = np.zeros(3)
 
-    def passes(self, innovation: Array, covariance: Array, largest: float) -> bool:
-        """Add an innovation, whose norm counts at most ``largest``; return whether the sum is still white."""
+    def passes(self, white: Array, largest: float) -> bool:
+        """Add a `whitened` innovation, whose norm counts at most ``largest``; return whether it is white."""
         with np.errstate(over="ignore", invalid="ignore"):
-            white = np.linalg.solve(np.linalg.cholesky(covariance), innovation)
             norm = float(np.linalg.norm(white))
         if math.isfinite(norm):
             self._sum = MEMORY * self._sum + white * min(1.0, largest / max(norm, largest))
@@ -138,11 +137,21 @@ def residual(z: Array, expected: Array) -> Array:
     return difference
 
 
+def whitened(innovation: Array, covariance: Array) -> Array:
+    """Return an innovation in units of its standard deviations, along independent directions."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.linalg.solve(np.linalg.cholesky(covariance), innovation)
+
+
 def normalised_square(innovation: Array, covariance: Array) -> float:
     """Return the normalised innovation squared."""
+    return squared(whitened(innovation, covariance))
+
+
+def squared(white: Array) -> float:
+    """Return the square of a `whitened` innovation."""
     # A sum of squares is never negative: absurd values give infinity or NaN, which no gate accepts.
     with np.errstate(over="ignore", invalid="ignore"):
-        white = np.linalg.solve(np.linalg.cholesky(covariance), innovation)
         return float(white @ white)
 
 

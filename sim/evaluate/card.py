@@ -1,6 +1,7 @@
 """The card of a policy: its file's hash, its training, and how often it parks under given conditions."""
 
 import hashlib
+import math
 import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -132,7 +133,7 @@ def _lines(card: Card, policy: Policy, options: EvalOptions) -> Iterator[str]:
         interval = "–".join(f"{100 * bound:.1f}" for bound in row.found.success_ci95) + " %"
         yield (
             f"| {row.condition} | {_parked(row.found)} | {interval if row.found.trials > 1 else ''} "
-            f"| {1000 * row.found.error_m.p95:.0f} mm, {57.29578 * row.found.error_rad.p95:.1f}° "
+            f"| {1000 * row.found.error_m.p95:.0f} mm, {math.degrees(row.found.error_rad.p95):.1f}° "
             f"| `{_cell(row.command)}` |"
         )
 
@@ -142,7 +143,7 @@ def _parked(found: EvalResult | Evaluation) -> str:
 
 
 def _mapping(value: Any) -> Mapping[str, Any]:
-    """Return part of a provenance, which may be anything in a file of somebody else."""
+    """Return part of a provenance, which may be anything in a file of unknown origin."""
     return value if isinstance(value, Mapping) else {}
 
 

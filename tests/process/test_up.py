@@ -165,7 +165,7 @@ def test_another_process_that_dies_is_started_again_and_counted(robot):
     assert up.stop().result["restarts"] == {"page": 1}
 
 
-def test_a_camera_that_is_not_there_is_said_once_and_hinders_nobody(robot):
+def test_a_camera_that_is_not_there_is_said_once_and_hinders_no_other_process(robot):
     for name in ("camera", "tags"):
         example = Path(cli.__file__).parent / "data" / "dock" / f"{name}.yaml"
         (robot.folder / f"{name}.yaml").write_text(example.read_text())
@@ -204,14 +204,14 @@ def test_stop_holds_a_driven_rover_until_released(robot, run_json):
         driver.start()
 
 
-def test_a_stop_that_nobody_confirms_is_not_called_one(run_json):
+def test_a_stop_without_confirmation_is_not_called_one(run_json):
     code, heard = run_json(f"stop --robot tcp/127.0.0.1:{free_port('127.0.0.1')}")
     assert (code, heard["confirmed"], heard["stands"]) == (1, False, None)
     assert "nothing answers" in heard["problem"]
 
 
 @pytest.mark.parametrize("stopped", [False, True])
-def test_a_docking_that_a_silent_line_ended_resumes_unless_somebody_stops_it(robot, run_json, stopped):
+def test_a_docking_that_a_silent_line_ended_resumes_unless_it_is_stopped(robot, run_json, stopped):
     robot.write(page=None, resume=True)
     up = robot.up()
     with robot.driving(name="docking at home") as driver:

@@ -1,4 +1,4 @@
-"""``eval --card``: the card of somebody else's policy says what was measured, and how to measure it again."""
+"""``eval --card``: the card of a policy from outside says what was measured, and how to measure it again."""
 
 import hashlib
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Poses by a board that hangs at a height and a tilt that nobody measured."""
+"""Poses by a board that hangs at a height and a tilt that were not measured."""
 
 import math
 

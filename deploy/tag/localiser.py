@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from deploy.tag.board_locator import locator
-from deploy.tag.camera import Picture
+from deploy.tag.cameras.camera import Picture
 from deploy.tag.detector import Detection, Detector
 from deploy.tag.locate import Located, Rejection
 from deploy.tag.tag_map import CameraFile, TagMap

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from deploy.tag.board import load_tags
 from deploy.tag.calibrate import find_intrinsics, find_yaw
-from deploy.tag.camera import (
+from deploy.tag.cameras.camera import (
     DeviceCamera,
     DeviceSettings,
     LiveCamera,
@@ -17,9 +17,10 @@ from deploy.tag.camera import (
     folder_pictures,
     is_device,
 )
-from deploy.tag.camera_info import load_camera_info
+from deploy.tag.cameras.camera_info import load_camera_info
+from deploy.tag.cameras.http_camera import HttpCamera
+from deploy.tag.cameras.ros_camera import RosCamera, ros_camera_file
 from deploy.tag.detector import Detection, Detector
-from deploy.tag.http_camera import HttpCamera
 from deploy.tag.localiser import (
     DECIMATE,
     Localiser,
@@ -31,7 +32,6 @@ from deploy.tag.localiser import (
     tag_pose,
 )
 from deploy.tag.pose_link import PoseLink
-from deploy.tag.ros_camera import RosCamera, ros_camera_file
 from deploy.tag.tag_map import CameraFile, Mount
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml, load_yaml

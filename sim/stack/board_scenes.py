@@ -13,7 +13,7 @@ import numpy as np
 from deploy.place.place import Place
 from deploy.place.survey import set_place, survey
 from deploy.tag.board import board_map
-from deploy.tag.camera import Picture
+from deploy.tag.cameras.camera import Picture
 from deploy.tag.localiser import Localiser
 from deploy.tag.tag_map import Mount, Tag, TagMap
 from rover_ncp.core.geometry import Pose, compose, relative

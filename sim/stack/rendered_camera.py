@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deploy.place.place import Place
-from deploy.tag.camera import Picture
+from deploy.tag.cameras.camera import Picture
 from deploy.tag.localiser import Localiser
 from deploy.tag.locate import Locator
 from deploy.tag.tag_map import CameraFile, Mount, TagMap

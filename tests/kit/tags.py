@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from deploy.tag.cameras.ros_camera import CAMERA_INFO, COMPRESSED, IMAGE
 from deploy.tag.locate import OPTICAL
-from deploy.tag.ros_camera import CAMERA_INFO, COMPRESSED, IMAGE
 from deploy.tag.tag_map import CameraFile, Intrinsics, Mount, Tag, TagMap
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import TF

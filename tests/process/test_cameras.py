@@ -19,9 +19,9 @@ from kit.zenoh_session import open_router, repeating
 
 from bridge.ros2.discovery import Convention
 from bridge.ros2.ros_node import RosNode
-from deploy.tag.camera import DeviceSettings
-from deploy.tag.http_camera import HttpCamera
-from deploy.tag.ros_camera import CAMERA_INFO, COMPRESSED, IMAGE
+from deploy.tag.cameras.camera import DeviceSettings
+from deploy.tag.cameras.http_camera import HttpCamera
+from deploy.tag.cameras.ros_camera import CAMERA_INFO, COMPRESSED, IMAGE
 from deploy.tag.run import opened
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import RoverNcpError, UsageError

@@ -9,7 +9,7 @@ import pytest
 from kit.virtual_docking import BEFORE_STAGING, STAGING, VirtualDocking, place
 
 from deploy.place.outcome import DockError
-from deploy.tag.camera import Picture
+from deploy.tag.cameras.camera import Picture
 from deploy.tag.localiser import Localiser
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.geometry import Pose, distance, wrap_angle

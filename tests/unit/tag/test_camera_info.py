@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from deploy.tag.camera_info import load_camera_info
+from deploy.tag.cameras.camera_info import load_camera_info
 from deploy.tag.locate import undistorted
 from deploy.tag.tag_map import Intrinsics
 from rover_ncp.core.errors import ConfigError

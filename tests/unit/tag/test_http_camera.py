@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import requests
 
-from deploy.tag import http_camera
-from deploy.tag.camera import DeviceCamera, DeviceSettings, PictureMoments, devices
-from deploy.tag.http_camera import MAX_PICTURE, HttpCamera, PictureReader, _stamp_ns
+from deploy.tag.cameras import http_camera
+from deploy.tag.cameras.camera import DeviceCamera, DeviceSettings, PictureMoments, devices
+from deploy.tag.cameras.http_camera import MAX_PICTURE, HttpCamera, PictureReader, _stamp_ns
 
 PICTURES = [cv2.imencode(".jpg", np.full((8, 8), level, np.uint8))[1].tobytes() for level in (10, 90, 200)]
 NS_PER_S = 1_000_000_000

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from kit.tags import CAMERA, WALL, picture_of
 
-from deploy.tag.camera import Picture, folder_pictures
+from deploy.tag.cameras.camera import Picture, folder_pictures
 from deploy.tag.localiser import Localiser
 from deploy.tag.locate import Rejection
 from deploy.tag.tag_map import Tag, TagMap

@@ -9,9 +9,9 @@ import pytest
 from kit.tags import CAMERA, HEADER, INFO, LENS, MAST, PICTURE, compressed_image, image
 from scipy.spatial.transform import Rotation
 
+from deploy.tag.cameras.ros_camera import CAMERA_INFO, COMPRESSED, IMAGE, camera_file_of, read_image
+from deploy.tag.cameras.ros_source import RosSource
 from deploy.tag.locate import OPTICAL
-from deploy.tag.ros_camera import CAMERA_INFO, COMPRESSED, IMAGE, camera_file_of, read_image
-from deploy.tag.ros_source import RosSource
 from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.wire.cdr import encode
 

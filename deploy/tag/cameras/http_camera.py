@@ -19,7 +19,7 @@ import requests
 from requests.auth import AuthBase, HTTPBasicAuth, HTTPDigestAuth
 from urllib3.exceptions import HTTPError
 
-from deploy.tag.camera import TIMEOUT_S, Picture, ReadCamera, decode_picture
+from deploy.tag.cameras.camera import TIMEOUT_S, Picture, ReadCamera, decode_picture
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import UsageError
 

@@ -14,10 +14,10 @@ import zenoh
 import zenoh.ext
 from scipy.spatial.transform import Rotation
 
-from deploy.tag.camera import LiveCamera, Picture, decode_picture
-from deploy.tag.camera_info import camera_info
+from deploy.tag.cameras.camera import LiveCamera, Picture, decode_picture
+from deploy.tag.cameras.camera_info import camera_info
+from deploy.tag.cameras.ros_source import RosSource, frame_pose
 from deploy.tag.locate import OPTICAL
-from deploy.tag.ros_source import RosSource, frame_pose
 from deploy.tag.tag_map import MOUNT_FIELDS, CameraFile
 from rover_ncp.core.config import validated
 from rover_ncp.core.errors import FormatError, UsageError

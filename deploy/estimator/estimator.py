@@ -268,8 +268,11 @@ class Estimator:
 
     @property
     def lasting_covariance(self) -> Array:
-        """Covariance (3, 3) of the lasting error that the source of poses had when it showed a place."""
-        return np.diag(lasting_variances(self._settings))
+        """Covariance (3, 3) of the lasting error that the source of poses had when it showed a place.
+
+        Where the poses of a drive show a larger error than the source declares, it had that error then, too.
+        """
+        return np.diag(lasting_variances(self._history.settings))
 
     @property
     def nis(self) -> dict[str, float | None]:

@@ -47,7 +47,9 @@ class GyroTurns:
         self._disturbance_rad = 0.0
         """Size of the disturbance that the last turns show, rad."""
         self._sign = 0.0
-        """1 if the last turn did not fit and needs a larger turn gain, −1 if a smaller one, else 0."""
+        """1 if the last turn did not fit and needs a larger turn gain, −1 if a smaller one, else 0.
+
+        Of a rover that hardly turns it is 0, because its turn gain is not known."""
         self._known_gain: float | None = None
         """The turn gain to which the variance of the centre of rotation belongs; None before it is learnt."""
 
@@ -62,7 +64,8 @@ class GyroTurns:
         minimum, maximum = (limit * s.turn_gain for limit in GYRO_GAINS)
         gate = DISTURBANCE_END_NIS if self._disturbance_rad else s.gyro_gate
         needed = self._needed_gain(missing)
-        before, self._sign = self._sign, math.copysign(1.0, needed - x[GAIN])
+        before = self._sign
+        self._sign = 0.0 if math.isnan(needed) else math.copysign(1.0, needed - x[GAIN])
         if missing**2 <= gate * variance and (
             minimum <= gain <= maximum or abs(gain - s.turn_gain) < abs(x[GAIN] - s.turn_gain)
         ):

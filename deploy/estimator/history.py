@@ -120,7 +120,8 @@ class History:
         """Number and sum of the NIS of external poses, while the rover stood and while it moved."""
 
     @property
-    def _settings(self) -> EstimatorSettings:
+    def settings(self) -> EstimatorSettings:
+        """The settings of now, whose lasting error may be larger than the declared one."""
         return self._filter.settings
 
     @property
@@ -136,12 +137,12 @@ class History:
         if t < self.t:
             return Applied(Acceptance.OUT_OF_ORDER)
         stood = self._stands(z)
-        fits = self._predicted(z, t, stood)[0] <= self._settings.gate
+        fits = self._predicted(z, t, stood)[0] <= self.settings.gate
         if t > self.t + GAP_S and not (stood and fits):
             return Applied(Acceptance.OUTLIER)
         if stood and not fits:  # declared noise may hide a slow motion
-            stood, fits = False, self._predicted(z, t, False)[0] <= self._settings.gate
-        irregular = not (fits and self._settings.uses_speeds and t > self._irregular_until)
+            stood, fits = False, self._predicted(z, t, False)[0] <= self.settings.gate
+        irregular = not (fits and self.settings.uses_speeds and t > self._irregular_until)
         if irregular and not self._filter.pose_fits(z):
             return Applied(Acceptance.OUTLIER)
         if not fits:
@@ -164,7 +165,7 @@ class History:
         outcomes = tuple(self._insert(*waiting) for waiting in self._waiting[:due])
         del self._waiting[:due]
         # The last entry before the window stays: it is where a pose at the window's edge starts from.
-        oldest = t - self._settings.history_s
+        oldest = t - self.settings.history_s
         keep = max(bisect_right(self._entries, oldest, key=lambda entry: entry.t) - 1, 0)
         self._apply_again(keep + 1)
         del self._entries[:keep]
@@ -202,7 +203,7 @@ class History:
     def turn_rate(self) -> float:
         """Return the turn rate that a gyro should show."""
         x = self._entries[self._valid - 1].x
-        return true_motion(x, self._settings)[2] / float(x[GYRO]) + float(x[BIAS])
+        return true_motion(x, self.settings)[2] / float(x[GYRO]) + float(x[BIAS])
 
     def _turned_since(self, begin: float, heading: float, t: float) -> float:
         """Return odometry's turn before the turn gain (rad) from ``begin`` until its ``heading`` of ``t``."""
@@ -214,7 +215,7 @@ class History:
                 before = float(entry.measured.z[THETA])
                 turned += wrap_angle(heading - before) * min(1.0, (after - begin) / (after - entry.t))
                 after, heading = entry.t, before
-        return turned_without_gain(turned / seconds, self._settings)[0] * seconds if seconds > 0.0 else 0.0
+        return turned_without_gain(turned / seconds, self.settings)[0] * seconds if seconds > 0.0 else 0.0
 
     def at(self, t: float) -> tuple[Array, Array]:
         """Return state (22,) and covariance (22, 22) at ``t``, before the history those of its begin."""
@@ -223,7 +224,7 @@ class History:
         before, dt = self._entries[place - 1], max(t - self._entries[place - 1].t, 0.0)
         stood = place < len(self._entries) and self._entries[place].stood
         step = standing if stood else moving
-        x, jacobian, Q = step(before.x, dt, self._settings, new_turn=True)
+        x, jacobian, Q = step(before.x, dt, self.settings, new_turn=True)
         return x, jacobian @ before.P @ jacobian.T + Q
 
     def _stands(self, z: Array) -> bool:
@@ -237,14 +238,14 @@ class History:
         self._predict(self._entries[place - 1], t, stood)
         innovation, covariance = self._filter.expected(measured)
         white = whitened(innovation, covariance)
-        if not self._white.passes(white, math.sqrt(self._settings.pose_gate)):
+        if not self._white.passes(white, math.sqrt(self.settings.pose_gate)):
             self._entries.insert(place, self._updated(t, stood, self._longer_errors()))
             place, self._valid = place + 1, place + 1
             self._predict(self._entries[place - 1], t, stood)
             innovation, covariance = self._filter.expected(measured)
             white = whitened(innovation, covariance)
         nis = squared(white)
-        accepted = nis <= self._settings.pose_gate
+        accepted = nis <= self.settings.pose_gate
         if accepted:
             count, total = self.nis[stood]
             self.nis[stood] = count + 1, total + nis
@@ -262,13 +263,13 @@ class History:
 
     def _longer_errors(self) -> LongerErrors:
         """Double the lasting error of the external poses, up to an unknown source's; return what is added."""
-        s, (max_m, max_rad, _) = self._settings, BY_KIND[Kind.UNKNOWN]
+        s, (max_m, max_rad, _) = self.settings, BY_KIND[Kind.UNKNOWN]
         larger = {
             "lasting_m": max(s.lasting_m, min(2.0 * s.lasting_m, max_m)),
             "lasting_rad": max(s.lasting_rad, min(2.0 * s.lasting_rad, max_rad)),
         }
         self._filter.settings = s.model_copy(update=larger)
-        return LongerErrors(np.diag(lasting_variances(self._settings) - lasting_variances(s)))
+        return LongerErrors(np.diag(lasting_variances(self.settings) - lasting_variances(s)))
 
     def _pushed(self, measured: PoseMeasurement) -> bool:
         """Return whether this pose and enough rejected ones show the same place."""

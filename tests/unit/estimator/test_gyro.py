@@ -159,3 +159,17 @@ def test_gyro_that_comes_late_and_unevenly_does_not_move_the_heading():
         estimator.odometry(*reported(Pose(0.0, 0.0, wrap_angle(own)), Velocity(0.0, omega)), t)
         worst = max(worst, abs(wrap_angle(estimator.at(t).pose.theta - own)))
     assert worst < 0.005
+
+
+def test_a_push_that_begins_before_the_rover_turns_is_no_other_floor():
+    """A push while the rover stands needs no turn gain; only two turns in a row show another floor."""
+    estimator, own = started(), 0.0
+    for tick in range(1, 81):
+        t, rate = tick * 0.1, 0.2 if tick > 40 else 0.0
+        own += rate * 0.1
+        pushed = 0.4 if tick in {40, 41} else 0.0
+        estimator.gyro(rate + pushed, t)
+        estimator.odometry(*reported(Pose(0.0, 0.0, own), Velocity(0.0, rate)), t)
+        if tick == 43:
+            assert abs(estimator.at(t).turn_gain - 1.0) < 0.3
+    assert not estimator.fault

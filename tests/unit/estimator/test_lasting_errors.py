@@ -60,6 +60,8 @@ def test_poses_that_err_longer_than_declared_make_the_estimate_less_certain(size
     late = slice(len(errors) // 2, None)
     assert (np.abs(errors[late, :2]) < 3.0 * deviations[late, :2]).all()
     assert deviations[-1, :2].min() > 0.006  # more than of poses without such an error
+    # The source had that error when it showed a place, too.
+    assert estimator.lasting_covariance[0, 0] >= (2.0 * MOTION_CAPTURE.values.position_m) ** 2
 
 
 def test_declared_values_go_before_those_of_the_kind():

@@ -12,7 +12,7 @@ import pytest
 from kit.described import described
 from kit.hazard_injections import INJECTIONS
 from kit.hazard_table import COURSE, TABLE, cells, cells_with_processes, gate_words, page_words
-from kit.virtual_docking import STAGING, VirtualDocking, place
+from kit.virtual_docking import VirtualDocking, place
 from kit.virtual_drive import AHEAD, LONG, ChangedLink, VirtualDrive
 
 from bridge.bases import gate_limits
@@ -143,8 +143,8 @@ def test_gate_driver_and_page_do_as_the_table_says(cell, tmp_path):
 @pytest.mark.parametrize("cell", cells("dock"))
 def test_docking_is_proven_only_as_the_table_says(cell, tmp_path):
     wall = [Obstacle(x=2.15, y=1.0, length=0.1, width=0.6)] if "wall" in cell["inject"] else []
-    where, path = place(proof=cell["dock"], retries=0), tmp_path / "dock.mcap"
-    run = VirtualDocking(where, STAGING, path=path, obstacles=wall)
+    where, path = place(proof=cell["dock"], retries=0, staging_m=0.3), tmp_path / "dock.mcap"
+    run = VirtualDocking(where, where.staging, path=path, obstacles=wall)
     run.active, run.times = True, 0
     INJECTIONS[cell["inject"]](run)
     result = run.run()

@@ -8,6 +8,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 BROWSER_STAMP := $(VENV)/.browser
 DOCS_STAMP := $(VENV)/.docs
+DEMO_STAMP := $(VENV)/.demo
 GRADIENTS_STAMP := $(VENV)/.gradients
 FUZZ_STAMP := $(VENV)/.fuzz
 FILES_STAMP := $(VENV)/.files
@@ -111,6 +112,11 @@ chromium:
 .PHONY: tutorials
 tutorials: $(STAMP) ## Every command of the tutorials.
 	$(BIN)/pytest tests/system/test_tutorials.py -m "not browser" --numprocesses 3 --dist worksteal
+
+.PHONY: demo
+demo: $(DEMO_STAMP) ## The demo, one page on which a circuit parks a rover: build/demo.html.
+	$(BIN)/python docs/demo/build.py build/demo.html
+	@echo "The demo: open $(CURDIR)/build/demo.html in a browser."
 
 .PHONY: docs
 docs: $(DOCS_STAMP) ## The documentation as a site in build/site; a broken link is an error.
@@ -259,6 +265,10 @@ $(VENV)/.tag: $(SOURCES) | $(VENV)/.made
 
 $(BROWSER_STAMP): $(STAMP)
 	$(INSTALL) $(DEV) --group browser
+	touch $@
+
+$(DEMO_STAMP): $(STAMP)
+	$(INSTALL) $(DEV) --group demo
 	touch $@
 
 $(DOCS_STAMP): $(STAMP)

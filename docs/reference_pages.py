@@ -17,6 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from demo.build import demo_page
 from pydantic import BaseModel, TypeAdapter
 from typer.cli import get_docs_for_click
 
@@ -119,7 +120,7 @@ def reference_pages() -> dict[str, str]:
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Add the front page, the reference and the long tables on the paper to the site."""
+    """Add the front page, the reference, the long tables on the paper and the demo to the site."""
     from mkdocs.structure.files import File
 
     from paper.report import long_report
@@ -132,6 +133,7 @@ def on_files(files: Any, config: Any) -> Any:
     store = ResultStore(DOCS.parent / "paper" / "results")
     content = f"# The paper: settings and runs\n\n{long_report(store)}\n"
     files.append(File.generated(config, "paper_tables.md", content=content))
+    files.append(File.generated(config, "demo/index.html", content=demo_page()))
     return files
 
 

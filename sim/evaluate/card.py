@@ -117,6 +117,7 @@ def _lines(card: Card, policy: Policy, options: EvalOptions) -> Iterator[str]:
         "observes": _code(policy.sensing.inputs),
         "commands": _code(policy.motors.outputs),
         "training": f"`{made['command']}`" if "command" in made else "the file does not say",
+        "search": _search(_mapping(made.get("settings"))),
         "made with": _versions(_mapping(made.get("made_with"))),
         "measured with": _versions(made_with()),
     }
@@ -140,6 +141,13 @@ def _lines(card: Card, policy: Policy, options: EvalOptions) -> Iterator[str]:
 
 def _parked(found: EvalResult | Evaluation) -> str:
     return f"{round(found.success_rate * found.trials)} of {found.trials}"
+
+
+def _search(settings: Mapping[str, Any]) -> str:
+    """Return the search that found a policy, from the settings of its training."""
+    if settings.get("randomize"):
+        return "CMA-ES on random robots"
+    return f"`{settings['search']}`" if "search" in settings else "the file does not say"
 
 
 def _mapping(value: Any) -> Mapping[str, Any]:

@@ -29,6 +29,7 @@ def test_each_row_is_measured_again_by_its_command_and_the_page_names_file_and_t
     page = Path("own.card.md").read_text()
     assert hashlib.sha256(Path("own.yaml").read_bytes()).hexdigest() in page
     assert "`rover-ncp train --seed 3`" in page
+    assert "| search | CMA-ES on random robots |" in page
     rows = {row["condition"]: row for row in found["rows"]}
     assert [*rows] == ["nominal", "some", "as trained: far", "mirrored"]
     assert " --course bay " in rows["as trained: far"]["command"]

@@ -1,6 +1,5 @@
 """The example that trains a circuit on any Gymnasium environment, with the files of its tutorial."""
 
-from pathlib import Path
 from runpy import run_path
 
 import gymnasium
@@ -24,7 +23,6 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("folder")
 def test_circuit_of_the_tutorial_learns_and_the_file_scores_the_same(capsys):
-    assert Path("any_task.py").read_text() == (ROOT / "docs" / "examples" / "any_task.py").read_text()
     EXAMPLE["main"]("wall:FollowWall-v0", "wall.yaml", "12", "out.yaml")
     environment = gymnasium.make("wall:FollowWall-v0")
     before, after = (EXAMPLE["score"](environment, load_policy(name)) for name in ("wall.yaml", "out.yaml"))

@@ -48,7 +48,7 @@ def test_every_command_of_a_tutorial_runs(page, tmp_path, background):
         "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
         "PYTHONPATH": str(installed),
     }
-    for name in re.findall(r"\]\(([\w/.]+\.(?:yaml|py))\)", page.read_text()):  # the reader saves linked files
+    for name in re.findall(r"\]\(([\w/.]+\.(?:yaml|py))\)", page.read_text()):  # saved by the reader
         (tmp_path / Path(name).name).write_bytes((page.parent / name).read_bytes())
     ran = 0
     for name, content in steps(page):

@@ -41,7 +41,9 @@ class Localiser(Peer):
             self.session.put("pose", pose_with_covariance(pose, 1e-4 * np.eye(3), time.time_ns(), "map"))
 
 
-@pytest.mark.parametrize(("scale", "name"), [(1.0, "silence"), (0.5, "pose-way")])
+@pytest.mark.parametrize(
+    ("scale", "name"), [pytest.param(1.0, "silence", marks=pytest.mark.long), (0.5, "pose-way")]
+)
 def test_check_ends_with_its_last_step_or_that_which_a_localiser_fails(rig, run_json, scale, name):
     for _ in range(TRIES):  # again if this computer stalled
         with Localiser(rig, scale) as localiser:

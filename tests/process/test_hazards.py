@@ -19,11 +19,11 @@ from bridge.ros2.discovery import Convention
 from bridge.ros2.ros_node import RosNode
 from deploy.drive.records import START_TOPIC
 from rover_ncp.core.config import dump_yaml
-from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity
+from rover_ncp.core.geometry import Velocity
 from rover_ncp.recording.recording import read_recording
 from rover_ncp.wire.cdr import encode
-from rover_ncp.wire.messages import BOOL, LASER_SCAN, laser_scan, odometry, text, twist_stamped
-from rover_ncp.wire.protocol import CommandTag, GateStatus, dump_json
+from rover_ncp.wire.messages import BOOL, LASER_SCAN, laser_scan, twist_stamped
+from rover_ncp.wire.protocol import CommandTag
 from rover_ncp.wire.zenoh import client_config
 from sim.park.live import ROS2DDS, LiveRun
 
@@ -32,7 +32,6 @@ ROBOT = "name: mine\nbased_on: turtlebot4\ntopics: {stop: {topic: stop, latched:
 """As the bridge and the driver know the robot."""
 FAULT_S = {"low-battery=9": 3.5}
 """How long the mock has a fault, where it is not 2 s."""
-OF_PEER = "of a false peer"
 PATIENCE_S = 20.0
 """As long as a driver of the kit waits: a busy machine may be several times as slow."""
 
@@ -58,18 +57,6 @@ class Sensors(Peer):
                 self._laser.put(laser_scan([float("inf")] * 120, (0.15, 12.0), 0))
 
 
-class FalsePeer(Peer):
-    """Sends a message of the bridge beside it, again and again."""
-
-    def __init__(self, locator, name, data):
-        super().__init__(client_config(locator, None)[0])
-        self._name, self._data = name, data
-
-    def run(self):
-        while not self.closing.wait(0.05):
-            self.session.put(self._name, self._data)
-
-
 class Watcher(Driver):
     """Receives each status of the gate."""
 
@@ -80,11 +67,8 @@ class Watcher(Driver):
         super().__init__(locator)
 
     def receive(self, name, data):
-        before = self.gate
         super().receive(name, data)
-        if self.gate.ended_detail == OF_PEER:
-            self.gate = before
-        elif name == "rover/gate":
+        if name == "rover/gate":
             self.statuses.append(self.gate)
 
     def ready(self, robot):
@@ -111,7 +95,7 @@ class Robot(LiveRun):
         mock.write_text(MOCK)
         model.write_text(ROBOT)
         limits.write_text("sonar_stop_m: 0.3\n")
-        self.model, self.sensors, self.peer, self.faulty_until_s = model, None, None, 0.0
+        self.model, self.sensors, self.faulty_until_s = model, None, 0.0
         bridge = ["--model", str(model), "--limits", str(limits), "--no-base-watchdog"]
         super().__init__(
             folder / "run", mock=["--ros2", "--model", str(mock)], bridge=bridge, base_form=ROS2DDS
@@ -120,14 +104,10 @@ class Robot(LiveRun):
     def silence_laser(self):
         self.sensors.scans = False
 
-    def let_peer_send(self, name, data):
-        self.peer = FalsePeer(self.robot, name, data).start()
-
     def lose_sensors(self):
-        for peer in (self.sensors, self.peer):
-            if peer is not None:
-                peer.close()
-        self.sensors = self.peer = None
+        if self.sensors is not None:
+            self.sensors.close()
+        self.sensors = None
 
     def close(self):
         self.lose_sensors()
@@ -150,12 +130,6 @@ FAULTS = {
     "sensors end": Robot.lose_sensors,
     "stop is pressed": lambda robot: robot.sensors.press(),
     "scans stop": Robot.silence_laser,
-    "odometry of a peer": lambda robot: robot.let_peer_send(
-        "odom", odometry(Pose(9.0, 9.0, 1.0), STANDSTILL, 1)
-    ),
-    "gate of a peer": lambda robot: robot.let_peer_send(
-        "rover/gate", text(dump_json(GateStatus(ended="bumper", ended_detail=OF_PEER)).decode())
-    ),
 }
 """Faults that the mock does not have."""
 CELLS = cells_with_processes()

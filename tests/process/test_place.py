@@ -30,10 +30,9 @@ def publish():
     ("key", "data"),
     [
         ("pose", pose_with_covariance(DOCKED, np.eye(3) * 1e-5, 0, "map")),
-        ("pose", pose_stamped(DOCKED, 0, "map")),
         (Topic("pose", POSE_STAMPED).key(7), pose_stamped(DOCKED, 0, "map")),
     ],
-    ids=["with covariance", "stamped", "rmw_zenoh"],
+    ids=["with covariance", "rmw_zenoh"],
 )
 def test_place_set_stores_what_is_seen_and_check_finds_it(
     publish, key, data, tmp_path, monkeypatch, run_json

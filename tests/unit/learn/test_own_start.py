@@ -1,13 +1,9 @@
 """Training that starts from a policy file: its neurons, sensing and motors are the user's."""
 
-import shutil
-
 import numpy as np
-import pytest
 from kit.paths import DATA, ROOT
 
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import load_course
 from sim.learn.ensemble import train
 from sim.learn.robust import policy_box, train_robust
@@ -28,16 +24,6 @@ def test_training_keeps_sensing_and_motors_and_moves_parameters(tmp_path):
     assert trained.courses == ("short",)
     course = load_course(SHORT)
     assert rollout(trained, course).total > rollout(start, course).total
-
-
-def test_a_run_is_not_resumed_after_its_start_has_changed(tmp_path):
-    mine = tmp_path / "mine.yaml"
-    shutil.copy(FORWARD, mine)
-    settings = {"course": SHORT, "circuit": str(mine), "agents": 1, "iterations": 3}
-    train(settings, tmp_path / "run", processes=1)
-    mine.write_text(mine.read_text().replace("maximum: 0.18}", "maximum: 0.1}"))
-    with pytest.raises(ConfigError, match=r"--circuit .*mine.yaml: the file has changed"):
-        train(settings, tmp_path / "run", processes=1, resume=True)
 
 
 def test_robust_training_goes_on_from_a_shipped_policy_in_small_steps(tmp_path):

@@ -21,7 +21,6 @@ from sim.learn.robust import (
     policy_box,
     training_courses,
 )
-from sim.learn.search.unit_box import reflected
 from sim.world.described import default_rover
 from sim.world.random_course import random_course
 from sim.world.randomization import draw_trials, load_randomization
@@ -40,10 +39,6 @@ def searching(seed=3, **options):
     return RobustSearch(policy_box(START), seed=seed, rollouts=128, worst=128, **options)
 
 
-def vector(place):
-    return policy_box(START).vectors(reflected(place[None]))[0]
-
-
 def search(generations, seed=3):
     """Return the winners of a search, and the mean after each generation."""
     going, drive = searching(seed), drive_trials(engine(), FULL, MODEL, seed)
@@ -58,22 +53,6 @@ def search(generations, seed=3):
 @pytest.fixture(scope="module")
 def searched():
     return search(8)
-
-
-def test_a_schedule_keeps_a_share_of_the_start():
-    box, drive = policy_box(START), drive_trials(engine(), FULL, MODEL, 3)
-
-    def place(kept):
-        going = searching(schedule=REFINING._replace(kept=kept))
-        for _ in range(2):
-            going.advance(drive)
-        return policy_box(START.with_parameters(going.winner)).start
-
-    found, between, start = (place(kept) for kept in (0.0, 0.25, 1.0))
-    assert start == pytest.approx(box.start, abs=1e-12)
-    assert np.abs(found - start).max() > 1e-3
-    assert between == pytest.approx(0.75 * found + 0.25 * start, abs=1e-9)
-    assert 0.0 < REFINING.kept < 1.0 and TRAINING.kept == 0.0
 
 
 def outcome(**changes):
@@ -103,10 +82,6 @@ def test_wider_rule_of_a_course_costs_less(field):
     wide = ParkedRule(position_m=1.0, heading_rad=1.0, still_m=1.0, still_rad=1.0)
     found = outcome(**{field: 0.2})
     assert costs(found, rule=wide)[0, 0] < costs(found)[0, 0] - TRAINING.stages[0].failure
-
-
-def test_contact_costs_as_much_as_any_failure():
-    assert costs(outcome(touched=True)) > costs(outcome()) + 0.99 * TRAINING.stages[0].failure
 
 
 @pytest.mark.parametrize("schedule", [TRAINING, REFINING])
@@ -167,14 +142,6 @@ def test_a_restored_search_continues_to_the_last_bit_with_sigma_in_its_limits():
         each.advance(flat)
     assert going.state == later.state
     assert TRAINING.stages[0].min_sigma <= going.state.sigma <= TRAINING.max_sigma
-
-
-def test_the_winner_is_the_average_of_the_last_quarter_of_the_means(searched):
-    assert np.array_equal(searching().winner, vector(policy_box(START).start))
-    winners, means = searched
-    for number in range(7):
-        assert np.array_equal(winners[number], vector(means[number]))
-    assert winners[7] == pytest.approx(vector(0.5 * (means[6] + means[7])), rel=1e-12)
 
 
 @pytest.mark.long

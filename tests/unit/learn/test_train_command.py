@@ -28,18 +28,6 @@ def test_json_is_one_object_with_the_result(tmp_path, capsys):
     assert load_policy(fields["policy"]).provenance["return"] == fields["best_return"]
 
 
-def test_people_read_the_progress_the_return_and_where_the_policy_is(monkeypatch, tmp_path, capsys):
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("COLUMNS", "120")
-    assert run(f"{QUICK} --out {tmp_path}/run".split()) == 0
-    printed = capsys.readouterr()
-    assert printed.out.startswith("best of 2 agents: return -")
-    assert str(tmp_path / "run" / "policy.yaml") in printed.out
-    best = load_policy(tmp_path / "run" / "policy.yaml").provenance["return"]
-    assert f"best {best:.4f}" in printed.err
-    assert "2/2" in printed.err
-
-
 def test_runs_without_a_folder_are_numbered(tmp_path, monkeypatch, run_json):
     monkeypatch.chdir(tmp_path)
     Path("runs/train-1").mkdir(parents=True)

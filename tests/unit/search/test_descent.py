@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.learn.search.descent import CONSTANTS, Descent
 from sim.learn.search.least_squares import LeastSquares, scored
 
 
@@ -21,45 +20,6 @@ def problem(slopes, factors=(1.0,)):
     made = LeastSquares(len(slopes), slopes.shape[1] // 3, factors)
     made.slopes[:] = slopes
     return made
-
-
-def stalled():
-    """A descent at a point of four parameters, of which the second and the last have no slope."""
-    slopes = np.full((4, 6), 0.5)
-    slopes[[1, 3]] = 0.0
-    at = outcome(np.array([0.5, 0.5, 0.5, 0.98]), np.full((2, 3), math.sqrt(0.1)))
-    descent = Descent(at, True, problem(slopes), 1e3, [])
-    descent.scores = [descent.score(at)]
-    return descent
-
-
-def test_only_dead_parameters_are_moved_far_and_stay_in_the_box():
-    descent = stalled()
-    probes = descent.revival_probes()
-    moves = probes - descent.at.point
-    far = CONSTANTS.revival_moves
-    assert ((probes >= 0.0) & (probes <= 1.0)).all()
-    assert ((moves != 0).sum(axis=1) == 1).all()
-    assert not moves[:, [0, 2]].any()
-    assert sorted(moves[moves[:, 1] != 0, 1]) == pytest.approx(sorted([*far, *np.negative(far)]))
-    assert sorted(-moves[moves[:, 3] != 0, 3]) == pytest.approx(far)
-
-
-def test_revival_takes_the_largest_effect_at_a_fair_price():
-    descent = stalled()
-
-    def probe(miss):
-        residuals = descent.at.residuals.copy()
-        residuals[1, 2] += miss
-        return outcome(np.full(4, miss), residuals)
-
-    dear, fair, slight, none = probe(3.0), probe(0.02), probe(-0.011), probe(CONSTANTS.dead_effect / 2)
-    assert not descent.revive_dead_parameters([dear, none])
-    assert descent.may_revive()
-    assert descent.revive_dead_parameters([slight, dear, fair, none])
-    assert descent.at is fair
-    assert descent.scores == [descent.score(fair)]
-    assert not descent.may_revive()
 
 
 # -- arithmetic --------------------------------------------------------------------------------------------

@@ -24,17 +24,6 @@ def valley(vectors):
     return residuals
 
 
-def hollow(depths):
-    """Losses by how far a point is from the start, in hundredths of a range; the largest for all others."""
-
-    def toy(vectors):
-        place = np.floor(100 * np.abs((vectors - DEFAULTS) / WIDTH).sum(axis=1)).astype(int)
-        depth = np.array([depths.get(int(at), max(depths.values())) for at in place])
-        return np.ones((len(vectors), CHECKPOINTS, 3)) * np.sqrt(depth / 3)[:, None, None]
-
-    return toy
-
-
 def begin(seed=0):
     return ToySearch("gauss-newton", seed)
 
@@ -84,24 +73,6 @@ def test_dead_motor_neuron_is_revived():
         sizes.append(len(search.step(motor)))
         assert search.tried < 3000
     assert max(sizes.count(SAMPLES), sizes.count(RESTARTS)) == 1
-
-
-@pytest.mark.parametrize(
-    ("loss", "expected"),
-    [
-        (1.1 * CONSTANTS.fair_loss, [SAMPLES] * 5),
-        (0.9 * CONSTANTS.fair_loss, [RESTARTS, SAMPLES] * 2),
-        (0.9 * CONSTANTS.close_loss, ([RESTARTS] * CONSTANTS.patience + [SAMPLES]) * 2),
-        (0.9 * CONSTANTS.good_loss, [RESTARTS] * 2 * (CONSTANTS.patience + 1) * (CONSTANTS.races + 1)),
-    ],
-)
-def test_restarts_take_more_turns_the_better_the_best_is(loss, expected):
-    """Nothing is better than the untuned start."""
-    search, toy, starts = begin(), hollow({0: loss, 1: 1.05 * loss}), []
-    while len(starts) < len(expected):
-        size = len(search.step(toy))
-        starts += [size] if size in (SAMPLES, RESTARTS) else []
-    assert starts == expected
 
 
 def truncated(residuals, to_beat):

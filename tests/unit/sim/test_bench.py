@@ -1,22 +1,7 @@
 """The benchmarks at a size that takes seconds: what they count must be what happened."""
 
-import importlib
-
-import pytest
-from kit.paths import ROOT
-
 from benchmarks import deploy as bench_deploy
 from deploy.drive.measurements import SampleRef
-
-
-@pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda path: path.stem)
-def test_benchmark_is_imported_and_prints_its_help(path, monkeypatch, capsys):
-    module = importlib.import_module(f"benchmarks.{path.stem}")
-    if hasattr(module, "argparse"):
-        monkeypatch.setattr("sys.argv", [path.stem, "--help"])
-        with pytest.raises(SystemExit, match=r"^0$"):
-            module.main()
-        assert capsys.readouterr().out.startswith("usage: ")
 
 
 def test_a_command_is_timed_from_its_own_odometry_sample_also_when_later_ones_were_sent():

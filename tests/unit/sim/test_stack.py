@@ -142,22 +142,6 @@ def test_stiction_holds_a_base_again_after_its_watchdog_halted_it():
     assert speed(0.08) == 0.0
 
 
-def test_values_of_a_profile_are_not_drawn():
-    profile = RoverProfile(name="mine", delay_v_s=0.21, gain_v=1.1, odometry_distance=1.02, accel=0.248)
-    ranges = load_randomization("full").model_copy(update={"rover": profile})
-    model = default_rover()
-    free = draw_trials(load_randomization("full"), model, 1, count=20, ticks=320)
-    tied = draw_trials(ranges, model, 1, count=20, ticks=320)
-    assert (tied.delay[:, 0] == 21).all()
-    assert (tied.delay[:, 1] == free.delay[:, 1]).all()
-    assert tied.acceleration[:, 0] == pytest.approx(0.8)
-    assert tied.odometry[:, 0] == pytest.approx(1.02)
-    # A gain is what odometry sees of it.
-    assert tied.gain[:, 0] * tied.odometry[:, 0] == pytest.approx(1.1)
-    for name in ("start", "noise", "lost"):
-        assert (getattr(tied, name) == getattr(free, name)).all()
-
-
 def test_a_driver_makes_up_for_the_turn_gain_that_its_gyro_or_its_identification_shows():
     # Far outside the training's turn gains of 1.0 to 1.4; without either, both end 0.2 rad off.
     slow, fast = (Randomization(name="turning", turn_gain=(gain, gain)) for gain in (0.7, 1.5))

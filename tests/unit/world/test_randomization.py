@@ -59,23 +59,6 @@ def test_parameters_fill_the_ranges_of_the_file_and_no_more(name):
     assert not trials.exact
 
 
-def test_harder_ranges_stretch_the_same_draws():
-    mild, full, harsh = drawn("mild", 5), drawn("full", 5), drawn("harsh", 5)
-    assert np.allclose(2 * mild.start, full.start, atol=1e-6)
-    assert np.array_equal(full.gain, harsh.gain)
-    assert np.array_equal(full.noise, harsh.noise)
-
-
-def test_skid_is_drawn_beside_the_rest():
-    harsh, skid = drawn("harsh", 5), drawn("skid", 5)
-    assert np.array_equal(skid.gain, harsh.gain)
-    assert np.array_equal(skid.lost, harsh.lost)
-    assert np.array_equal(harsh.turning, [[1.0, 0.0]] * 5)
-    gains, centers = drawn("skid").turning.T
-    assert (gains.min(), gains.max()) == pytest.approx((1.0, 1.4), abs=0.01)
-    assert (centers.min(), centers.max()) == pytest.approx((-0.06, 0.06), abs=0.003)
-
-
 @pytest.mark.parametrize("name", ["harsh", "docking"])
 def test_longer_drives_continue_the_same_trials(name):
     ranges = load_randomization(name)
@@ -167,14 +150,6 @@ def test_none_is_the_model():
         assert trial_model(MODEL, trials, 0) == MODEL
 
 
-def test_a_trials_rover_has_its_delays_and_accelerations():
-    trials = drawn("full", 3)
-    model = trial_model(MODEL, trials, 1)
-    assert (model.delay_v_substeps, model.delay_omega_substeps) == tuple(trials.delay[1])
-    assert model.accel == MODEL.accel * trials.acceleration[1, 0]
-    assert model.alpha_decel == MODEL.alpha_decel * trials.acceleration[1, 1]
-
-
 angle = st.floats(-3.1, 3.1)
 place = st.floats(-3, 3)
 poses = st.builds(Pose, place, place, angle)
@@ -251,26 +226,6 @@ def test_commands_come_in_whole_steps():
     assert quantise(0.1234567, 0.0) == 0.1234567
 
 
-def test_motors_are_drawn_beside_the_rest():
-    full = load_randomization("full")
-    ranges = full.model_copy(update={"dead_band_m_s": (0.0, 0.06), "dead_band_rad_s": (0.0, 0.14)})
-    plain, drawn = (draw_trials(each, MODEL, 1, count=N, ticks=10) for each in (full, ranges))
-    for name, before, after in zip(plain._fields, plain, drawn, strict=True):
-        assert name == "motors" or np.array_equal(before, after), name
-    assert not plain.motors[:, :2].any()
-    least, most = drawn.motors[:, :2].min(axis=0), drawn.motors[:, :2].max(axis=0)
-    assert least == pytest.approx([0.0, 0.0], abs=0.003)
-    assert most == pytest.approx([0.06, 0.14], abs=0.003)
-    half = draw_trials(ranges.model_copy(update={"banded": 0.5}), MODEL, 1, count=N, ticks=10).motors
-    banded = half[:, :2].any(axis=1)
-    assert banded.mean() == pytest.approx(0.5, abs=4 * 0.5 / N**0.5)
-    assert np.array_equal(half[banded], drawn.motors[banded])
-    known = RoverProfile(name="mine", dead_band_v=0.01)
-    trials = draw_trials(ranges.model_copy(update={"rover": known}), MODEL, 1, count=N, ticks=10)
-    assert set(trials.motors[:, 0]) == {0.01}
-    assert np.array_equal(trials.motors[:, 1:], drawn.motors[:, 1:])
-
-
 def test_random_courses_are_their_seeds_and_numbers():
     course, drive = random_course(3, 7)
     again, _ = random_course(3, 7)
@@ -314,26 +269,6 @@ def test_ranges_vary_if_their_trials_differ(key):
         assert not differ(fixed)
 
 
-@pytest.mark.parametrize("key", sorted(set(Randomization.model_fields) - OF_NO_RANGE - {"sensors"}))
-def test_range_that_no_robot_has_is_refused(key):
-    pair = Randomization.model_fields[key].default is None
-    for wrong in ((-0.25, 0.1), (0.1, 1000.0), (0.3, 0.2)) if pair else (-0.1, 1e6):
-        with pytest.raises(ValidationError):
-            Randomization(name="own", **{key: wrong})
-
-
-def test_start_far_from_any_course_is_refused():
-    with pytest.raises(ValidationError, match="start_m"):
-        Randomization(name="own", start_m=100.0)
-
-
-@pytest.mark.parametrize("key", ["friction", "slope_rad"])
-def test_ground_that_does_not_exist_is_refused(key):
-    for wrong in ((-0.1, 0.4), (0.1, 90.0), (0.4, 0.3)):
-        with pytest.raises(ValidationError):
-            SkidRanges(**{key: wrong})
-
-
 @pytest.mark.parametrize(
     "key",
     [{"turn_gain": (1.0, 1.4)}, {"rotation_center_m": 0.06}, {"speed_step_m_s": 0.001}, {"sensors": "gyro"}],
@@ -341,15 +276,6 @@ def test_ground_that_does_not_exist_is_refused(key):
 def test_body_refuses_ranges_that_it_does_not_use(key):
     with pytest.raises(ValidationError, match=next(iter(key))):
         Randomization(name="own", body="mujoco", skid_steer={}, **key)
-
-
-@pytest.mark.parametrize(("profile", "varies"), [({"noise_m": 0.01}, True), ({"gain_v": 0.9}, False)])
-def test_noise_of_a_profile_varies(profile, varies):
-    rover = RoverProfile(name="own", **profile)
-    ranges = load_randomization("none").model_copy(update={"rover": rover})
-    assert (ranges.varies, differ(ranges)) == (varies, varies)
-    quiet = RoverProfile(name="quiet", noise_m=0.0, noise_rad=0.0)
-    assert not Randomization(name="own", noise_m=0.01, rover=quiet).varies
 
 
 @pytest.mark.parametrize(

@@ -109,7 +109,7 @@ def forged(event, state):
     return command or (isinstance(event, Enable) and event.sequence is None)
 
 
-@settings(max_examples=300)
+@settings(max_examples=3 * settings().max_examples)
 @given(happenings=happenings, limits=all_limits)
 @example(
     [(0.02, ("good", None))] * 3 + [(61.0, ("start", None)), *[(w, ("good", None)) for w in (0.02, 0.3)]],

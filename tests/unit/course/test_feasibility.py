@@ -61,7 +61,7 @@ def test_a_small_robot_clears_an_obstacle_that_a_larger_one_touches():
     assert found.drivable
 
 
-@settings(max_examples=30)
+@settings(max_examples=settings().max_examples // 3)
 @given(
     st.builds(
         Obstacle,

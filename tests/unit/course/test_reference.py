@@ -82,7 +82,7 @@ def test_a_drive_that_changes_direction_is_found_again():
     assert np.abs(found.motion[:, 0] - drive.motion[:, 0]).max() < 0.06
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=settings().max_examples // 3)
 @given(st.lists(st.tuples(st.floats(0, 0.15), st.floats(-0.17, 0.17)), min_size=2, max_size=6))
 def test_a_drive_is_found_again_from_its_checkpoints(pieces):
     drive, found = found_again([(0.0, 0.0), *np.repeat(np.array(pieces), 5, axis=0), *[(0.0, 0.0)] * 4])

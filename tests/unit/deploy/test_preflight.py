@@ -71,13 +71,6 @@ def test_robot_that_is_well_passes_all_checks_and_stands(robot):
     ("options", "name", "words"),
     [
         ({"model": "turtlebot4"}, "model", "the bridge drives p3at-sh, expected turtlebot4"),
-        ({"faults": ["low-battery=11.2"]}, "battery", "11.2 V (at least 11.5 V)"),
-        ({"faults": ["stop-button"]}, "stop", "held by stop-button"),
-        (
-            {"faults": ["freeze-odometry@0"]},
-            *("forward", "reports 0 m/s and 0 m: the gate passed all commands on"),
-        ),
-        ({"faults": ["bumper@0.5"]}, "forward", "the gate stopped the robot: bumper"),
         ({"while_turning": "bumper@0-5"}, "left", "the gate stopped the robot: bumper"),
         ({"limits": Limits(v_max=0.03)}, "forward", "the gate limited commands: speed"),
         ({"config": with_watchdog(5000)}, "motors", "the base's watchdog is 5 s; set WatchDog in its FLASH"),

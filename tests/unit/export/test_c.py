@@ -31,7 +31,7 @@ LIBRARY = "p.so", "-shared", "-fPIC"
 FLOAT = "-DROVER_NCP_FLOAT"
 
 
-@pytest.fixture(scope="module", params=["course", "parking", "reverse"])
+@pytest.fixture(scope="module", params=["course", "parking"])
 def shipped(request, tmp_path_factory):
     """A shipped policy, its name, and the library of its sources for a course."""
     policy = load_policy(request.param)

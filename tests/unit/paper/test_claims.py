@@ -1,15 +1,14 @@
 """Verdicts on the paper's claims, and the report."""
 
-import subprocess
-import sys
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from kit.paper_runs import result
-from kit.paths import ROOT
+from typer.testing import CliRunner
 
 from paper import claims
+from paper.__main__ import app
 from paper.claims import Claim, Verdict, judge_claims, load_claims, readings
 from paper.runs import PAIRS
 from paper.store import Packed, ResultStore
@@ -136,8 +135,7 @@ def test_every_claim_answers_one_question():
 def test_command_reports_runs(store, tmp_path):
     untuned = Packed.of(build_agent(TASKS["parking"], "circuit", 0).parameters())
     fill(store, "parking", "circuit", [-0.05] * 5, parameters=untuned)
-    command = [sys.executable, "-m", "paper", "report", "--results", str(tmp_path)]
-    done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
+    done = CliRunner().invoke(app, ["report", "--results", str(tmp_path)], catch_exceptions=False)
     [row] = [row for row in done.stdout.splitlines() if "learnt as often as by the published code" in row]
     assert "5 of 5" in row
     assert "| does not hold" in row

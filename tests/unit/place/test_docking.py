@@ -1,8 +1,7 @@
 """Drives to a place through firmware, gate and driver: how they end, and that they are replayed exactly."""
 
-import numpy as np
 import pytest
-from kit.virtual_docking import BEFORE_STAGING, STAGING, VirtualDocking, charging, place
+from kit.virtual_docking import BEFORE_STAGING, STAGING, VirtualDocking, place
 
 from deploy.drive.tick_messages import FRAMES_TOPIC, PATH_TOPIC, POSE_TOPIC
 from deploy.place.outcome import DockError
@@ -159,20 +158,6 @@ def test_bumper_may_bounce_as_the_rover_begins_to_undock(again_s, code):
     assert bumped(drive, pressed).run().exit_code == code
 
 
-def test_docking_that_the_last_poses_contradict_is_a_miss(monkeypatch):
-    monkeypatch.setattr("kit.virtual_docking.COVARIANCE", np.diag(np.square([0.02, 0.02, 0.02])))
-    since = Since(1.98)
-
-    def see(pose, now):
-        aside = (since(pose, now) or 0.0) > 4.0
-        return pose._replace(y=pose.y + 0.035) if aside else pose
-
-    drive = VirtualDocking(place(retries=0), STAGING, see=see)
-    dock = drive.run().dock
-    assert not dock.success
-    assert "by the external poses alone" in dock.error_msg
-
-
 def test_dry_run_plans_the_way_and_moves_nothing(tmp_path):
     drive = VirtualDocking(place(), BEFORE_STAGING, path=tmp_path / "dry.mcap", dry_run=True)
     result = drive.run()
@@ -188,17 +173,14 @@ BACKWARD = place(direction="backward")
 
 
 @pytest.mark.parametrize(
-    ("where", "start", "world", "charge"),
+    ("where", "start", "world"),
     [
-        pytest.param(place(proof="charging"), STAGING, {}, True, id="charge proves it"),
-        pytest.param(
-            place(), BEFORE_STAGING, {"see": lost_near}, False, id="odometry replaces poses lost near"
-        ),
-        pytest.param(BACKWARD, Pose(2.9, 0.9, 0.4), {}, False, id="backward"),
+        pytest.param(place(), BEFORE_STAGING, {"see": lost_near}, id="odometry replaces poses lost near"),
+        pytest.param(BACKWARD, Pose(2.9, 0.9, 0.4), {}, id="backward"),
     ],
 )
-def test_docking_ends_within_the_tolerances_and_is_replayed(tmp_path, where, start, world, charge):
-    drive = charging(VirtualDocking(where, start, path=tmp_path / "run.mcap", **world), charge)
+def test_docking_ends_within_the_tolerances_and_is_replayed(tmp_path, where, start, world):
+    drive = VirtualDocking(where, start, path=tmp_path / "run.mcap", **world)
     dock = drive.run().dock
     assert dock.success, dock
     assert (dock.by_proof is None) == (world.get("see") is lost_near)

@@ -39,7 +39,7 @@ def test_only_a_report_after_the_approach_proves_a_docking(docked):
     def judged(reports, t):
         return judge_report(place(proof="charging").proof, Evidence(False, docked, reports), 5, t, 100.0)
 
-    assert judged(5, 101.0) is None
+    assert judged(5, 124.9) is None
     assert judged(5, 200.0).error is DockError.FAILED_TO_CHARGE
     assert (judged(6, 101.0) is not None) == (docked is True)
     assert judged(5, 200.0).gives_up == (docked is None)

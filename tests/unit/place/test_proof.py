@@ -1,6 +1,5 @@
 """What proves a docking, and what does not: reports of a charge and topics of the robot."""
 
-import pytest
 from kit.virtual_docking import STAGING, VirtualDocking, charging, place
 from kit.virtual_drive import ChangedLink
 
@@ -16,16 +15,6 @@ from rover_ncp.wire.messages import (
 )
 
 
-def test_base_that_does_not_tell_whether_it_charges_gets_one_try():
-    drive = charging(VirtualDocking(place(proof="charging", retries=2), STAGING), None)
-    result = drive.run()
-    dock = result.dock
-    assert (result.exit_code, result.verdict, dock.success) == (1, "not parked", False)
-    assert (dock.error_code, dock.num_retries) == (DockError.FAILED_TO_CHARGE, 0)
-    assert "does not tell whether the battery charges" in dock.error_msg
-    assert (dock.at, drive.stands()) == ("staging pose", True)
-
-
 def says_docked(drive, docked):
     """Let a topic of the robot say whether it is docked, with each sample of odometry; None is no message."""
     drive.link.put_with_odometry(
@@ -39,19 +28,6 @@ def test_topic_of_the_robot_proves_a_docking(tmp_path):
     result = says_docked(drive, lambda pose: pose.x > 1.97).run()
     assert (result.exit_code, result.dock.success, result.dock.at) == (0, True, "place")
     assert replay(drive.path).same
-
-
-@pytest.mark.parametrize(
-    ("docked", "words"),
-    [
-        (lambda pose: False, "did not say that it is docked"),
-    ],
-)
-def test_topic_that_does_not_say_docked_after_the_approach_proves_nothing(docked, words):
-    drive = says_docked(VirtualDocking(place(proof="topic", retries=0), Pose(1.9, 1.0, 0.0)), docked)
-    dock = drive.run().dock
-    assert (dock.success, dock.error_code) == (False, DockError.FAILED_TO_CONTROL)
-    assert words in dock.error_msg
 
 
 class Racing(ChangedLink):

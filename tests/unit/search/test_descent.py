@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.learn.search.least_squares import LeastSquares, scored
@@ -32,7 +32,6 @@ def problem(slopes, factors=(1.0,)):
     lifetime=st.sampled_from([0.0, 5.0]),
     seed=st.integers(0, 10**6),
 )
-@settings(max_examples=60, deadline=None)
 def test_steps_solve_the_damped_normal_equations(parameters, checkpoints, damping, lifetime, seed):
     rng = np.random.default_rng(seed)
     slopes = rng.standard_normal((parameters, 3 * checkpoints))

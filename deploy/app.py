@@ -77,7 +77,12 @@ def run(
         recorder.put(message)
 
     prepare_for_real_time()
-    with Interrupts() as interrupts, recorder, ZenohLink(address, recorder.put) as link:
+    records = recorder.path is not None
+    with (
+        Interrupts() as interrupts,
+        recorder,
+        ZenohLink(address, recorder.put, shown=records) as link,
+    ):
         publisher = Publisher(link, record, names, frame=mission.frame)
         drive = Drive(
             link, mission, publisher, config, lambda: interrupts.raised, period_s=period_s, id=uuid4().hex

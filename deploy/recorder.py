@@ -1,7 +1,8 @@
 """Recording beside the drive: a thread of its own, so that no disk ever blocks the control loop.
 
 Messages are handed over through a bounded queue. A message that finds it full is counted as dropped, and so
-is one that no recording can hold, such as one with a negative time. When the disk fails, recording ends,
+is one that no recording can hold, such as one with a negative time. Pictures for people are dropped first,
+when only a few messages wait. When the disk fails, recording ends,
 `Recorder.failure` gives the reason, and the drive goes on. The file so far stays readable. A killed process
 loses at most the messages after the last flush, a power cut those after the last sync: the thread does both
 every `FLUSH_S`.
@@ -27,6 +28,7 @@ from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import require_writable
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.recording.recording import Recorded, RecordingWriter
+from rover_ncp.wire.key_table import KEYS
 
 _log = logging.getLogger(__name__)
 FLUSH_S = 0.4
@@ -35,7 +37,11 @@ STAMPED_NS = 1_000_000_000
 """A message whose log time is further away was dated on purpose, such as a path at the drive's start."""
 QUEUE_LENGTH = 10_000
 """A minute of everything the bridge publishes."""
+BEHIND = 500
+"""Messages that wait when the recorder is 3 s behind: it then takes no pictures."""
 CLOSE_TIMEOUT_S = 10.0
+SHOWN = frozenset(row.name for row in KEYS if row.shown)
+"""Topics for people alone, which no drive needs."""
 
 
 class RecordingResult(BaseModel):
@@ -100,6 +106,9 @@ class Recorder(ClosedAtExit):
         set_ns = wall_ns - time.monotonic_ns() - self._clocks_ns
         if abs(wall_ns - message.log_ns) < STAMPED_NS:
             message = replace(message, log_ns=message.log_ns - set_ns)
+        if message.topic in SHOWN and self._queue.qsize() >= BEHIND:
+            self.dropped += 1
+            return
         try:
             self._queue.put_nowait(message)
         except queue.Full:

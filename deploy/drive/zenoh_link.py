@@ -50,10 +50,16 @@ _OWN = [row.name for row in KEYS if row.kind is Kind.MESSAGE and row.senders == 
 
 
 class ZenohLink(Link, ZenohClient):
-    """The link of one driver; ``record`` gets every message in both directions. Raises as `ZenohClient`."""
+    """The link of one driver; ``record`` gets every message in both directions. Raises as `ZenohClient`.
 
-    def __init__(self, address: BridgeAddress, record: Callable[[Recorded], None]) -> None:
+    ``shown``: messages for people, too, such as a localiser's pictures.
+    """
+
+    def __init__(
+        self, address: BridgeAddress, record: Callable[[Recorded], None], *, shown: bool = False
+    ) -> None:
         Link.__init__(self)
+        self._records_shown = shown
         self._record, self.where = record, address.where
         self.namespace = address.namespace.strip("/")
         self._token: Any = None
@@ -69,6 +75,10 @@ class ZenohLink(Link, ZenohClient):
             )
             for name in _OWN
         }
+        if self._records_shown:
+            for row in KEYS:
+                if row.shown:
+                    self._receive_row(row)
 
     def authorised(self) -> bool:
         """Whether a subscriber takes our commands: a bridge without permission for us has none."""

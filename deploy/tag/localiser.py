@@ -2,11 +2,8 @@
 
 import zlib
 from collections import Counter
-from collections.abc import Sequence
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from deploy.tag.board_locator import locator
@@ -22,9 +19,6 @@ MAX_AGE_S = 1.0
 """An older picture gives no pose: the drive's estimate does not reach back so far."""
 DARK, BRIGHT = 20.0, 235.0
 """Mean grey levels beyond which a picture without tags is dark or over-exposed."""
-QUALITY, SMALL_QUALITY = 95, 60
-SMALL_WIDTH = 480
-"""Pixels; with that quality 10 to 30 kB."""
 
 
 class TagPose(BaseModel):
@@ -106,6 +100,7 @@ class Localiser:
         self.state = "no picture yet"
         """The newest pose or reason, for people."""
         self.detections: list[Detection] = []
+        """Tags in the newest picture."""
         self._checksum = 0
 
     def take(self, picture: Picture, now_ns: int | None = None) -> Located | None:
@@ -134,7 +129,7 @@ class Localiser:
 
     def _found(self, picture: Picture, now_ns: int | None) -> Located | Rejection:
         """Return the pose, or why there is none."""
-        grey = picture.grey
+        grey, self.detections = picture.grey, []
         before, self._checksum = self._checksum, zlib.crc32(grey.tobytes())
         if self._checksum == before:  # noise alone changes a picture, so the camera is frozen
             return Rejection.FROZEN
@@ -165,22 +160,3 @@ def tag_pose(found: Located) -> TagPose:
         tags=found.ids,
         rms_px=found.rms,
     )
-
-
-def drawn(
-    grey: NDArray[np.uint8], detections: Sequence[Detection], words: str, *, small: bool = False
-) -> bytes:
-    """Return a JPEG of a picture with its tags outlined and a line of words; ``small`` for a network."""
-    canvas = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
-    for each in detections:
-        corners = np.rint(each.corners).astype(np.int32)
-        cv2.polylines(canvas, [corners], isClosed=True, color=(0, 200, 0), thickness=2)
-        where = (int(corners[3, 0]), int(corners[3, 1]) - 6)
-        cv2.putText(canvas, str(each.id), where, cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 0, 255), 2)
-    text = words.replace("θ", "theta").encode("ascii", "replace").decode()
-    cv2.putText(canvas, text, (8, grey.shape[0] - 10), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 255, 255), 1)
-    if small:
-        scale = min(1.0, SMALL_WIDTH / canvas.shape[1])
-        canvas = cv2.resize(canvas, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    quality = SMALL_QUALITY if small else QUALITY
-    return bytes(cv2.imencode(".jpg", canvas, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes())

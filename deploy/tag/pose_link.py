@@ -2,14 +2,13 @@
 
 import math
 import time
+from collections.abc import Mapping
 
-import numpy as np
 import zenoh
 
 from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
 from rover_ncp.robot.lasting_error import Kind, LastingError
-from rover_ncp.wire.cdr import encode
-from rover_ncp.wire.key_table import KEYS, TAG_VIEW, spec
+from rover_ncp.wire.key_table import KEYS, TAG_OUTLINES, TAG_VIEW
 from rover_ncp.wire.messages import text
 
 DECLARED_S = 0.5
@@ -27,11 +26,14 @@ class PoseLink(ZenohClient):
         self._lasting = self._session.declare_publisher(self.key("rover/localiser"))
         self._declared_s = -math.inf
         # A picture never delays a pose, nor anything else on the way.
-        self._viewed = self._session.declare_publisher(
-            self.key(TAG_VIEW),
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.BACKGROUND,
-        )
+        self._shown = {
+            name: self._session.declare_publisher(
+                self.key(name),
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.BACKGROUND,
+            )
+            for name in (TAG_VIEW, TAG_OUTLINES)
+        }
 
     def send(self, pose: bytes) -> None:
         """Send a pose with the moment of its measurement, and what is known of the poses' errors."""
@@ -42,12 +44,10 @@ class PoseLink(ZenohClient):
 
     @property
     def watched(self) -> bool:
-        """Whether a page receives pictures."""
-        return matches(self._viewed)
+        """Whether a page or a recording receives pictures."""
+        return matches(self._shown[TAG_VIEW])
 
-    def show(self, jpeg: bytes) -> None:
-        """Send a picture for people; one that is too large for `watch` is left out."""
-        row = spec(TAG_VIEW)
-        data = encode(row.type, format="jpeg", data=np.frombuffer(jpeg, np.uint8))
-        if len(data) <= row.max_bytes:
-            self._viewed.put(data)
+    def show(self, messages: Mapping[str, bytes]) -> None:
+        """Send a picture for people, and what is beside it, by the names of their keys."""
+        for name, data in messages.items():
+            self._shown[name].put(data)

@@ -28,11 +28,11 @@ from deploy.tag.localiser import (
     TagCamera,
     TagCameras,
     TagRunResult,
-    drawn,
     tag_pose,
 )
 from deploy.tag.pose_link import PoseLink
 from deploy.tag.tag_map import CameraFile, Mount
+from deploy.tag.view import View
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml, load_yaml
 from rover_ncp.core.console import Output
@@ -44,8 +44,10 @@ from rover_ncp.wire.messages import pose_with_covariance
 
 UNMEASURED = Mount(x=0.0, y=0.0, z=0.0)
 """What `calibrate` writes where a file has no mount yet."""
-PICTURE_S = 1.0
+VIEW_S = 0.5
 """Time between two pictures for people."""
+FILE_EVERY = 2
+"""The file gets one of so many: not every disk is fast."""
 
 
 def run_localiser(
@@ -70,7 +72,7 @@ def run_localiser(
         raise UsageError("--camera-file: expected the camera's file; only a camera of ROS may do without it")
     if picture is not None:
         require_writable(picture, overwrite=overwrite)
-    localiser, shown = Localiser(camera, tag_map), 0.0
+    localiser, views, view_s = Localiser(camera, tag_map), 0, 0.0
     with Interrupts() as interrupts, contextlib.ExitStack() as stack:
         link = stack.enter_context(PoseLink(address)) if address is not None else None
         began = time.monotonic()
@@ -81,12 +83,13 @@ def run_localiser(
                 found = localiser.take(each, time.time_ns() if live else None)
                 if found is not None and link is not None:
                     link.send(pose_with_covariance(found.pose, found.covariance, each.wall_ns, tag_map.frame))
-                if time.monotonic() - shown >= PICTURE_S:
-                    shown, seen = time.monotonic(), (each.grey, localiser.detections, localiser.state)
-                    if picture is not None:
-                        write_atomic(picture, drawn(*seen))
+                if (now_s := time.monotonic()) >= view_s:
+                    views, view_s = views + 1, max(view_s + VIEW_S, now_s)
+                    view = View(each.grey, localiser.detections, localiser.state, each.wall_ns)
                     if link is not None and link.watched:
-                        link.show(drawn(*seen, small=True))
+                        link.show(view.messages())
+                    if picture is not None and views % FILE_EVERY == 1:
+                        write_atomic(picture, view.jpeg())
         result = TagRunResult(
             pictures=localiser.pictures,
             poses=localiser.poses,

@@ -16,13 +16,12 @@ from markupsafe import Markup, escape
 from deploy.view.page import fragment
 from deploy.view.page_data import columns, event_rows
 from deploy.view.recorded_drive import KINDS, facts
-from deploy.view.timeline import STAGES, Timeline
+from deploy.view.timeline import STAGES, Timeline, read_jpeg
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import FormatError
 from rover_ncp.course.course import Course
 from rover_ncp.course.scoring import Parked
 from rover_ncp.recording.recording import Recorded
-from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.key_table import TAG_VIEW
 from rover_ncp.wire.messages import read_text
 from rover_ncp.wire.protocol import DriverStatus, in_words, parse_json
@@ -65,7 +64,7 @@ class Feed:
     def take(self, message: Recorded) -> None:
         """Process a message of the robot, of its driver or of a localiser."""
         if message.topic == TAG_VIEW:
-            self._view = b64encode(bytes(decode(message.type, message.data).data)).decode()
+            self._view = b64encode(read_jpeg(message.data)).decode()
             return
         with self._lock:
             if message.topic == "rover/status" and not self._is_of_the_drive(message):

@@ -20,6 +20,7 @@ from deploy.view.page_data import (
     columns,
     course_data,
     event_rows,
+    pictures,
     rings,
     trace_columns,
 )
@@ -78,12 +79,13 @@ def write_report(recording: Path, page: Path, *, overwrite: bool = False) -> Rep
 def drive_page(drive: Drive) -> str:
     """Return the report of a recorded drive as HTML."""
     summary, findings = summarise(drive), analyse(*drive.timeline.traces())
-    events = event_rows(drive.timeline)
+    events, seen = event_rows(drive.timeline), pictures(drive.timeline)
     verdict, _, reason = summary.headline.partition(": ")
     return page(
         title=f"{summary.headline}: {drive.names}",
         data=_data(drive.policy, drive.course, drive.outline)
-        | {"updates": _updates(findings, columns(drive.timeline, Counter()), events)},
+        | {"updates": _updates(findings, columns(drive.timeline, Counter()), events)}
+        | ({"pictures": seen} if seen else {}),
         html={
             "title": fragment("title", verdict, KINDS[summary.parked], reason),
             "subline": escape(summary.subline),

@@ -5,6 +5,7 @@ plotting library.
 """
 
 import math
+from base64 import b64encode
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -28,6 +29,11 @@ LOW_MV, HIGH_MV = -90.0, 0.0
 """Range of all potentials, for colours and levels."""
 TRUTH_STEP_NS = 50_000_000
 """A mock records the true pose at 100 Hz; a page shows 20 Hz."""
+PICTURE_BYTES = 12_000_000
+"""Most bytes of a page's pictures as JPEG: the page then has up to 18 MB. Of more, every second one is shown,
+or every third, and so on."""
+PICTURES_FROM_S = -2.0
+"""Pictures from so long before the first tick on."""
 MIN_RING = 1.5
 """Width of the ring of a constant time constant."""
 RINGS_FROM_S, RING_PER_DECADE = 1e-4, 6.0
@@ -120,6 +126,14 @@ def columns(
         "commands": _commands(timeline, new["commands"]),
         "setpoints": _commands(timeline, new["setpoints"]),
     }
+
+
+def pictures(timeline: Timeline) -> list[dict[str, Any]]:
+    """Return the pictures of a localiser's camera, as JPEG in base64, each with its time."""
+    times = _since(timeline, [moment for moment, _ in timeline.pictures])
+    found = [(t, jpeg) for t, (_, jpeg) in zip(times, timeline.pictures, strict=True) if t >= PICTURES_FROM_S]
+    every = max(1, math.ceil(sum(len(jpeg) for _, jpeg in found) / PICTURE_BYTES))
+    return [{"t": t, "jpeg": b64encode(jpeg).decode()} for t, jpeg in found[::every]]
 
 
 def trace_columns(trace: Trace) -> dict[str, dict[str, Any]]:

@@ -23,6 +23,8 @@ from rover_ncp.course.scoring import Parked, Verdict, judge
 from rover_ncp.neurons.trace import FloatArray, Trace, motor_outputs
 from rover_ncp.recording.recorded import TICKS_TOPIC
 from rover_ncp.recording.recording import Recorded
+from rover_ncp.wire.cdr import decode
+from rover_ncp.wire.key_table import TAG_VIEW, spec
 from rover_ncp.wire.messages import (
     read_battery,
     read_bumpers,
@@ -111,6 +113,8 @@ class Timeline:
         self.commands: list[Command] = []
         self.setpoints: list[Command] = []
         self.voltages: list[float] = []
+        self.pictures: list[tuple[int, bytes]] = []
+        """Times and JPEGs of a localiser's pictures."""
         self.touched = False
         """Whether the base reported a contact during the drive."""
         self.predicted = 0
@@ -283,6 +287,9 @@ class Timeline:
         if math.isfinite(volts := read_battery(message.data).voltage):
             self.voltages.append(volts)
 
+    def _read_picture(self, message: Recorded) -> None:
+        self.pictures.append((message.log_ns, read_jpeg(message.data)))
+
     def _read_dock(self, message: Recorded) -> None:
         self.dock = parse_json(DockResult, read_text(message.data))
 
@@ -307,6 +314,7 @@ _READERS: dict[str, Callable[[Timeline, Recorded], None]] = {
     TRUTH_TOPIC: Timeline._read_truth,
     TICKS_TOPIC: Timeline._read_record,
     DOCK_TOPIC: Timeline._read_dock,
+    TAG_VIEW: Timeline._read_picture,
 }
 TOPICS = frozenset(_READERS)
 """Topics that a timeline reads."""
@@ -366,6 +374,11 @@ def _require_sane(values: Sequence[float]) -> None:
         raise FormatError(
             f"numbers from {np.min(values):g} to {np.max(values):g}, expected at most {MAX_VALUE:g}"
         )
+
+
+def read_jpeg(data: bytes) -> bytes:
+    """Return the JPEG of a localiser's picture. Raises FormatError."""
+    return bytes(decode(spec(TAG_VIEW).type, data).data)
 
 
 def _command(message: Recorded) -> Command:

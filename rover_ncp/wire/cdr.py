@@ -17,11 +17,31 @@ from rosbags.typesys.store import Typestore
 
 from rover_ncp.core.errors import FormatError
 
+_FOXGLOVE = "foxglove_msgs/msg/"
 _OTHERS = {
     "irobot_create_msgs/msg/DockStatus": "std_msgs/Header header\nbool dock_visible\nbool is_docked\n",
     "irobot_create_msgs/msg/HazardDetection": "std_msgs/Header header\nuint8 type\n",
     "irobot_create_msgs/msg/HazardDetectionVector": (
         "std_msgs/Header header\nirobot_create_msgs/HazardDetection[] detections\n"
+    ),
+    f"{_FOXGLOVE}Point2": "float64 x\nfloat64 y\n",
+    f"{_FOXGLOVE}Color": "float64 r\nfloat64 g\nfloat64 b\nfloat64 a\n",
+    f"{_FOXGLOVE}CircleAnnotation": (
+        "builtin_interfaces/Time timestamp\nfoxglove_msgs/Point2 position\nfloat64 diameter\n"
+        "float64 thickness\nfoxglove_msgs/Color fill_color\nfoxglove_msgs/Color outline_color\n"
+    ),
+    f"{_FOXGLOVE}PointsAnnotation": (
+        "builtin_interfaces/Time timestamp\nuint8 type\nfoxglove_msgs/Point2[] points\n"
+        "foxglove_msgs/Color outline_color\nfoxglove_msgs/Color[] outline_colors\n"
+        "foxglove_msgs/Color fill_color\nfloat64 thickness\n"
+    ),
+    f"{_FOXGLOVE}TextAnnotation": (
+        "builtin_interfaces/Time timestamp\nfoxglove_msgs/Point2 position\nstring text\n"
+        "float64 font_size\nfoxglove_msgs/Color text_color\nfoxglove_msgs/Color background_color\n"
+    ),
+    f"{_FOXGLOVE}ImageAnnotations": (
+        "foxglove_msgs/CircleAnnotation[] circles\nfoxglove_msgs/PointsAnnotation[] points\n"
+        "foxglove_msgs/TextAnnotation[] texts\n"
     ),
 }
 """Types that are not ROS's own."""

@@ -41,7 +41,7 @@ class KeySpec:
     """A row: ``type`` is a ROS type or names JSON models; payloads over ``max_bytes`` are refused.
 
     Late subscribers to a ``latched`` key receive its last message. A ``shown`` one is for people: no drive
-    receives or records it.
+    uses it, and a recording that falls behind leaves it out.
     """
 
     name: str
@@ -60,7 +60,7 @@ def _query(name: str, model: str, about: str) -> KeySpec:
 
 
 _POSE, _STRING = "geometry_msgs/msg/PoseWithCovarianceStamped", "std_msgs/msg/String"
-TAG_VIEW = "tag_view/compressed"
+TAG_VIEW, TAG_OUTLINES = "tag_view/compressed", "tag_view/annotations"
 _TF, _TWIST = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/TwistStamped"
 
 KEYS: tuple[KeySpec, ...] = (
@@ -88,9 +88,18 @@ KEYS: tuple[KeySpec, ...] = (
         TAG_VIEW,
         "sensor_msgs/msg/CompressedImage",
         1 << 16,
-        "what a localiser's camera sees, once a second, for `watch`",
+        "what a localiser's camera sees, twice a second, for `watch` and recordings",
         frozenset({Role.DRIVER, Role.LOCALISER}),
         frozenset({Role.DRIVER, Role.VIEWER}),
+        shown=True,
+    ),
+    KeySpec(
+        TAG_OUTLINES,
+        "foxglove_msgs/msg/ImageAnnotations",
+        1 << 16,
+        "the tags in that picture, for recordings",
+        frozenset({Role.DRIVER, Role.LOCALISER}),
+        DRIVER,
         shown=True,
     ),
     KeySpec(

@@ -10,7 +10,8 @@ from rover_ncp.core.geometry import Pose, Velocity, compose
 from rover_ncp.course.course import load_course
 from rover_ncp.recording.recording import Recorded, RecordingWriter
 from rover_ncp.wire import messages
-from rover_ncp.wire.key_table import spec
+from rover_ncp.wire.cdr import encode
+from rover_ncp.wire.key_table import TAG_VIEW, spec
 from rover_ncp.wire.protocol import DriverStatus, GateStatus, dump_json
 from sim.learn.rollout import rollout
 
@@ -24,6 +25,12 @@ def state(model, ns):
     """Return the message of a driver's or a gate's status."""
     topic = {DriverStatus: "rover/status", GateStatus: "rover/gate"}[type(model)]
     return Recorded(topic, spec(topic).type, messages.text(dump_json(model).decode()), ns, ns)
+
+
+def picture(ns, jpeg):
+    """Return the message of a localiser's picture."""
+    data = encode(spec(TAG_VIEW).type, format="jpeg", data=np.frombuffer(jpeg, np.uint8))
+    return Recorded(TAG_VIEW, spec(TAG_VIEW).type, data, ns, ns)
 
 
 def drive_messages(policy, course, truth=True, variance=1e-6):

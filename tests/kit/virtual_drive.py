@@ -235,7 +235,7 @@ class VirtualDrive:
         """Have each drive of a module be one of this rover, with a link of its own."""
 
         @contextlib.contextmanager
-        def link(address, record):
+        def link(address, record, **_):
             self.link = ChangedLink(self.bridge, record)
             yield self.link
 

@@ -157,7 +157,8 @@ def test_each_right_follows_from_the_table_of_keys():
     assert {item for item in allowed if "*" in item[3] or not item[3].startswith("bot1/")} == set()
     ingress = {(who, key) for who, flow, message, key in allowed if (flow, message) == ("ingress", "put")}
     assert {key for who, key in ingress if who == "viewer"} == set()
-    localiser = {"bot1/pose", "bot1/rover/localiser", "bot1/tag_view/compressed"}
+    view = {"bot1/tag_view/compressed", "bot1/tag_view/annotations"}
+    localiser = {"bot1/pose", "bot1/rover/localiser", *view}
     assert {key for who, key in ingress if who == "localiser"} == localiser
     assert {key for who, key in ingress if who == "driver"} == localiser | {
         f"bot1/{name}" for name in ("cmd_vel", "rover/estimate", "rover/neurons", "rover/status")

@@ -2,6 +2,7 @@
 
 import math
 import signal
+from pathlib import Path
 
 import cv2
 import pytest
@@ -12,7 +13,9 @@ from deploy.view.server import Viewer
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.geometry import Pose
-from rover_ncp.wire.key_table import TAG_VIEW
+from rover_ncp.recording.recording import read_recording
+from rover_ncp.wire.cdr import decode
+from rover_ncp.wire.key_table import TAG_OUTLINES, TAG_VIEW, spec
 from sim.park.live import LiveRun, Process, wait_for
 
 CAMERA = CameraFile(
@@ -45,9 +48,18 @@ def test_drive_starts_from_the_pose_of_tags_and_camera_that_dies_ends_the_locali
         )
         views = []
         watching = Viewer(BridgeAddress(live.robot), lambda message: views.append(message.topic))
-        drive = live.deploy("--pose", "required", "--dry-run", "--duration", "0.5", "--json")
-        ended = drive.wait(60.0)
+        recording = str(tmp_path / "run.mcap")
+        seen = "--pose", "required", "--dry-run", "--duration", "4", "--record", recording
+        ended = live.deploy(*seen).wait(60.0)
         assert ended.result["pose"]["placed"]
+        taken = read_recording(Path(recording))
+        for name in (TAG_VIEW, TAG_OUTLINES):
+            times_s = [1e-9 * message.log_ns for message in taken.topic(name)]
+            assert len(times_s) - 1 == pytest.approx(2.0 * (times_s[-1] - times_s[0]), abs=1.5)
+            assert len(times_s) >= 6
+        assert len(decode(spec(TAG_OUTLINES).type, taken.topic(TAG_OUTLINES)[-1].data).points) == len(
+            TAGS.tags
+        )
         with watching:
             assert wait_for(picture.exists)
             assert wait_for(lambda: {TAG_VIEW, "rover/localiser"} <= set(views))

@@ -54,9 +54,12 @@ function receive(updates) {
 }
 
 function showTags(jpeg) {
+  const { pictures } = model, t = model.drive.ticks.t.at(-1) ?? 0;
+  if (pictures.at(-1)?.t === t || pictures.length === KEPT_PICTURES) pictures.splice(pictures.at(-1).t === t ? -1 : 0, 1);
+  pictures.push({ t, jpeg });
   $("tags").hidden = false;
-  $("tag-view").src = `data:image/jpeg;base64,${jpeg}`;
-  $("tag-now").textContent = `Received at ${new Date().toLocaleTimeString()}.`;
+  document.querySelector("main").classList.add("seen");
+  showPicture(player.t);
 }
 
 function stopControls({ bridge, mayStop, gate }) {

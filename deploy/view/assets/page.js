@@ -2,12 +2,14 @@
 const PER_UNIT = new Set(["potentials", "currents", "pulls"]); // one column for each neuron or synapse
 const STREAMS = ["ticks", "odometry", "truth", "commands", "setpoints"];
 const model = { circuit: data.circuit, course: data.course, end: data.course?.horizon ?? 1 };
-let strongest = 1e-9, lastPhase = null;
+const KEPT_PICTURES = 600; // five minutes of a running drive
+let strongest = 1e-9, lastPhase = null, lastPicture = null;
 
 function reset() {
   model.drive = Object.fromEntries(STREAMS.map((name) => [name, { t: [], x: [], y: [], theta: [], v: [], omega: [] }]));
   model.events = [];
   model.phases = [];
+  model.pictures = data.pictures ?? [];
   if (!data.updates) $("events").replaceChildren();
 }
 
@@ -59,6 +61,7 @@ function show(t) {
   $("neuron-now").textContent = circuit.words(ticks, i);
   for (const over of [lanes, commands]) over.update(t);
   pair?.update(i);
+  if (model.pictures.length) showPicture(t);
   const { phases } = model;
   const now = phases.findIndex((phase) => t >= phase.start_s - 1e-6 && t < phase.end_s - 1e-6);
   const k = now < 0 ? phases.length - 1 : now;
@@ -67,6 +70,15 @@ function show(t) {
   lastPhase = k;
   $("caption").textContent = k < 0 ? "" : `${k + 1}. ${phases[k].sentence}`;
   [...$("phases").children].forEach((item, own) => item.classList.toggle("current", own === k));
+}
+
+// Show the picture that was the newest at a time.
+function showPicture(t) {
+  const k = model.pictures.findLastIndex((picture) => picture.t <= t + 1e-6), picture = model.pictures[Math.max(k, 0)];
+  $("tag-now").textContent = `Picture at ${number(picture.t, 1)} s${t - picture.t > 1.5 ? ", and none since" : ""}.`;
+  if (picture === lastPicture) return;
+  lastPicture = picture;
+  $("tag-view").src = `data:image/jpeg;base64,${picture.jpeg}`;
 }
 
 function drawAll() {

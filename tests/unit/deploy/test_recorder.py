@@ -10,15 +10,18 @@ from kit.virtual_drive import VirtualDrive
 
 from deploy import app
 from deploy.drive.zenoh_link import ZenohLink
-from deploy.recorder import Recorder
+from deploy.recorder import BEHIND, Recorder
+from deploy.tag.view import View
 from deploy.zenoh_client import BridgeAddress, ZenohClient
 from rover_ncp.core.console import Output
 from rover_ncp.core.errors import FileError, NoPose
 from rover_ncp.core.geometry import ORIGIN
 from rover_ncp.recording.recording import Recorded, RecordingWriter, read_recording
-from rover_ncp.wire.key_table import spec
+from rover_ncp.wire.key_table import TAG_VIEW, spec
 from rover_ncp.wire.messages import pose_with_covariance, read_text, text
 from sim.park.live import wait_for
+
+BLACK = np.zeros((48, 64), np.uint8)
 
 
 def note(words, now_ns=None):
@@ -48,6 +51,20 @@ def test_every_message_is_written_in_order_also_those_before_the_file_is_open(tm
     assert [read_text(message.data) for message in recording.messages] == [str(n) for n in range(500)]
     assert recording.attachment("policy.yaml") == b"x"
     assert (recorder.dropped, recorder.failure) == (0, "")
+
+
+def test_a_recorder_that_is_behind_drops_pictures_and_nothing_else(tmp_path):
+    recorder = Recorder(tmp_path / "run.mcap")
+    picture = Recorded(TAG_VIEW, spec(TAG_VIEW).type, View(BLACK, [], "", 1).messages()[TAG_VIEW], 1, 1)
+    for number in range(BEHIND):
+        recorder.put(picture if number == 0 else note(str(number)))
+    for message in (picture, note("late")):
+        recorder.put(message)
+    recorder.open({})
+    recorder.begin()
+    recorder.close()
+    recording = read_recording(tmp_path / "run.mcap")
+    assert (len(recording.topic(TAG_VIEW)), len(recording.topic("a")), recorder.dropped) == (1, BEHIND, 1)
 
 
 def test_a_disk_that_hangs_never_blocks_the_caller(tmp_path, monkeypatch):

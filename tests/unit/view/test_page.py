@@ -1,11 +1,12 @@
 import json
 import math
 import re
+from base64 import b64decode
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from kit.recorded_drives import BEGAN_NS, TICK_NS, state, write_drive
+from kit.recorded_drives import BEGAN_NS, TICK_NS, picture, state, write_drive
 
 from deploy.view.feed import Cursor
 from deploy.view.page import drive_page, fragment, page
@@ -52,6 +53,17 @@ def test_messages_with_impossible_numbers_are_skipped(tmp_path, capsys, short, f
         if number % 20 == 0:
             json.dumps(feed.updates(cursor), allow_nan=False)
     assert "neurons are not those" not in cursor.html["subline"]
+
+
+@pytest.mark.parametrize(("limit", "shown"), [(10**6, [-1.0, 1.0, 3.0, 5.0]), (2000, [-1.0, 3.0])])
+def test_pictures_of_the_drive_are_on_the_page_up_to_a_limit(tmp_path, monkeypatch, limit, shown):
+    monkeypatch.setattr("deploy.view.page_data.PICTURE_BYTES", limit)
+    seconds = range(-5, 6, 2)
+    taken = [picture(BEGAN_NS + second * 10 * TICK_NS, bytes([5 + second] * 1000)) for second in seconds]
+    write_drive(tmp_path / "run.mcap", course=SHORT, more=taken)
+    pictures = data_of(drive_page(read_drive(tmp_path / "run.mcap")))["pictures"]
+    assert [each["t"] for each in pictures] == shown
+    assert b64decode(pictures[-1]["jpeg"]) == bytes([5 + int(shown[-1])] * 1000)
 
 
 def test_data_of_the_page_are_the_run(drive):

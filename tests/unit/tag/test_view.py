@@ -1,0 +1,36 @@
+"""The pictures of a localiser that a page and a recording get."""
+
+import cv2
+import numpy as np
+import pytest
+from kit.tags import CAMERA, WALL, picture_of
+
+from deploy.tag.detector import Detector
+from deploy.tag.view import SENT_WIDTH, View
+from deploy.view.timeline import read_jpeg
+from rover_ncp.core.geometry import Pose
+from rover_ncp.wire.cdr import decode
+from rover_ncp.wire.key_table import TAG_OUTLINES, TAG_VIEW, spec
+
+
+def test_outlines_lie_on_the_tags_of_the_smaller_picture():
+    grey = cv2.resize(picture_of(Pose(0.9, 0.05, 0.1), CAMERA, WALL), (1280, 960))
+    tags = Detector().detect(grey)
+    sent = View(grey, tags, "x 0.9 m θ 0.1 rad", 5_000_000_000).messages()
+    picture = cv2.imdecode(np.frombuffer(read_jpeg(sent[TAG_VIEW]), np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert picture.shape[1] == SENT_WIDTH
+    outlines = decode(spec(TAG_OUTLINES).type, sent[TAG_OUTLINES])
+    assert [each.text for each in outlines.texts] == ["7", "8", "9"]
+    for outline, tag in zip(outlines.points, tags, strict=True):
+        corners = [(point.x, point.y) for point in outline.points]
+        assert np.array(corners) == pytest.approx((tag.corners + 0.5) / 2.0, abs=1e-6)
+    assert decode(spec(TAG_VIEW).type, sent[TAG_VIEW]).header.stamp.sec == 5
+
+
+def test_picture_of_noise_still_fits_its_key():
+    noise = np.random.default_rng(1).integers(0, 256, (480, 640), np.uint8)
+    sent = View(noise, [], "no tag", 1).messages()
+    assert {name: len(data) <= spec(name).max_bytes for name, data in sent.items()} == {
+        TAG_VIEW: True,
+        TAG_OUTLINES: True,
+    }

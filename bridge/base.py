@@ -1,10 +1,12 @@
 """Interface of a base, independent of its protocol: reports and events out, setpoints in."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, TypeAlias
 
+from rover_ncp.core.errors import NoRobot, RoverNcpError
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.protocol import TimeoutState
@@ -166,3 +168,13 @@ class Base(Protocol):
 
     def close(self, now: float) -> None:
         """Stop the base, switch its motors off and end the connection."""
+
+
+@contextmanager
+def base_failures() -> Iterator[None]:
+    """Raise NoRobot in place of any exception of a base, whose methods are called in this context."""
+    try:
+        yield
+    except Exception as error:
+        plain = isinstance(error, OSError | RoverNcpError)
+        raise NoRobot(f"the base failed: {error if plain else repr(error)}") from error

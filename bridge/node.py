@@ -29,6 +29,7 @@ from bridge.base import (
     Recovered,
     Setpoint,
     TurnRate,
+    base_failures,
 )
 from bridge.covariance import Variances, odometry_variances
 from bridge.gate.gate import step
@@ -44,7 +45,6 @@ from bridge.gate.state import (
     describe,
     read_tag,
 )
-from bridge.guarded_base import GuardedBase
 from bridge.inbox import CommandMessage, Query, ThreadError
 from bridge.queries import Answers
 from rover_ncp.core.bridge_lines import (
@@ -57,6 +57,7 @@ from rover_ncp.core.bridge_lines import (
     STOPPED,
 )
 from rover_ncp.core.errors import FormatError, NoRobot, SafetyStop
+from rover_ncp.core.geometry import STANDSTILL
 from rover_ncp.core.process import Clock, suspended_s
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire.messages import read_twist, text, twist_stamped
@@ -107,7 +108,7 @@ class Node:
         clock: Clock = time,
         suspended_s: Callable[[], float] = suspended_s,
     ) -> None:
-        self._base, self._arrivals, self._clock = GuardedBase(base), take, clock
+        self._base, self._arrivals, self._clock = base, take, clock
         self._key, self._publish = key, publish
         self._total_suspended_s, self._suspended_s = suspended_s, suspended_s()
         self._limits, self._ready = limits, ready
@@ -145,8 +146,18 @@ class Node:
             words = f"{error}; put the rover where the fence begins, then start the bridge"
             raise SafetyStop(str(Reason.FENCE_LOST), words) from error
         finally:
-            self._log += self._base.shut_down(self._clock.monotonic())
+            self._shut_down_base(self._clock.monotonic())
             self._flush_log()
+
+    def _shut_down_base(self, now: float) -> None:
+        """Stop the base, switch its motors off, then close it; log what fails."""
+        stop = Setpoint(STANDSTILL, motors=False, emergency=False)
+        for call in (lambda: list(self._base.drive(stop, now)), lambda: self._base.close(now)):
+            try:
+                with base_failures():
+                    call()
+            except NoRobot as error:
+                self._log.append(str(error))
 
     @property
     def report(self) -> BaseReport | None:
@@ -188,7 +199,9 @@ class Node:
             case ThreadError(error):
                 raise error
             case _:
-                self._handle(self._base.receive(arrival, self._clock.monotonic()), arrived_s)
+                with base_failures():
+                    events = list(self._base.receive(arrival, self._clock.monotonic()))
+                self._handle(events, arrived_s)
 
     def _command(self, message: CommandMessage) -> VelocityCommand:
         """Read a command; the gate also gets commands that cannot be read, and drops them.
@@ -275,7 +288,9 @@ class Node:
         self._acted_s = now
         lease = verdict.lease.number if verdict.lease else 0
         setpoint = Setpoint(verdict.velocity, verdict.motors, verdict.emergency, lease)
-        self._handle(self._base.drive(setpoint, now), now)
+        with base_failures():
+            events = list(self._base.drive(setpoint, now))
+        self._handle(events, now)
         if verdict.velocity != last.velocity:
             self._publish("rover/cmd_out", twist_stamped(verdict.velocity, self._wall_ns(now)))
 
@@ -309,10 +324,12 @@ class Node:
         self._requests = 0
         self._set_wall_clock()
         stamp_ns = self._wall_ns(now)
+        with base_failures():
+            line = self._base.health()
         health = ros.diagnostics(
             self._report,
             self.gate,
-            self._base.health(),
+            line,
             reconnects=max(self.reconnects, 0),
             hardware=self._hardware,
             stamp_ns=stamp_ns,

@@ -11,6 +11,7 @@ from importlib.metadata import version
 
 from pydantic import BaseModel
 
+from bridge.base import Base, base_failures
 from bridge.gate.limits import Limits
 from bridge.gate.state import (
     Enable,
@@ -24,7 +25,6 @@ from bridge.gate.state import (
     describe,
     read_tag,
 )
-from bridge.guarded_base import GuardedBase
 from bridge.inbox import Query
 from rover_ncp.core.bridge_lines import LEASE_OF, STOP_REQUESTED
 from rover_ncp.core.errors import FormatError
@@ -56,7 +56,7 @@ class Answers:
         limits: Limits,
         key: Callable[[str], str],
         judge: Callable[[GateEvent, float], Verdict],
-        base: GuardedBase,
+        base: Base,
         *,
         wall_ns: Callable[[float], int],
         log: Callable[[str], None],
@@ -95,12 +95,14 @@ class Answers:
             return _refusal(Reason.ANOTHER_DRIVER, gate)
         request = parse_json(MotorsRequest, query.payload)
         sequence = tag.sequence if signed else None
-        if request.enable and (detail := self._base.base_timeout.refusal):
-            return MotorsReply(reason=UNCHECKED, detail=detail)
         if not request.enable:
             if sequence is not None:
                 self._judge(Release(sequence), now)
             return MotorsReply()
+        with base_failures():
+            refusal = self._base.base_timeout.refusal
+        if refusal:
+            return MotorsReply(reason=UNCHECKED, detail=refusal)
         secret = secrets.token_bytes(KEY_BYTES)
         verdict = self._judge(Enable(request.name, request.sent_ns, secret, sequence), now)
         if verdict.refusal is not None:
@@ -126,8 +128,9 @@ class Answers:
 
     def _about_base(self, query: Query, now: float, gate: GateState) -> BaseReply:
         parse_json(BaseRequest, query.payload)
-        known, health, (own, zenoh) = self._base.base_timeout, self._base.health(), self._versions
-        nan, report = math.nan, gate.base
+        with base_failures():
+            known, health = self._base.base_timeout, self._base.health()
+        (own, zenoh), nan, report = self._versions, math.nan, gate.base
         ahead, behind = (nan, nan) if report is None else (report.clear_ahead_m, report.clear_behind_m)
         return BaseReply(
             model=self.model,

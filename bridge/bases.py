@@ -19,7 +19,7 @@ from bridge.base import Base
 from bridge.gate.limits import Limits
 from bridge.inbox import Inbox
 from bridge.pioneer.base import ArcosBase
-from bridge.pioneer.base_connection import BaseConnection
+from bridge.pioneer.connection import BaseConnection
 from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from bridge.base import BaseEvent, BaseTimeout, Failed, LinkHealth, Lost, Notice, Ready, Setpoint
-from bridge.pioneer.base_connection import BaseConnection, Broken, Opened, Received
+from bridge.pioneer.connection import BaseConnection, Broken, Opened, Received
 from bridge.pioneer.session import BaudChanged, Session, SessionEvent
 from rover_ncp.core.geometry import STANDSTILL
 from rover_ncp.wire.protocol import TimeoutState

@@ -14,7 +14,7 @@ from serial.tools.list_ports import comports
 from bridge.base import Failed, Ready, Setpoint
 from bridge.inbox import Inbox, ThreadError
 from bridge.pioneer.base import ArcosBase
-from bridge.pioneer.base_connection import BaseConnection
+from bridge.pioneer.connection import BaseConnection
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
 from bridge.ros2.address import command_type, hazard_topics, sensor_topics

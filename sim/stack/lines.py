@@ -11,7 +11,7 @@ from bridge.bases import gate_limits
 from bridge.gate.limits import Limits
 from bridge.inbox import RobotMessage
 from bridge.pioneer.base import ArcosBase
-from bridge.pioneer.base_connection import BaseConnection, Opened, Received
+from bridge.pioneer.connection import BaseConnection, Opened, Received
 from bridge.pioneer.session import Session
 from bridge.pioneer.setpoints import MotionLimits
 from bridge.ros2.base import Ros2Base

@@ -21,7 +21,7 @@ from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 
-from bridge.pioneer.transport import ABORT
+from bridge.pioneer.connection import ABORT
 from sim.mock.real_time import Lateness
 from sim.park.live import Applied, Process
 

@@ -8,16 +8,14 @@ from contextlib import suppress
 import pytest
 
 from bridge.inbox import MAX_MESSAGES, CommandMessage, Inbox, Query, RobotMessage
-from bridge.pioneer import base_connection as line_module
-from bridge.pioneer import transport
-from bridge.pioneer.base_connection import BaseConnection, Broken, Opened, Received
-from bridge.pioneer.transport import TcpTransport
+from bridge.pioneer import connection
+from bridge.pioneer.connection import BaseConnection, Broken, Opened, Received, TcpTransport
 from sim.park.live import wait_for
 
 
 @pytest.fixture
 def server(monkeypatch):
-    monkeypatch.setattr(line_module, "RETRY_S", 0.05)
+    monkeypatch.setattr(connection, "RETRY_S", 0.05)
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(5.0)
         yield server
@@ -97,7 +95,7 @@ def test_a_line_that_is_reopened_is_closed_by_the_thread_and_the_loop_never_wait
 def test_line_that_does_not_take_the_last_zeros_delivers_no_setpoints_after_its_end(
     server, open_line, monkeypatch
 ):
-    monkeypatch.setattr(transport, "BACKLOG_S", 0.05)
+    monkeypatch.setattr(connection, "BACKLOG_S", 0.05)
     server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     line, inbox = open_line()
     peer, _ = server.accept()

@@ -12,9 +12,9 @@ from contextlib import closing, contextmanager, suppress
 
 import pytest
 
-from bridge.pioneer import transport
+from bridge.pioneer import connection
+from bridge.pioneer.connection import BACKLOG_S, open_transport
 from bridge.pioneer.framing import Command, encode_command
-from bridge.pioneer.transport import BACKLOG_S, open_transport
 from rover_ncp.core.errors import NoRobot
 
 
@@ -132,7 +132,7 @@ def test_a_slow_tcp_line_that_acknowledges_bytes_is_not_given_up(monkeypatch):
     """Bytes are outstanding at every write, but each time others."""
     now_s = 100.0
     with tcp_pair() as (line, _):
-        monkeypatch.setattr(transport.time, "monotonic", lambda: now_s)
+        monkeypatch.setattr(connection.time, "monotonic", lambda: now_s)
         monkeypatch.setattr(line, "_outstanding", lambda: min(line.bytes_out, 18))
         for _ in range(50):
             line.write(bytes(18))

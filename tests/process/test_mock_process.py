@@ -8,9 +8,9 @@ from contextlib import ExitStack, closing
 import pytest
 from kit.true_motion import moving
 
+from bridge.pioneer.connection import open_transport
 from bridge.pioneer.framing import Command, Decoder, encode_command, encode_frame
 from bridge.pioneer.packets import Kind, decode_names
-from bridge.pioneer.transport import open_transport
 from sim.park.live import Process, wait_for
 from sim.park.truth import TruthReader
 

@@ -8,7 +8,7 @@ from kit.ros2_world import BURGER
 from kit.virtual_bench import VirtualDriver, VirtualRig
 
 from bridge.gate.limits import Fence, Limits
-from bridge.pioneer.base_connection import Received
+from bridge.pioneer.connection import Received
 from bridge.pioneer.framing import Command, Decoder
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.course.course import Obstacle

@@ -9,7 +9,7 @@ from kit.virtual_check import check
 from kit.virtual_drive import ChangedLink
 
 from bridge.gate.limits import Limits
-from bridge.pioneer.base_connection import Received
+from bridge.pioneer.connection import Received
 from bridge.pioneer.framing import encode_frame
 from bridge.pioneer.packets import Kind
 from deploy.check import Preflight

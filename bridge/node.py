@@ -31,7 +31,6 @@ from bridge.base import (
     TurnRate,
     base_failures,
 )
-from bridge.covariance import Variances, odometry_variances
 from bridge.gate.gate import step
 from bridge.gate.limits import Limits
 from bridge.gate.state import (
@@ -125,7 +124,7 @@ class Node:
         self._verdict = self._sent = Verdict(self.gate.out, motors=False, held=self.gate.held)
         self._report: BaseReport | None = None
         self._robot: RobotDescription | None = None
-        self._variances: Variances | None = None
+        self._variances: ros.Variances | None = None
         self._hardware, self._early = "", False
         self._act_now = self._commanded = False
         self._set_wall_clock()
@@ -229,7 +228,8 @@ class Node:
                 case PassedOn(key, data):
                     self._publish(key, data)
                 case Ready(hardware, robot):
-                    self._hardware, self._robot, self._variances = hardware, robot, odometry_variances(robot)
+                    self._hardware, self._robot = hardware, robot
+                    self._variances = ros.odometry_variances(robot)
                     self._limits = self._answers.limits = self._limits.within(robot)
                     self._answers.model, self._answers.problem = robot.name, ""
                     self.reconnects += 1

@@ -8,7 +8,6 @@ import pytest
 
 from bridge import base_messages as ros
 from bridge.base import BaseReport, LinkHealth
-from bridge.covariance import Variances, odometry_variances
 from bridge.gate.state import NO_CONTACT, GateState, Lease, Reason
 from bridge.pioneer.odometry import ROBOTS
 from rover_ncp.core.files import shipped_names
@@ -29,7 +28,7 @@ STATE = BaseReport(
     bumpers=(0b10, 0b1),
     battery_v=12.5,
 )
-CERTAIN = Variances((1e-6, 1e-6, 1e-6), (1e-6, 1e-6), 1e-6)
+CERTAIN = ros.Variances((1e-6, 1e-6, 1e-6), (1e-6, 1e-6), 1e-6)
 
 
 def sent(state, variances=CERTAIN):
@@ -116,10 +115,10 @@ EACH_ROBOT = pytest.mark.parametrize("name", shipped_names("robots"))
 @EACH_ROBOT
 def test_variances_of_odometry_are_the_errors_of_a_metre_and_a_radian_and_never_zero(name):
     robot = load_description(name)
-    pose, velocity, lateral = odometry_variances(robot)
+    pose, velocity, lateral = ros.odometry_variances(robot)
     report = BaseReport(x=1.0, v=0.1, omega=0.1)
     message = decode(
-        "nav_msgs/msg/Odometry", ros.each_report(report, robot, STAMP, odometry_variances(robot))["odom"]
+        "nav_msgs/msg/Odometry", ros.each_report(report, robot, STAMP, ros.odometry_variances(robot))["odom"]
     )
     assert [message.pose.covariance[7 * k] for k in (0, 1, 5)] == list(pose)
     assert [message.twist.covariance[7 * k] for k in (0, 5, 1)] == [*velocity, lateral]

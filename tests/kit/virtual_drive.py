@@ -13,12 +13,12 @@ from deploy.drive.result import result_of
 from deploy.drive.tick_messages import Publisher
 from deploy.estimator.inputs import Acceptance
 from deploy.estimator.settings import EstimatorSettings
+from deploy.zenoh_client import BridgeFilter
 from kit.paths import DATA
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.geometry import ORIGIN, STANDSTILL, compose, relative
 from rover_ncp.course.course import TICK_S, Course, load_course
 from rover_ncp.recording.recording import Recorded, RecordingWriter
-from rover_ncp.wire.bridge_filter import BridgeFilter
 from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import odometry, read_odometry, read_text, text, twist_stamped
 from rover_ncp.wire.protocol import (

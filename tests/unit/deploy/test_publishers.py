@@ -1,9 +1,11 @@
-"""Publishers of the inputs, by namespaces, ids and stamps."""
+"""Publishers of the inputs, by namespaces, ids and stamps, and whose messages a driver takes."""
 
 import pytest
 
 from deploy.publishers import Publishers
+from deploy.zenoh_client import BridgeFilter
 from rover_ncp.core.geometry import ORIGIN, STANDSTILL
+from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import odometry
 
 S = 10**9
@@ -48,3 +50,31 @@ def test_input_in_another_namespace_is_named():
     assert publishers.elsewhere("pose", "") == ["bot1", "bot2"]
     assert publishers.elsewhere("pose", "bot1") == ["bot2"]
     assert publishers.elsewhere("odom", "bot1") == [""]
+
+
+def test_messages_of_other_peers_are_dropped_once_the_bridge_has_sent_one():
+    found = BridgeFilter(lambda: ["bridge"])
+    assert found.accepts(spec("odom"), "bridge")
+    for peer in ("peer", None):
+        assert [found.accepts(spec(name), peer) for name in ("odom", "rover/gate", "docked")] == [False] * 3
+
+
+@pytest.mark.parametrize("connected", [[], ["router"]])
+def test_behind_a_router_the_messages_of_all_peers_count(connected):
+    found = BridgeFilter(lambda: connected)
+    assert all(found.accepts(spec("odom"), peer) for peer in ("bridge", "peer", None))
+
+
+def test_bridge_that_connects_again_is_known_by_its_new_id():
+    ids = ["bridge"]
+    found = BridgeFilter(lambda: ids)
+    assert found.accepts(spec("odom"), "bridge")
+    ids[:] = ["restarted"]
+    assert found.accepts(spec("odom"), "restarted")
+
+
+@pytest.mark.parametrize("name", ["pose", "cmd_vel", "tf_static"])
+def test_topics_that_others_send_too_and_latched_ones_are_never_filtered(name):
+    found = BridgeFilter(lambda: ["bridge"])
+    assert found.accepts(spec("odom"), "bridge")
+    assert found.accepts(spec(name), "peer")

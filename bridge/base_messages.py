@@ -15,7 +15,7 @@ from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.wire import messages
 from rover_ncp.wire.cdr import encode
-from rover_ncp.wire.header import header_of
+from rover_ncp.wire.message_parts import header_of
 from rover_ncp.wire.messages import BASE_FRAME, ODOM_FRAME, Transform, imu
 from rover_ncp.wire.protocol import GateStatus
 

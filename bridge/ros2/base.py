@@ -42,7 +42,7 @@ from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.topics import Topics
 from rover_ncp.wire.cdr import encode
-from rover_ncp.wire.header import header_of
+from rover_ncp.wire.message_parts import header_of
 from rover_ncp.wire.messages import (
     BUMP,
     CLIFF,

@@ -12,7 +12,7 @@ from rover_ncp.core.clock_offset import StampClock
 from rover_ncp.core.errors import FormatError
 from rover_ncp.robot.description import Circle, RobotDescription
 from rover_ncp.wire.cdr import decode
-from rover_ncp.wire.header import read_stamp_ns
+from rover_ncp.wire.message_parts import read_stamp_ns
 from rover_ncp.wire.messages import LASER_SCAN
 
 VALID_S = 1.0

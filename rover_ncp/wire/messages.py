@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.wire.cdr import decode, encode
-from rover_ncp.wire.header import header_of, read_stamp_ns
-from rover_ncp.wire.pose_fields import pose_of, read_planar_pose, rotation_of
+from rover_ncp.wire.message_parts import header_of, pose_of, read_planar_pose, read_stamp_ns, rotation_of
 
 FloatArray = NDArray[np.float64]
 

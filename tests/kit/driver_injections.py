@@ -13,7 +13,7 @@ from kit.virtual_drive import LOST
 from rover_ncp.core.geometry import STANDSTILL, Pose
 from rover_ncp.wire import messages as ros
 from rover_ncp.wire.cdr import encode
-from rover_ncp.wire.header import header_of
+from rover_ncp.wire.message_parts import header_of
 from rover_ncp.wire.protocol import CommandTag, Signed, StopRequest, dump_json
 
 NS = 10**9

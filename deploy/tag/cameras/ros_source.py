@@ -15,8 +15,8 @@ from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.core.geometry import same_frame
 from rover_ncp.wire.address import parse_ros_endpoint
 from rover_ncp.wire.cdr import decode
+from rover_ncp.wire.message_parts import read_yaw
 from rover_ncp.wire.messages import TF
-from rover_ncp.wire.pose_fields import read_yaw
 from rover_ncp.wire.zenoh import PORT, open_robot
 
 IMAGE_TOPIC = "camera/image_raw"

@@ -14,7 +14,7 @@ from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, Velocity, wrap_angle
 from rover_ncp.wire import messages
 from rover_ncp.wire.cdr import encode
-from rover_ncp.wire.header import _warn_of_clock
+from rover_ncp.wire.message_parts import _warn_of_clock
 from rover_ncp.wire.messages import imu, read_imu
 
 STAMP = 1_700_000_123_456_789_012

@@ -8,8 +8,8 @@ import numpy as np
 
 from deploy.drive.config import DriveConfig
 from deploy.drive.control_loop import Drive
-from deploy.drive.controller import Controller
-from deploy.drive.mission import CourseMission, Mission
+from deploy.drive.controller import Controller, CourseMission
+from deploy.drive.mission import Mission
 from deploy.drive.records import TICKS_TOPIC, attachments
 from deploy.drive.result import result_of
 from deploy.drive.tick_messages import Publisher

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel, Field
 
-from deploy.drive.controller import Controller
+from deploy.drive.controller import Controller, CourseMission
 from deploy.drive.measurements import Sample, SampleRef, readers
-from deploy.drive.mission import CourseMission, Mission
+from deploy.drive.mission import Mission
 from deploy.drive.records import (
     STAGING_FILE,
     START_TOPIC,

@@ -1,4 +1,4 @@
-"""One control tick: from the estimated pose to the command. No I/O, no clock.
+"""A course as it is driven, tick by tick: from the estimated pose to the command. No I/O, no clock.
 
 Rules of this file:
 
@@ -18,12 +18,16 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.drive.config import DriveConfig
+from deploy.drive.measurements import Sample
 from deploy.estimator.estimator import Estimate, Estimator
 from deploy.estimator.settings import TURN_GAINS, EstimatorSettings
+from deploy.place.outcome import Evidence
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.circuit.runner import Runner
-from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, Velocity, compose, near
+from rover_ncp.core.errors import SafetyStop
+from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, Velocity, compose, near, wrap_angle
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.hold import HOLD, hold_from_s, holds
 from rover_ncp.course.reference import Reference, plan_reference
@@ -194,6 +198,71 @@ class Controller:
     def _observation(self, pose: Pose, index: int, start: float) -> list[float]:
         reference = self._reference.tick(index) if self._reference else None
         return self._interface.observe(pose, start, reference)
+
+
+class CourseMission:
+    """A course, driven by one controller."""
+
+    proof, leading_end, over, words = None, 0, False, ""
+
+    def __init__(self, controller: Controller, config: DriveConfig) -> None:
+        self._controller, self._config = controller, config
+        self.frame = config.pose_frame
+
+    @property
+    def estimator(self) -> Estimator:
+        """The controller's estimator."""
+        return self._controller.estimator
+
+    def start_pose(self, seen: Pose | None, complaint: str) -> Pose:
+        """Return the start pose. Raises SafetyStop if the rover is where no rate of parking is known."""
+        if seen is None:
+            return ORIGIN
+        (x, y, theta), config = seen, self._config
+        far = round(max(abs(x), abs(y)), 3) > config.start_m
+        if far or abs(wrap_angle(theta)) > config.start_rad:
+            found = f"x {x:.2f} m, y {y:.2f} m and {math.degrees(theta):.0f}°"
+            limits = f"±{config.start_m:g} m and ±{math.degrees(config.start_rad):.0f}°"
+            raise SafetyStop(
+                "start-pose",
+                f"external poses show the rover at {found} from the course's start (limit {limits}); "
+                "place it nearer, or give a course that starts there",
+            )
+        return seen
+
+    def start(
+        self,
+        odometry: Pose,
+        t: float,
+        pose: Pose,
+        covariance: NDArray[np.float64] | None = None,
+        lasting: LastingError = UNDECLARED,
+    ) -> None:
+        """Begin as `Controller.start`."""
+        self._controller.start(odometry, t, pose, covariance, lasting)
+
+    def take(self, sample: Sample, t: float) -> None:
+        """Give the estimator a sample."""
+        self.estimator.take(sample, t)
+
+    def tick(self, index: int, t: float, evidence: Evidence | None = None) -> Tick:
+        """Run a tick of the controller."""
+        return self._controller.tick(index, t)
+
+    def record_estimate(self, index: int, t: float) -> Estimate:
+        """Record the estimate at time ``t`` for the verdict."""
+        return self._controller.record_estimate(index, t)
+
+    def on_contact(self, *, other_end: bool) -> bool:
+        """Return False: contact ends the drive."""
+        return False
+
+    def verdict(self, contact: str) -> Verdict:
+        """Judge the drive by the estimates; a rover that touched something has not parked."""
+        return self._controller.verdict().with_contact(contact)
+
+    def result(self, reason: str) -> None:
+        """Return None: nothing was docked."""
 
 
 def _slower(command: Velocity, limit: Velocity) -> bool:

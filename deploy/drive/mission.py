@@ -1,22 +1,18 @@
-"""What a drive drives: a course or a docking, behind one protocol. No I/O, no clock."""
+"""What a drive drives, as the control loop sees it: `CourseMission` and `Docking` implement it."""
 
-import math
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.drive.config import DriveConfig
-from deploy.drive.controller import Controller, Tick
+from deploy.drive.controller import Tick
 from deploy.drive.measurements import Sample
 from deploy.estimator.estimator import Estimate, Estimator
 from deploy.place.outcome import DockResult, Evidence
 from deploy.place.place import Proof
-from rover_ncp.core.errors import SafetyStop
-from rover_ncp.core.geometry import ORIGIN, Pose, wrap_angle
+from rover_ncp.core.geometry import Pose
 from rover_ncp.course.scoring import Verdict
 from rover_ncp.robot.lasting_error import UNDECLARED, LastingError
-from rover_ncp.wire.messages import OdometrySample, PoseSample, TurnSample
 
 
 class Mission(Protocol):
@@ -85,79 +81,3 @@ class Mission(Protocol):
 
     def result(self, reason: str) -> DockResult | None:
         """Return how a docking ended, None for a course; ``reason`` is why the drive ended."""
-
-
-class CourseMission:
-    """A course, driven by one controller."""
-
-    proof, leading_end, over, words = None, 0, False, ""
-
-    def __init__(self, controller: Controller, config: DriveConfig) -> None:
-        self._controller, self._config = controller, config
-        self.frame = config.pose_frame
-
-    @property
-    def estimator(self) -> Estimator:
-        """The controller's estimator."""
-        return self._controller.estimator
-
-    def start_pose(self, seen: Pose | None, complaint: str) -> Pose:
-        """Return the start pose. Raises SafetyStop if the rover is where no rate of parking is known."""
-        if seen is None:
-            return ORIGIN
-        (x, y, theta), config = seen, self._config
-        far = round(max(abs(x), abs(y)), 3) > config.start_m
-        if far or abs(wrap_angle(theta)) > config.start_rad:
-            found = f"x {x:.2f} m, y {y:.2f} m and {math.degrees(theta):.0f}°"
-            limits = f"±{config.start_m:g} m and ±{math.degrees(config.start_rad):.0f}°"
-            raise SafetyStop(
-                "start-pose",
-                f"external poses show the rover at {found} from the course's start (limit {limits}); "
-                "place it nearer, or give a course that starts there",
-            )
-        return seen
-
-    def start(
-        self,
-        odometry: Pose,
-        t: float,
-        pose: Pose,
-        covariance: NDArray[np.float64] | None = None,
-        lasting: LastingError = UNDECLARED,
-    ) -> None:
-        """Begin as `Controller.start`."""
-        self._controller.start(odometry, t, pose, covariance, lasting)
-
-    def take(self, sample: Sample, t: float) -> None:
-        """Give the estimator a sample."""
-        take(self.estimator, sample, t)
-
-    def tick(self, index: int, t: float, evidence: Evidence | None = None) -> Tick:
-        """Run a tick of the controller."""
-        return self._controller.tick(index, t)
-
-    def record_estimate(self, index: int, t: float) -> Estimate:
-        """Record the estimate at time ``t`` for the verdict."""
-        return self._controller.record_estimate(index, t)
-
-    def on_contact(self, *, other_end: bool) -> bool:
-        """Return False: contact ends the drive."""
-        return False
-
-    def verdict(self, contact: str) -> Verdict:
-        """Judge the drive by the estimates; a rover that touched something has not parked."""
-        return self._controller.verdict().with_contact(contact)
-
-    def result(self, reason: str) -> None:
-        """Return None: nothing was docked."""
-
-
-def take(estimator: Estimator, sample: Sample, t: float) -> None:
-    """Give the estimator a sample that was measured at time ``t``."""
-    match sample:
-        case OdometrySample(_, pose, velocity):
-            estimator.odometry(pose, velocity, t)
-        case PoseSample(_, _, pose, covariance):
-            estimator.external(pose, covariance, t)
-        case TurnSample(_, rate):
-            estimator.gyro(rate, t)

@@ -38,7 +38,7 @@ from deploy.estimator.motion import (
 from deploy.estimator.settings import GYRO_S, EstimatorSettings
 from rover_ncp.core.geometry import ORIGIN, Pose, Velocity, near
 from rover_ncp.robot.lasting_error import UNDECLARED, LastingError
-from rover_ncp.wire.messages import GYRO_GAP_S
+from rover_ncp.wire.messages import GYRO_GAP_S, OdometrySample, PoseSample, TurnSample
 
 GYRO_OFF_RAD_S = 1.0
 """A reading with a larger error, beyond five standard deviations of its noise, is rejected."""
@@ -187,6 +187,16 @@ class Estimator:
             raise ValueError(f"cannot start with the covariance {covariance}")
         self._settings = s = self._settings.model_copy(update=lasting_settings(lasting, known))
         self._started = History(s, t, own, pose, known)
+
+    def take(self, sample: OdometrySample | TurnSample | PoseSample, t: float) -> None:
+        """Apply a sample that was measured at ``t``."""
+        match sample:
+            case OdometrySample(_, pose, velocity):
+                self.odometry(pose, velocity, t)
+            case PoseSample(_, _, pose, covariance):
+                self.external(pose, covariance, t)
+            case TurnSample(_, rate):
+                self.gyro(rate, t)
 
     def odometry(self, pose: Pose, velocity: Velocity, t: float) -> Acceptance:
         """Apply odometry measured at ``t``: pose in its own frame, v in m/s, ω in rad/s."""

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from deploy.drive.config import DriveConfig
 from deploy.drive.controller import Controller, Tick
 from deploy.drive.measurements import Sample
-from deploy.drive.mission import take
 from deploy.estimator.estimator import Estimate, Estimator
 from deploy.place.judge import (
     STAGED_M,
@@ -152,7 +151,7 @@ class Docking:
         """Give the estimator a sample, and keep external poses for the judge."""
         if isinstance(sample, PoseSample) and all(map(math.isfinite, sample.pose)):
             self._poses.append((t, sample.pose))
-        take(self.estimator, sample, t)
+        self.estimator.take(sample, t)
 
     def on_contact(self, *, other_end: bool) -> bool:
         """Return whether contact ends a try, and not the drive: no dock is at the other end."""

@@ -16,9 +16,9 @@ from typing import NamedTuple, TypeVar
 
 from deploy.drive.config import DriveConfig, config_for
 from deploy.drive.control_loop import Drive
-from deploy.drive.controller import Controller
+from deploy.drive.controller import Controller, CourseMission
 from deploy.drive.measurements import Measurements
-from deploy.drive.mission import CourseMission, Mission
+from deploy.drive.mission import Mission
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.identify.excitation import FENCE_M, excite
 from deploy.identify.fit import identify

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from deploy.tag.detector import Detection
 from rover_ncp.wire.cdr import encode
-from rover_ncp.wire.header import header_of
 from rover_ncp.wire.key_table import TAG_OUTLINES, TAG_VIEW, spec
+from rover_ncp.wire.message_parts import header_of
 
 SENT_WIDTH = 640
 """Largest width of a picture that is sent, pixels."""

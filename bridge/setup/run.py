@@ -1,7 +1,6 @@
 """The command ``setup``: its questions in order, and what they lead to."""
 
 import json
-import secrets
 import signal
 import subprocess
 import sys
@@ -22,16 +21,13 @@ from rover_ncp.core.console import Output, print_line
 from rover_ncp.core.errors import NoRobot, UsageError
 from rover_ncp.core.files import require_writable, shipped_names, write_atomic
 from rover_ncp.core.process import Interrupts
+from rover_ncp.robot.description import load_description
 from rover_ncp.robot.robot_file import RobotSettings, commented, load_robot_file
 from rover_ncp.wire.address import ROS2, parse_address
 from rover_ncp.wire.probe import Listener, listener_at
 from rover_ncp.wire.zenoh import PORT
 
 READY_S = 60.0
-BOARDS = 57
-"""Boards that 'tag print --board' knows."""
-ON_FLOOR = {"turtlebot4"}
-"""Models that cannot be tested on blocks: sensors under them report lifted wheels."""
 
 
 class SetupResult(ResultModel):
@@ -67,12 +63,11 @@ def run(path: Path, output: Output, *, overwrite: bool, terminal: bool) -> int:
     camera = settings.camera
     if camera is not None and camera.file is not None and not (path.parent / camera.file).exists():
         output.say(f"{camera.file} is missing: 'rover-ncp tag calibrate' writes it (docs/tags)")
-    model = chosen.get("model")
     if chosen["base"].startswith(ROS2):
-        measured = _measure(dialog, path, model)
+        measured = _measure(dialog, path)
         if measured is not None:
             settings = _write(path, chosen | {"measured_base_timeout_s": measured})
-    ready = _check(dialog, path, model)
+    ready = _check(dialog, path)
     result = SetupResult(
         file=str(path), measured_base_timeout_s=settings.measured_base_timeout_s, check=ready
     )
@@ -209,12 +204,10 @@ def _tags(dialog: Dialog, path: Path, known: dict[str, Any]) -> str | None:
         "One page that hangs at the place; nothing is surveyed. Say no if tags hang there already.",
         default=True,
     ):
-        number = secrets.choice(range(1, BOARDS + 1))
-        default = f"board-{number}-a4"
-        out = str(folder / f"{default}.pdf")
-        code, _ = _run("tag", "print", "--board", "--number", str(number), "--out", out)
-        if code != 0:
-            default = None
+        _, printed = _run("tag", "print", "--board", "--json", folder=folder)
+        default = printed.get("board")
+        if default is not None:
+            dialog.say(f"  wrote {folder / printed['out']}: print it at 100 % and measure its ruler")
     return dialog.text(
         "Board or file of the tags",
         "A board has a name (board-17-a4); a file has the places of single tags.",
@@ -222,9 +215,15 @@ def _tags(dialog: Dialog, path: Path, known: dict[str, Any]) -> str | None:
     )
 
 
-def _measure(dialog: Dialog, path: Path, model: str | None) -> float | None:
+def _needs_floor(path: Path) -> bool:
+    """Return whether the robot is tested on the floor, by its description."""
+    model = load_robot_file(path).model
+    return model is not None and load_description(model).tested_on == "floor"
+
+
+def _measure(dialog: Dialog, path: Path) -> float | None:
     """Return the measured base timeout of a ROS 2 robot, None if it was not measured."""
-    where = "on the floor, with 1 m free ahead" if model in ON_FLOOR else "on blocks, its wheels free"
+    where = "on the floor, with 1 m free ahead" if _needs_floor(path) else "on blocks, its wheels free"
     question = f"Measure when the robot halts by itself? Put it {where}: it drives at 0.1 m/s for up to 7 s"
     if not dialog.yes(
         question, "If the bridge dies, only that stops the robot: without it nothing drives it."
@@ -242,9 +241,9 @@ def _measure(dialog: Dialog, path: Path, model: str | None) -> float | None:
     return float(answer["timeout_s"])
 
 
-def _check(dialog: Dialog, path: Path, model: str | None) -> bool | None:
+def _check(dialog: Dialog, path: Path) -> bool | None:
     """Run the check with a bridge of its own; return whether it said yes, None if it was not run."""
-    floor = model in ON_FLOOR
+    floor = _needs_floor(path)
     where = "on the floor, with 2 m free ahead and 0.5 m to each side" if floor else "on blocks"
     if not dialog.yes(
         f"Check the robot now? Put it {where}: it turns its wheels",
@@ -276,12 +275,15 @@ def _check(dialog: Dialog, path: Path, model: str | None) -> bool | None:
     return False
 
 
-def _run(*arguments: str) -> tuple[int, dict[str, Any]]:
-    """Run a command in this terminal, which gets Ctrl-C itself; return its code and its JSON."""
+def _run(*arguments: str, folder: Path | None = None) -> tuple[int, dict[str, Any]]:
+    """Run a command in this terminal, which gets Ctrl-C itself; return its code and its JSON.
+
+    ``folder`` is its working folder.
+    """
     piped = subprocess.PIPE if "--json" in arguments else None
     with Interrupts() as interrupts:
         command: Sequence[str] = [sys.executable, "-P", "-m", "rover_ncp", *arguments]
-        with subprocess.Popen(command, stdout=piped, text=True) as child:
+        with subprocess.Popen(command, stdout=piped, text=True, cwd=folder) as child:
             printed = child.stdout.read() if child.stdout else ""
             code = child.wait()
     if interrupts.raised:

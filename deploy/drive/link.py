@@ -24,6 +24,8 @@ CHARGING_NS = 3_000_000_000
 """Longest time without a message of the battery: the bridge sends it once a second."""
 ECHO_NS = 1_000_000_000
 """How long an echo counts: each message has those of a part of the sonars."""
+SONAR_LENGTH = 100
+"""Messages of the sonars that are kept: more than come while an echo counts."""
 REPEATED_NS = 500_000_000
 """Stamps that differ by no more are of one report of the battery."""
 
@@ -124,7 +126,9 @@ class Link(ABC):
         self.charge, self.docked = Charge(), DockedTopic()
         self.lasting_error = UNDECLARED
         """Of the external poses, as their source declares it."""
-        self._echoes = deque[tuple[int, float]](maxlen=INBOX_LENGTH)
+        self._sonar = Inbox[Arrival](SONAR_LENGTH)
+        """Messages of the sonars that are not decoded yet: few drives use them."""
+        self._echoes = deque[tuple[int, float]](maxlen=SONAR_LENGTH)
         """Arrival and distance of the nearest echo of each message of the sonars that had one, in m."""
         self.lease = DriverLease()
         self.complaints: dict[str, str] = {}
@@ -157,10 +161,7 @@ class Link(ABC):
                     battery.charging, before.reports + is_new, battery.stamp_ns, arrival.arrival_ns
                 )
             case "sonar":
-                points = read_points(arrival.data)
-                distances = np.hypot(points[:, 0], points[:, 1])
-                if np.isfinite(distances).any():
-                    self._echoes.append((arrival.arrival_ns, float(np.nanmin(distances))))
+                self._sonar.put(arrival)
             case "docked":
                 self.docked = DockedTopic(read_docked(arrival.data)[0], self.docked.reports + 1)
             case "bumpers":
@@ -169,7 +170,16 @@ class Link(ABC):
 
     def nearest_echo_m(self, now_ns: int) -> float:
         """Return the distance of the nearest new echo of the sonars from base_link; infinite without any."""
-        return min((m for arrived, m in list(self._echoes) if now_ns - arrived <= ECHO_NS), default=math.inf)
+        for data, arrival_ns in self._sonar.take():
+            try:
+                points = read_points(data)
+            except FormatError as error:
+                self.complaints.setdefault("sonar", str(error))
+                continue
+            distances = np.hypot(points[:, 0], points[:, 1])
+            if np.isfinite(distances).any():
+                self._echoes.append((arrival_ns, float(np.nanmin(distances))))
+        return min((m for arrived, m in self._echoes if now_ns - arrived <= ECHO_NS), default=math.inf)
 
     @abstractmethod
     def authorised(self) -> bool:

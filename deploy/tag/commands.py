@@ -45,7 +45,7 @@ def print_tags(
     ] = False,
     number: Annotated[
         int | None,
-        typer.Option(min=1, max=57, help="With --board: which of the 57 boards.", show_default="at random"),
+        typer.Option(min=1, help="With --board: which of the boards.", show_default="at random"),
     ] = None,
     page: Annotated[Literal["a4", "a3", "letter"], typer.Option(help="The paper.")] = "a4",
     out: Annotated[
@@ -74,6 +74,8 @@ def print_tags(
     if not board:
         reject("needs --board", number=number)
     chosen = secrets.choice(NUMBERS) if number is None else number
+    if chosen not in NUMBERS:
+        raise UsageError(f"--number {chosen}: expected 1 to {NUMBERS[-1]}")
     name = board_map(chosen, page).frame if board else None
     out = Path(f"{name or 'tags'}.pdf") if out is None else out
     if out.suffix.lower() != ".pdf":

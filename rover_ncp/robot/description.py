@@ -258,6 +258,8 @@ class RobotDescription(StrictModel):
     """None for a robot without ROS 2."""
     measured_base_timeout_s: float | None = Field(default=None, ge=0.01, le=MAX_BASE_TIMEOUT_S)
     """Base timeout of this very robot: `rover-ncp bridge --measure-timeout` prints it."""
+    tested_on: Literal["blocks", "floor"] = "blocks"
+    """Where its wheels may turn in a test: on the floor if sensors under it report lifted wheels."""
     sonars: Sonars | None = None
     """None for a robot without them."""
     scan: Scan | None = None

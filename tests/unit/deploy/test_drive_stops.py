@@ -144,14 +144,3 @@ def test_bumper_that_was_pressed_before_the_lease_does_not_count():
     virtual.link.change_gate(stops={"bumper": 3})
     virtual.link.put("bumpers", bumpers(0, 4))
     assert virtual.run().verdict is Parked.YES
-
-
-def test_drive_without_a_fault_ends_with_a_standing_rover(virtual):
-    result = virtual.run()
-    assert (result.exit_code, result.state, result.stopped_by) == (1, "ended", None)
-    assert (result.contact, result.recording) == (None, None)
-    assert result.ticks == 20
-    assert result.estimate_error_m > 6
-    assert "from the goal" in result.reason
-    assert virtual.rover.pose.x > 0.1
-    assert virtual.stands()

@@ -192,11 +192,3 @@ def test_it_answers_for_any_time_whatever_the_order_of_stamps(measurements):
             estimate = estimator.at(moment)
             assert all(map(math.isfinite, (*estimate.pose, *estimate.velocity)))
             assert np.linalg.eigvalsh(estimate.covariance).min() > -1e-9
-
-
-def test_it_is_seeded_once():
-    estimator = started()
-    with pytest.raises(RuntimeError, match="once"):
-        estimator.start(Pose(1, 0, 0), 1.0)
-    with pytest.raises(ValueError, match="cannot start"):
-        Estimator().start(Pose(math.nan, 0, 0), 0.0)

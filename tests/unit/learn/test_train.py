@@ -162,13 +162,6 @@ def test_a_damaged_agent_is_rejected_by_name(reference, tmp_path):
         run(tmp_path / "run", resume=True)
 
 
-def test_a_deleted_agent_is_done_again(reference):
-    before = content(reference)
-    (reference / "agents" / "01.json").unlink()
-    run(reference, resume=True)
-    assert content(reference) == before
-
-
 def test_a_damaged_record_is_refused(tmp_path):
     (tmp_path / "settings.yaml").write_text("format: 1\nseed: ]")
     with pytest.raises(ConfigError, match=r"settings.yaml: not valid YAML at line 2"):

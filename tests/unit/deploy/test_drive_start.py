@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from kit.paths import DATA
 from kit.virtual_drive import COURSE, VirtualDrive, short_course
 
 from deploy.drive.config import settings_for
@@ -23,6 +24,7 @@ from rover_ncp.wire.messages import imu, pose_with_covariance, read_pose, read_t
 from rover_ncp.wire.protocol import StopRequest, dump_json, parse_json
 
 COVARIANCE = np.diag([1e-4, 1e-4, 3e-4])
+ARC = load_course(DATA / "arc_course.yaml")
 
 
 def localised(link, start=ORIGIN, frame="course", rng=None):
@@ -237,9 +239,7 @@ def test_rover_with_an_external_start_pose_parks_on_the_true_pose(tmp_path):
 
 
 def test_poses_whose_errors_may_last_leave_the_verdict_uncertain(tmp_path):
-    virtual = VirtualDrive(
-        load_policy("course"), load_course("parking"), tmp_path / "run.mcap", pose="required"
-    )
+    virtual = VirtualDrive(load_policy("course"), ARC, tmp_path / "run.mcap", pose="required")
     localised(virtual.link, rng=np.random.default_rng(1))
     virtual.link.lasting_error = UNDECLARED
     result = virtual.run()
@@ -251,7 +251,7 @@ def test_poses_whose_errors_may_last_leave_the_verdict_uncertain(tmp_path):
 
 
 def test_two_localisers_that_disagree_at_the_start_leave_the_verdict_uncertain():
-    virtual = VirtualDrive(load_policy("course"), load_course("parking"), pose="required")
+    virtual = VirtualDrive(load_policy("course"), ARC, pose="required")
 
     def poses(sample):
         far = Pose(sample.pose.x + 0.15, sample.pose.y, sample.pose.theta)

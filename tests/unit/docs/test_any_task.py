@@ -23,7 +23,7 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("folder")
 def test_circuit_of_the_tutorial_learns_and_the_file_scores_the_same(capsys):
-    EXAMPLE["main"]("wall:FollowWall-v0", "wall.yaml", "4", "out.yaml")
+    EXAMPLE["main"]("wall:FollowWall-v0", "wall.yaml", "2", "out.yaml")
     environment = gymnasium.make("wall:FollowWall-v0")
     before, after = (EXAMPLE["score"](environment, load_policy(name)) for name in ("wall.yaml", "out.yaml"))
     assert after > before

@@ -57,9 +57,9 @@ def test_a_trial_whose_robot_never_sees_the_tags_is_counted():
         farthest_m = 0.1
 
     drawn = dataclasses.replace(trials(), localiser=Blind)
-    driven = drive_all(drawn.drive, 2, 1)
-    assert docking_result("dock", driven).verdicts == {"stopped": 2}
-    assert tally(driven).failures == {"stopped by start-pose": 2}
+    driven = drive_all(drawn.drive, 1, 1)
+    assert docking_result("dock", driven).verdicts == {"stopped": 1}
+    assert tally(driven).failures == {"stopped by start-pose": 1}
 
 
 @pytest.mark.parametrize("pose", [Pose(1.9, 1.0, 0.0), Pose(0.2, 0.3, 0.4)])
@@ -72,22 +72,17 @@ def test_errors_of_the_camera_are_as_large_as_its_covariance_says(pose):
     assert np.median(far) < (0.003 if pose.x > 1.0 else 0.03)
 
 
-@pytest.mark.parametrize(("moved_m", "reasons"), [(0.0, {}), (0.03, {"falsely docked": 1})])
-def test_docked_counts_by_the_true_pose(moved_m, reasons):
+def test_docked_counts_by_the_true_pose():
     """The tags may hang beside where the place has them: then its poses are wrong."""
 
     class Moved(TagLocaliser):
         def measure(self, wall_ns):
             seen = super().measure(wall_ns)
-            return seen and seen._replace(pose=seen.pose._replace(y=seen.pose.y + moved_m))
+            return seen and seen._replace(pose=seen.pose._replace(y=seen.pose.y + 0.03))
 
     drawn = dataclasses.replace(trials(retries=0), localiser=Moved)
     driven = drive_all(drawn.drive, 1, 1)
     found, docking = tally(driven), docking_result("dock", driven)
-    assert (docking.verdicts, docking.falsely_docked, found.failures) == (
-        {"docked": 1},
-        len(reasons),
-        reasons,
-    )
-    assert [drive.parked for drive in drives_of(driven)] == [not reasons]
-    assert found.success_rate == (not reasons)
+    assert (docking.verdicts, docking.falsely_docked) == ({"docked": 1}, 1)
+    assert (found.success_rate, found.failures) == (0.0, {"falsely docked": 1})
+    assert [drive.parked for drive in drives_of(driven)] == [False]

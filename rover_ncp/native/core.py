@@ -34,7 +34,7 @@ _FUNCTIONS: dict[str, list[Any]] = {
     "rover_ncp_sizes": [None, _POINTER],
     "rover_ncp_fill_lanes": [None, _POINTER, _POINTER, _LONG],
     "rover_ncp_tick_lanes": [None, *[_POINTER] * 3],
-    "rover_ncp_run_episodes": [_LONG, *[_POINTER] * 8, _LONG],
+    "rover_ncp_run_episodes": [_LONG, *[_POINTER] * 7, _LONG],
     "rover_ncp_size_of_least_squares": [_LONG],
     "rover_ncp_submit": [_LONG, _POINTER, _LONG, _LONG, _POINTER, _POINTER],
     "rover_ncp_damped_steps": [_LONG, _POINTER, _LONG, _DOUBLE, _DOUBLE, _POINTER, _POINTER],
@@ -266,7 +266,7 @@ def fill_lanes(circuits: Any, vectors: FloatArray, first: int = 0) -> None:
 
 
 def bound_episodes(circuits: Any, signal_at: NDArray[np.int64], **tuples: Any) -> Callable[[], None]:
-    """Return what runs episodes until a group has ended and a lane is free, or until none is left.
+    """Return what runs episodes until a group has ended, or until none is left.
 
     ``signal_at`` (inputs,) gives the signal of each input, a row of ``signals.TABLE``. The others are the
     named tuples of ``rover_ncp_run_episodes``, in its order.
@@ -280,16 +280,9 @@ def bound_episodes(circuits: Any, signal_at: NDArray[np.int64], **tuples: Any) -
     required().rover_ncp_sizes(sizes)
     if [structure.size for structure in packed] != list(sizes):
         raise TypeError("a named tuple has other fields than its structure in episode.cpp")
-    ended = ctypes.c_int64()
-    run = partial(
-        required().rover_ncp_run_episodes,
-        *packed,
-        ctypes.byref(ended),
-        _TICKS_OF_A_CALL,
-    )
+    run = partial(required().rover_ncp_run_episodes, *packed, _TICKS_OF_A_CALL)
 
     def run_all() -> None:
-        ended.value = 0
         while not run():
             pass
 

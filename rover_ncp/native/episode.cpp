@@ -1,6 +1,6 @@
 // Whole episodes: lanes of circuits, each with a rover of a fleet.
 //
-// Episodes wait in a queue for a free lane. A lane runs its episode on its own clock and takes the next one when that
+// Episodes wait in a queue for a free lane. A lane runs its episode on its own clock and takes another one when that
 // ends, or when its return falls below its threshold. So all lanes stay busy, and the result of an episode depends
 // neither on its lane nor on the other episodes. sim/learn/rollout.py defines an episode, with the same bits.
 
@@ -19,7 +19,7 @@ double copysign(double, double);
 namespace {
 
 using Flags = Array<bool, 1>;
-constexpr int64_t IDLE = -1, WARMING_UP = -1;
+constexpr int64_t IDLE = -1, WARMING_UP = -1, NONE = -1;
 constexpr double TICK_S = 0.1;
 constexpr int SIGNALS = 9;  // of rover_ncp/course/signals.py, in its order
 
@@ -71,7 +71,7 @@ struct Lanes {
 };
 
 struct Waiting {
-    Indices episodes, ring, left;
+    Indices submitted, begun, left, begun_in_all;
 };
 
 struct Queue {
@@ -81,6 +81,8 @@ struct Queue {
     Matrix results;
     Cube residuals;
     Waiting waiting;
+
+    int64_t group_size() const { return results.shape[0] / waiting.left.shape[0]; }
 };
 
 constexpr double RESTING_MV = -70.0;  // rover_ncp/circuit/circuit.py
@@ -359,22 +361,31 @@ struct Episodes {
         results[7] = lanes.tracking(1, lane) / (double)ticks;
     }
 
-    // Run until a group has ended and a lane is free, until no episode is left, or for so many ticks. `ended` counts
-    // the groups that ended, over several calls. Return whether there is nothing more to do before the next call.
-    bool run(int64_t *ended, int64_t max_ticks) const {
-        const Waiting &waiting = queue.waiting;
-        const int64_t count = lanes.episode.shape[0], room = waiting.episodes.shape[0];
-        if (room == 0 || waiting.left.shape[0] == 0) return true;
-        const int64_t group_size = room / waiting.left.shape[0];
-        int64_t &first = waiting.ring(0), &left = waiting.ring(1);
+    // The waiting episode that a free lane takes, or NONE. It is one of the group that is behind the others: otherwise
+    // groups of short episodes would end early, and leave lanes idle while the others go on.
+    int64_t take_episode() const {
+        const auto &[submitted, begun, left, begun_in_all] = queue.waiting;
+        int64_t behind = NONE;
+        for (int64_t group = 0; group < left.shape[0]; group++)
+            if (begun(group) < submitted(group) && (behind == NONE || begun_in_all(group) < begun_in_all(behind)))
+                behind = group;
+        if (behind == NONE) return NONE;
+        begun_in_all(behind)++;
+        return behind * queue.group_size() + begun(behind)++;
+    }
+
+    // Run until a group has ended, until no episode is left, or for so many ticks. Return whether there is nothing more
+    // to do before the next call.
+    bool run(int64_t max_ticks) const {
+        const int64_t count = lanes.episode.shape[0];
         int64_t running = 0;
+        bool ended = false;
         for (int64_t lane = 0; lane < count; lane++) running += lanes.episode(lane) != IDLE;
-        for (int64_t ticks = 0; ticks < max_ticks; ticks++) {
-            for (int64_t lane = 0; lane < count && left > 0; lane++) {
+        for (int64_t ticks = 0; ticks < max_ticks && !ended; ticks++) {
+            for (int64_t lane = 0; lane < count && running < count; lane++) {
                 if (lanes.episode(lane) != IDLE) continue;
-                const int64_t episode = waiting.episodes(first % room);
-                first = (first + 1) % room;
-                left--;
+                const int64_t episode = take_episode();
+                if (episode == NONE) break;
                 start(lane, episode);
                 running++;
             }
@@ -389,11 +400,10 @@ struct Episodes {
             for (int64_t lane = 0; lane < count; lane++) {
                 if (lanes.episode(lane) == lanes.before(lane)) continue;
                 running--;
-                *ended += --waiting.left(lanes.before(lane) / group_size) == 0;
+                if (--queue.waiting.left(lanes.before(lane) / queue.group_size()) == 0) ended = true;
             }
-            if (*ended > 0 && left == 0 && running < count) return true;
         }
-        return false;
+        return ended;
     }
 };
 
@@ -415,27 +425,27 @@ void rover_ncp_sizes(int64_t *sizes) {
 // 0, or 1 if a parameter is not finite: then none waits.
 int64_t rover_ncp_submit(const Queue *queue, int64_t group, int64_t count, const double *vectors,
                          const double *stop_below) {
-    const Waiting &waiting = queue->waiting;
-    const int64_t room = waiting.episodes.shape[0], parameters = queue->vectors.shape[1];
+    const auto &[submitted, begun, left, begun_in_all] = queue->waiting;
+    const int64_t first = group * queue->group_size(), parameters = queue->vectors.shape[1];
     const int64_t numbers = queue->residuals.shape[1] * queue->residuals.shape[2];
     for (int64_t i = 0; i < count * parameters; i++)
         if (!(vectors[i] - vectors[i] == 0.0)) return 1;
     for (int64_t i = 0; i < count; i++) {
-        const int64_t episode = group * (room / waiting.left.shape[0]) + i;
+        const int64_t episode = first + i;
         double *vector = &queue->vectors(queue->vector(episode), 0), *residuals = &queue->residuals(episode, 0, 0);
         for (int64_t p = 0; p < parameters; p++) vector[p] = vectors[i * parameters + p];
         for (int64_t r = 0; r < numbers; r++) residuals[r] = 0.0;
         queue->stop_below(episode) = stop_below[i];
-        waiting.episodes((waiting.ring(0) + waiting.ring(1)++) % room) = episode;
     }
-    waiting.left(group) = count;
+    begun(group) = 0;
+    submitted(group) = left(group) = count;
     return 0;
 }
 
 int64_t rover_ncp_run_episodes(const Circuits *circuits, const Indices *signal_at, const Tasks *tasks,
                                const Trials *trials, const Lanes *lanes, const Fleet *fleet, const Queue *queue,
-                               int64_t *ended, int64_t max_ticks) {
-    return Episodes{*circuits, *signal_at, *tasks, *trials, *lanes, *fleet, *queue}.run(ended, max_ticks);
+                               int64_t max_ticks) {
+    return Episodes{*circuits, *signal_at, *tasks, *trials, *lanes, *fleet, *queue}.run(max_ticks);
 }
 #pragma GCC visibility pop
 }

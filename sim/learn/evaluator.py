@@ -112,12 +112,12 @@ class Lanes(NamedTuple):
 class Waiting(NamedTuple):
     """The episodes of a queue in groups of equal size, group by group."""
 
-    episodes: Annotated[IntArray, Axes("episodes", below="episodes")]
-    """Ring of episodes that wait for a lane."""
-    ring: Annotated[IntArray, Axes(2, below="episodes+1")]
-    """Where the ring begins, and how many wait."""
+    submitted: Annotated[IntArray, Axes("groups", below="episodes+1")]
+    begun: Annotated[IntArray, Axes("groups", below="episodes+1")]
     left: Annotated[IntArray, Axes("groups")]
-    """Episodes of each group that have not ended."""
+    """Episodes of each group's last batch: all, those that a lane took, and those that have not ended."""
+    begun_in_all: Annotated[IntArray, Axes("groups")]
+    """Episodes of all its batches that a lane took."""
 
 
 class Queue(NamedTuple):
@@ -231,7 +231,7 @@ class Evaluator:
         lane_set, size = self._build_lanes(_STREAM_LANES, 0), self._policy.layout().size
         vectors = np.zeros((agents * max(_MIN_ROOM, size), size))
         none = np.zeros(len(vectors), np.int64)
-        waiting = Waiting(none.copy(), np.zeros(2, np.int64), np.zeros(agents, np.int64))
+        waiting = Waiting(*np.zeros((4, agents), np.int64))
         queue = self._build_queue(vectors, waiting, vector=np.arange(len(vectors)), task=none, trial=none)
         return Stream(queue, lane_set, self._bind(lane_set, queue))
 
@@ -250,7 +250,7 @@ class Evaluator:
                 continue
             queue = self._build_queue(
                 rows,
-                Waiting(np.arange(count), np.array([0, count]), np.array([count])),
+                Waiting(np.array([count]), np.array([0]), np.array([count]), np.array([0])),
                 vector=np.repeat(np.arange(len(rows)), len(chosen)),
                 task=np.tile(tasks[chosen], len(rows)),
                 trial=np.tile(trials[chosen], len(rows)),
@@ -321,9 +321,9 @@ class Evaluator:
 class Stream:
     """Episodes of many agents that share lanes without a pause.
 
-    In batches, lanes would idle until the last episode of a batch ends. Here a free lane takes the next
-    waiting episode of any agent, and an agent gets its answer as soon as its own episodes have ended. The
-    returns are those of ``Evaluator.returns``.
+    In batches, lanes would idle until the last episode of a batch ends. Here a free lane takes a waiting
+    episode of the agent that is behind the others, and an agent gets its answer as soon as its own episodes
+    have ended. The returns are those of ``Evaluator.returns``.
     """
 
     def __init__(self, queue: Queue, lane_set: _LaneSet, run: Callable[[], object]) -> None:

@@ -82,7 +82,6 @@ def test_no_array_of_episodes_can_be_of_another_type_order_or_shape(everything):
         ("circuits", "program", "output_limit"),
         ("fleet", "due"),
         ("queue", "vectors"),
-        ("queue", "waiting", "left"),
     }
 
 
@@ -92,7 +91,7 @@ def test_no_array_of_episodes_can_be_of_another_type_order_or_shape(everything):
         ("queue", ("vector",), 10**6),
         ("queue", ("task",), 1),
         ("queue", ("trial",), -1),
-        ("queue", ("waiting", "episodes"), -1),
+        ("queue", ("waiting", "begun"), -1),
         ("lanes", ("latest",), 10**6),
         ("tasks", ("due",), 10**3),
         ("tasks", ("ticks",), 10**6),

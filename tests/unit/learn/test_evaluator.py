@@ -99,6 +99,15 @@ def test_company_and_place_change_no_bit():
     assert np.array_equal(Evaluator(POLICY, FENCED).returns(vectors[20:]), returns[20:])
 
 
+def test_agent_that_is_behind_gets_the_next_free_lanes():
+    stream = Evaluator(POLICY, COURSE).stream(2)
+    for agent, count in ((0, 60), (1, 3)):
+        stream.submit(agent, Batch(candidates(count, seed=3), np.full(count, -np.inf)))
+    assert [agent for agent, _ in stream.collect()] == [1]
+    assert [agent for agent, _ in stream.collect()] == [0]
+    assert stream.collect() == []
+
+
 def test_a_lost_race_is_stopped_and_no_other_is_touched():
     engine, vectors = Evaluator(POLICY, COURSE), candidates(60, seed=3)
     returns, stream = engine.returns(vectors), engine.stream(1)

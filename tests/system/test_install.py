@@ -36,7 +36,6 @@ WORKS = {
         ("eval course --stack --body mujoco --randomize nominal", 0),
     ],
 }
-SOURCE = "https://example.org/rover-ncp"
 COURSE = """
 name: moment
 start_signal_s: 0.5
@@ -66,7 +65,7 @@ def built(tmp_path_factory):
     """The sdist, and the wheel that is built from it, by suffix."""
     folder = tmp_path_factory.mktemp("built")
     build = [sys.executable, "-m", "build", "--outdir", str(folder), str(ROOT)]
-    run(build, folder, ROVER_NCP_SOURCE=SOURCE, ROVER_NCP_SITE=f"{SOURCE}/site")
+    run(build, folder)
     return {path.suffix: path for path in folder.iterdir()}
 
 
@@ -82,23 +81,6 @@ def test_wheel_and_sdist_hold_the_packages_with_their_data(built):
     assert not [name for name in held if name.startswith("paper/results")]
     # Of this machine: on another they would be taken for a library that does not work.
     assert not [name for name in held if name.endswith(".so")]
-
-
-def test_an_index_shows_where_the_source_is_and_links_that_lead_there(built):
-    wheel = zipfile.ZipFile(built[".whl"])
-    (name,) = (name for name in wheel.namelist() if name.endswith("/METADATA"))
-    head, _, page = wheel.read(name).decode().partition("\n\n")
-    assert {f"Project-URL: Source, {SOURCE}", f"Project-URL: Documentation, {SOURCE}/site"} <= {
-        *head.splitlines()
-    }
-    assert "\nAuthor" in head
-    links = re.findall(r"\]\(([^)]+)\)", page)
-    tag = f"v{re.search('^Version: (.+)$', head, re.MULTILINE)[1]}"
-    assert f"{SOURCE}/raw/{tag}/docs/drive.webp" in links
-    for link in links:
-        assert link.startswith(("https://", "#"))
-        if link.startswith(f"{SOURCE}/blob/{tag}/"):
-            assert (ROOT / link.removeprefix(f"{SOURCE}/blob/{tag}/").split("#")[0]).is_file()
 
 
 @COLD

@@ -127,18 +127,6 @@ def test_rollouts_that_cannot_matter_change_no_decision():
     assert early.vector.tolist() == all_rollouts.vector.tolist()
 
 
-def test_candidate_without_a_highest_return_stops_after_as_many_rollouts_as_are_averaged():
-    limits = budget("cart-pole", 1, rollouts=6, worst=3)
-    task = TASKS["cart-pole"].model_copy(update={"most": math.inf})
-    place = BenchmarkEstimator(task, build_agent(task, "circuit", 0), 5, limits)
-    vectors = place.agent.parameters()[None]
-    [full] = place.estimate(vectors, 7, -math.inf)
-    steps, place.steps = place.steps, 0
-    [bound] = place.estimate(vectors, 7, 501.0)
-    assert full <= bound <= 501.0
-    assert place.steps < steps
-
-
 class Killed(SavedSearch):
     """Ends its search after the 20th batch."""
 

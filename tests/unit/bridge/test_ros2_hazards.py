@@ -90,21 +90,6 @@ def test_a_latched_stop_counts_while_its_publisher_is_announced():
     assert unknown(world) == ""
 
 
-def test_a_released_stop_counts_after_three_periods_without_a_press():
-    world = world_of(stop="stop")
-    for _ in range(20):  # a second publisher behind the same bridge of ROS 2, which nothing tells apart
-        press(world, True)
-        world.run(0.2)
-        press(world, False)
-        world.run(0.8)
-        assert world.reports[-1].stop_pressed
-    for _ in range(4):
-        press(world, False)
-        world.run(1.0)
-    assert not world.reports[-1].stop_pressed
-    assert unknown(world) == ""
-
-
 @pytest.mark.parametrize("stop", ["stop", LATCHED])
 def test_with_two_publishers_of_a_stop_nothing_is_known(stop):
     world = world_of(stop=stop)

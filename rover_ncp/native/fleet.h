@@ -1,7 +1,8 @@
 // Many rovers stepped together, each to the last bit as sim/world/pymunk_rover.py would go.
 //
-// The rules of motion are those of sim/world/rover.py. Every substep of every rover is Chipmunk's own step, reached
-// through its public functions; an integrator of our own would be a second simulator.
+// The rules of motion are those of sim/world/rover.py. Every substep of every rover is Chipmunk's own, reached through
+// its public functions; an integrator of our own would be a second simulator. On open ground a step of the space does
+// no more than to update the positions of its bodies: without gravity, damping and forces it keeps their velocities.
 //
 // Rovers that share a space do not collide with each other, and Chipmunk works relative to the space's origin. So a
 // rover's path does not depend on the others.
@@ -38,6 +39,7 @@ struct Chipmunk {
     void (*set_angular_velocity)(void *body, double omega);
     void (*each_arbiter)(void *body, void (*call)(void *body, void *arbiter, void *data), void *data);
     void (*set_velocity_function)(void *body, void (*update)(void *body, Point gravity, double damping, double dt_s));
+    void (*update_position)(void *body, double dt_s);
 };
 
 // Chipmunk's own function computes the same velocity again: there is neither gravity nor damping nor a force.
@@ -47,7 +49,7 @@ inline void keep_velocity(void *, Point, double, double) {}
 struct Fleet {
     Chipmunk chipmunk;
     Array<void *, 1> spaces;
-    int64_t sharing;  // so many lanes after each other are in one space
+    int64_t sharing;  // so many lanes after each other are in one space: a divisor of WIDTH
     Array<void *, 1> bodies, shapes;
     Matrix rise, fall, grip, top, turning;
     IndexMatrix waits;

@@ -33,6 +33,7 @@ class Functions(NamedTuple):
     body_set_angular_velocity: int
     body_each_arbiter: int
     body_set_velocity_update_func: int
+    body_update_position: int
 
 
 def find_functions() -> Functions:

@@ -1,13 +1,14 @@
 """Many rovers stepped together in the native library, each to the last bit as ``PymunkRover`` would go.
 
 The rules are those of ``rover.py``; ``rover_ncp/native/fleet.h`` repeats them on arrays. Every substep of
-every rover is Chipmunk's own step: an integrator of our own would be a second simulator.
+every rover is Chipmunk's own: an integrator of our own would be a second simulator.
 
 Rovers have a shape only if there are obstacles. Without contacts, a shape never changes how a body moves, and
-keeping shapes up to date takes more than half of a step. ``touched`` then stays 0.
+a step of the space does no more than Chipmunk's update of each body's position. The library calls that alone,
+because the rest of the step would take a tenth of a training. ``touched`` then stays 0.
 
 Rovers that share a space do not collide with each other, and Chipmunk works relative to the space's origin.
-So a rover's path does not depend on the others. SHARING_OPEN and SHARING_OBSTACLES say how many share one.
+So a rover's path does not depend on the others.
 
 One thread at a time may use a fleet.
 """
@@ -27,10 +28,9 @@ from sim.world.rover import GRAVITY_M_S2, SUBSTEP_S, SUBSTEPS, RoverModel
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-SHARING_OPEN, SHARING_OBSTACLES = 24, 4
-"""Rovers that share a space, at most: without obstacles and with them. Multiples or divisors of WIDTH."""
-assert SHARING_OPEN % WIDTH == 0
-assert WIDTH % SHARING_OBSTACLES == 0
+SHARING = 4
+"""Rovers that share a space, at most: a divisor of WIDTH."""
+assert WIDTH % SHARING == 0
 
 
 class FleetArrays(NamedTuple):
@@ -71,24 +71,20 @@ class Fleet:
     """Rovers on copies of one ground; ``arrays`` is for the native library."""
 
     def __init__(self, models: Sequence[RoverModel], obstacles: Sequence[Obstacle] = ()) -> None:
-        sharing, lanes = SHARING_OBSTACLES if obstacles else SHARING_OPEN, len(models)
+        lanes = len(models)
         # The library uses the addresses of these objects, which must therefore live as long.
-        self.grounds = [Ground(obstacles) for _ in range(0, lanes, sharing)]
+        self.grounds = [Ground(obstacles) for _ in range(0, lanes, SHARING)]
         self.bodies = [
-            rover_body(model, self.grounds[lane // sharing], has_shape=bool(obstacles))
+            rover_body(model, self.grounds[lane // SHARING], has_shape=bool(obstacles))
             for lane, model in enumerate(models)
         ]
-        if not obstacles:
-            for ground in self.grounds:
-                ground.space.iterations = 1  # there will be no contact to solve
-                ground.space.collision_bias = 0.0
         delay = np.array([(m.delay_v_substeps, m.delay_omega_substeps) for m in models])
         self.arrays = FleetArrays(
             chipmunk=chipmunk.find_functions(),
-            spaces=np.repeat([chipmunk.space_address(ground.space) for ground in self.grounds], sharing)[
+            spaces=np.repeat([chipmunk.space_address(ground.space) for ground in self.grounds], SHARING)[
                 :lanes
             ],
-            sharing=sharing,
+            sharing=SHARING,
             bodies=np.array([chipmunk.body_address(body) for body in self.bodies]),
             shapes=np.array(
                 [chipmunk.shape_address(shape) for body in self.bodies for shape in body.shapes], np.int64

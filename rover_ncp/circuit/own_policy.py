@@ -5,16 +5,51 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from rover_ncp.circuit.rover_interface import DEFAULT_SIGNALS, FunctionRunner, RoverInterface
+from rover_ncp.circuit.rover_interface import DEFAULT_SIGNALS, RoverInterface
 from rover_ncp.core.errors import ConfigError, RoverNcpError, UsageError
 from rover_ncp.core.files import importable_working_folder
 
 FloatArray = NDArray[np.float64]
+
+
+class FunctionRunner:
+    """Runs a function from an observation (n,) to v in m/s and omega in rad/s, in place of a circuit.
+
+    A circuit makes a warm-up tick at the start of a drive. The function is not called for it.
+    """
+
+    def __init__(
+        self, function: Callable[[FloatArray], ArrayLike], reset: Callable[[], object] = lambda: None
+    ) -> None:
+        self._function, self._reset = function, reset
+        self._started = self._warm = False
+
+    def __deepcopy__(self, memo: object) -> Self:
+        """Return the runner itself: `reset` alone begins a drive."""
+        return self
+
+    @property
+    def potentials(self) -> FloatArray:
+        """None: (0,)."""
+        return np.empty(0)
+
+    def reset(self) -> None:
+        """Begin a drive, whose first tick is the warm-up."""
+        self._started, self._warm = True, False
+        self._reset()
+
+    def tick(self, observation: Sequence[float] | FloatArray) -> tuple[float, ...]:
+        """Return the function's command; zero in the warm-up and before the first drive."""
+        if not self._warm:
+            self._warm = self._started
+            return 0.0, 0.0
+        v, omega = np.asarray(self._function(np.array(observation, np.float64)), np.float64).tolist()
+        return v, omega
 
 
 class OwnPolicy(NamedTuple):

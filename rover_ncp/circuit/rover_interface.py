@@ -1,11 +1,7 @@
 """The connection of a policy to a rover: its signals, and its outputs v and omega."""
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Self
-
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from collections.abc import Sequence
 
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import ConfigError
@@ -39,41 +35,6 @@ class RoverInterface:
         """Return the observation (inputs,) at a pose; ``start`` is the start signal."""
         values = signals(pose, start, reference)
         return [values[place] for place in self.places]
-
-
-class FunctionRunner:
-    """Runs a function from an observation (n,) to v in m/s and omega in rad/s, in place of a circuit.
-
-    A circuit makes a warm-up tick at the start of a drive. The function is not called for it.
-    """
-
-    def __init__(
-        self, function: Callable[[NDArray[np.float64]], ArrayLike], reset: Callable[[], object] = lambda: None
-    ) -> None:
-        self._function, self._reset = function, reset
-        self._started = self._warm = False
-
-    def __deepcopy__(self, memo: object) -> Self:
-        """Return the runner itself: `reset` alone begins a drive."""
-        return self
-
-    @property
-    def potentials(self) -> NDArray[np.float64]:
-        """None: (0,)."""
-        return np.empty(0)
-
-    def reset(self) -> None:
-        """Begin a drive, whose first tick is the warm-up."""
-        self._started, self._warm = True, False
-        self._reset()
-
-    def tick(self, observation: Sequence[float] | NDArray[np.float64]) -> tuple[float, ...]:
-        """Return the function's command; zero in the warm-up and before the first drive."""
-        if not self._warm:
-            self._warm = self._started
-            return 0.0, 0.0
-        v, omega = np.asarray(self._function(np.array(observation, np.float64)), np.float64).tolist()
-        return v, omega
 
 
 def _problems(policy: Policy) -> list[str]:

@@ -9,10 +9,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_ncp.circuit.own_policy import is_own, load_own_policy, own_policy
+from rover_ncp.circuit.own_policy import FunctionRunner, is_own, load_own_policy, own_policy
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.circuit.rover_interface import FunctionRunner, RoverInterface
+from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.circuit.runner import Runner
 
 FloatArray = NDArray[np.float64]

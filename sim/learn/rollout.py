@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rover_ncp.circuit.own_policy import FunctionRunner
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.circuit.rover_interface import FunctionRunner, RoverInterface
+from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.course.reference import Reference, plan_reference

@@ -260,7 +260,10 @@ class GyroPac:
 
     @property
     def rate(self) -> float | None:
-        """The mean rate of turn in rad/s, counter-clockwise, off by its reading at rest; None of nothing."""
+        """Mean turn rate in rad/s, counter-clockwise; None without readings.
+
+        It has a constant offset, because the reading at rest is not exactly `GYRO_REST`.
+        """
         if not self.readings:
             return None
         mean = sum(reading for reading, _ in self.readings) / len(self.readings)

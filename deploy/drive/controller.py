@@ -98,7 +98,7 @@ class Controller:
         self._last_moving = course.ticks
         if self._reference is not None:
             self._last_moving = int(np.flatnonzero(self._reference.motion.any(axis=1)).max(initial=0))
-        self._runner.tick([0.0] * len(self._interface.places))  # compiles now, before the rover waits for it
+        self._runner.tick([0.0] * len(self._interface.places))  # a first tick takes longer than others
         self.estimator = Estimator(settings)
         self._gains = _gains(rover)
         self._dead_zone = DeadZone(rover, described)

@@ -90,7 +90,7 @@ class Docking:
         self._approach, self._retreat = (
             self._leg(dock, way(self.place, self._slower)) for way in (approach, retreat)
         )
-        self._leg(staging, self._retreat.way)  # compiles now, before the rover waits for it
+        self._leg(staging, self._retreat.way)  # a policy that drives no rover is refused now
         self._now: _Leg = self._retreat
         self._began = self._index = 0
         """Tick of the present leg's begin, and the present tick."""

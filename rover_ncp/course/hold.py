@@ -1,6 +1,6 @@
 """The hold at the end of a course: near the goal, small commands follow only noise of the observed pose.
 
-`holds` is also compiled into the training's kernel.
+``episode.cpp`` of the native library repeats `holds`.
 """
 
 import math

@@ -50,10 +50,7 @@ def needs_reference(names: tuple[str, ...]) -> bool:
 
 
 def signals(pose: Pose, start: float, reference: tuple[Pose, Velocity] | None) -> tuple[float, ...]:
-    """Return all signals, in the order of ``SIGNALS``; without a reference its signals are 0.
-
-    Kernels compile this function: it may only call ``math``.
-    """
+    """Return all signals, in the order of ``SIGNALS``; without a reference its signals are 0."""
     if reference is None:
         return (pose.x, pose.y, pose.theta, start, 0.0, 0.0, 0.0, 0.0, 0.0)
     where, motion = reference

@@ -2,8 +2,8 @@
 
 A base stands at a command below its dead band, or turns a slow wheel at another speed than commanded. So a
 driver that knows the dead band sends such a command as 0 or as the least speed that moves the base. The
-difference is carried over to the next tick (error diffusion). `pulsed` and `clear_of` are also compiled into
-the training's kernel.
+difference is carried over to the next tick (error diffusion). ``episode.cpp`` of the native library repeats
+`pulsed`.
 """
 
 import math

@@ -4,7 +4,7 @@ In each control tick a policy observes the pose at its start and commands v and 
 follow, and at its end the checkpoint that is due is judged. In a trial (``randomization.py``) the policy
 observes what odometry believes, the command may get lost, and the base makes of it what it can. A base with a
 dead band gets pulses, as from a driver that knows the band. Where the observation errs, the rover holds at
-the end of the course, as the driver's does. The kernel of the training gives the same bits.
+the end of the course, as the driver's does. The native library gives the same bits.
 """
 
 from rover_ncp.core.geometry import Pose, Velocity, near, wrap_angle

@@ -13,7 +13,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +22,7 @@ from deploy.drive.measurements import Sample
 from deploy.estimator.estimator import Estimate, Estimator
 from deploy.estimator.settings import TURN_GAINS, EstimatorSettings
 from deploy.place.outcome import Evidence
+from rover_ncp.circuit.own_policy import FunctionRunner
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.circuit.runner import Runner
@@ -49,20 +49,6 @@ class Tick:
     potentials: NDArray[np.float64]
 
 
-class RunnerLike(Protocol):
-    """Turns observations into commands, tick by tick; `Runner` is one."""
-
-    @property
-    def potentials(self) -> NDArray[np.float64]:
-        """Potentials of all neurons in mV."""
-
-    def reset(self) -> None:
-        """Go back to the start of a drive."""
-
-    def tick(self, observation: Sequence[float] | NDArray[np.float64]) -> tuple[float, ...]:
-        """Run one control tick and return v in m/s and omega in rad/s."""
-
-
 class Controller:
     """Estimator and circuit of one drive. Times are seconds on one clock, any zero.
 
@@ -80,7 +66,7 @@ class Controller:
         rover: RoverProfile | None = None,
         described: RobotDescription | None = None,
         *,
-        runner: RunnerLike | None = None,
+        runner: Runner | FunctionRunner | None = None,
         reference: Reference | None = None,
     ) -> None:
         self._interface = RoverInterface(policy)
@@ -93,7 +79,7 @@ class Controller:
         if runner is None:
             assert isinstance(policy, Policy)  # signals come with a runner
             runner = Runner(policy)
-        self._runner: RunnerLike = runner
+        self._runner = runner
         self._rests = False
         self._last_moving = course.ticks
         if self._reference is not None:

@@ -55,8 +55,9 @@ class Ground {
     body[1].setAttribute("x2", outline[0][0]);
   }
 
-  update({ pose, poses }) {
+  update({ pose, poses, dot: [left, up] }) {
     const { x, y, theta } = pose;
+    $("now").setAttribute("transform", `translate(${left} ${up})`);
     this.rover.setAttribute("transform", `translate(${x} ${y}) rotate(${(180 * theta) / Math.PI})`);
     $("driven").setAttribute("points", line([...poses, pose].map((each) => [each.x, each.y])));
   }
@@ -201,12 +202,12 @@ class Demo {
   // The words of screen readers change only with the state.
   showState() {
     const { drive, running } = this, begun = drive.substep > 0;
-    let state = ["ready", "", "Press Park, then push the rover."], button = "Park";
+    let state = ["ready", "", "Press Park. Then push the rover."], button = "Park";
     if (drive.over) {
       const { parked, words } = drive.verdict();
       state = [parked ? "parked" : "not parked", parked ? "good" : "bad", words];
       button = "Park again";
-    } else if (running) [state, button] = [["driving", "", "Push the rover, or silence a neuron."], "Pause"];
+    } else if (running) [state, button] = [["driving", "", "The rover follows the green dot. Push it, or silence a neuron."], "Pause"];
     else if (begun) [state, button] = [["paused", "", ""], "Go on"];
     const [badge, kind, words] = state;
     if ($("badge").textContent !== badge) $("badge").textContent = badge;

@@ -42,6 +42,11 @@ class Drive {
     return this.substep * SUBSTEP_S;
   }
 
+  // The pose of the moving reference, and its speeds.
+  get dot() {
+    return this.course.ticks[Math.floor(this.substep / SUBSTEPS)];
+  }
+
   push(dx, dy) {
     if (this.over) return;
     this.pose = { ...this.pose, x: this.pose.x + dx, y: this.pose.y + dy };
@@ -115,11 +120,11 @@ class Drive {
     const last = this.poses.slice(-Math.round(still_s / TICK_S) - 1);
     const moved = Math.max(...last.map(({ x, y }) => Math.hypot(x - this.pose.x, y - this.pose.y)));
     const swung = Math.max(...last.map(({ theta }) => Math.abs(wrapped(theta - this.pose.theta))));
-    const cm = (m) => `${number(100 * m, 1)} cm`, degrees = (rad) => `${number((180 * rad) / Math.PI, 1)}°`;
+    const cm = (m) => (m < 1 ? `${number(100 * m, 1)} cm` : `${number(m, 2)} m`), degrees = (rad) => `${number((180 * rad) / Math.PI, 1)}°`;
     let reason = this.failure;
     if (!reason && far > position_m) reason = `${cm(far)} from the goal, at most ${cm(position_m)}`;
     if (!reason && turned > heading_rad) reason = `turned by ${degrees(turned)}, at most ${degrees(heading_rad)}`;
-    if (!reason && !(moved < still_m && swung < still_rad)) reason = `still moving, ${cm(moved)} in the last ${still_s} s`;
+    if (!reason && !(moved < still_m && swung < still_rad)) reason = `still moving: ${cm(moved)} and ${degrees(swung)} in the last ${still_s} s`;
     return { parked: !reason, far, turned, words: reason || `${cm(far)} and ${degrees(turned)} from the goal` };
   }
 }

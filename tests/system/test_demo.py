@@ -24,6 +24,10 @@ CENTER = """() => {
   const {a} = document.getElementById('ground').getScreenCTM();
   return [x + width / 2, y + height / 2, a];
 }"""
+DOT = """() => {
+  const {e, f} = document.getElementById('now').transform.baseVal.consolidate().matrix;
+  return [e, f];
+}"""
 REDRAWN = """() => {
   window.redrawn = 0;
   new MutationObserver(() => window.redrawn += 1).observe(
@@ -110,6 +114,7 @@ def test_rover_parks_recovers_from_a_push_and_needs_its_neuron(seen):
     seen.page.select_option("#speed", "4")
     drive_until(seen, 8.0)
     before = pose(seen)
+    assert np.hypot(*before[:2] - seen.page.evaluate(DOT)) < 0.05
     x, y, scale = seen.page.evaluate(CENTER)
     seen.page.mouse.move(x, y)
     seen.page.mouse.down()

@@ -5,14 +5,17 @@ import pty
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import psutil
 import pytest
 from kit.bridge_bench import Driver, wait_for
 
+from deploy.zenoh_client import BridgeAddress, ZenohClient
 from rover_ncp import cli
 from rover_ncp.core.config import dump_yaml
+from sim.camera.server import MockCamera
 from sim.mock.ros2_server import free_port
 from sim.park.live import Process
 from sim.park.truth import TruthReader
@@ -45,6 +48,15 @@ class Robot:
 
     def write(self, **settings):
         self.file.write_text(dump_yaml({"base": self.base, "bridge": self.bridge} | settings))
+
+    def write_camera(self, source, **settings):
+        for path in self.camera_files:
+            path.write_text((Path(cli.__file__).parent / "data" / "dock" / path.name).read_text())
+        self.write(camera={"source": source, "file": "camera.yaml"}, tags="tags.yaml", **settings)
+
+    @property
+    def camera_files(self):
+        return self.folder / "camera.yaml", self.folder / "tags.yaml"
 
     def up(self, name="up", ready=True):
         (self.folder / name).mkdir()
@@ -155,10 +167,7 @@ def test_a_killed_bridge_ends_all_and_is_named(robot):
 
 def test_processes_beside_the_bridge_start_again_are_named_and_hinder_no_drive(robot):
     """The page is killed once. The localiser ends each time, because its camera is not there."""
-    for name in ("camera", "tags"):
-        example = Path(cli.__file__).parent / "data" / "dock" / f"{name}.yaml"
-        (robot.folder / f"{name}.yaml").write_text(example.read_text())
-    robot.write(page=0, camera={"source": "/dev/video97", "file": "camera.yaml"}, tags="tags.yaml")
+    robot.write_camera("/dev/video97", page=0)
     up = robot.up()
     assert "/dev/video97" in up.wait_for_line("localiser ended with 2")
     up.wait_for_line("page      watching")
@@ -171,6 +180,24 @@ def test_processes_beside_the_bridge_start_again_are_named_and_hinder_no_drive(r
     assert lines_of(up).count("localiser ended") == 1
     restarts = up.stop().result["restarts"]
     assert (restarts["page"], restarts["localiser"] >= 1) == (1, True)
+
+
+def test_a_camera_that_is_unplugged_is_said_once_and_poses_come_again_with_it(robot):
+    listen, poses = ("127.0.0.1", free_port("127.0.0.1")), []
+    robot.write_camera("http://{}:{}/".format(*listen), page=None)
+    plugged = partial(MockCamera, *robot.camera_files, listen, 10.0, 1)
+    with plugged():
+        up = robot.up()
+        up.wait_for_line("localiser localising")
+    with ZenohClient(BridgeAddress(robot.bridge), lambda row, data: poses.append(row.name)):
+        with robot.driving():
+            up.wait_for_line("localiser ended with 2")
+            assert robot.speed() > 0.1
+        poses.clear()
+        with plugged():
+            wait_for(lambda: "pose" in poses, 40.0, "poses of the camera that is back")
+            wait_for(lambda: "localiser localising (restart" in lines_of(up), 10.0)
+    assert lines_of(up).count("localiser ended with 2") == 1
 
 
 def test_a_broken_file_starts_nothing(robot):

@@ -145,6 +145,7 @@ def deploy(
             rover,
             described,
             undock=undock is not None,
+            sight=chosen.sight(place),
             robot=address.robot,
             namespace=address.namespace,
             policy=dock.circuit.name,

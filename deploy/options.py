@@ -9,6 +9,8 @@ import typer
 from rover_ncp.wire.key_table import Role
 
 if TYPE_CHECKING:
+    from deploy.place.place import Place
+    from deploy.place.sight import Sight
     from deploy.zenoh_client import BridgeAddress
     from rover_ncp.robot.description import RobotDescription
     from rover_ncp.robot.robot_file import RobotFile
@@ -44,6 +46,25 @@ class ChosenRobot:
     def places(self) -> Path:
         """Folder of the robot's places: the working folder without a file."""
         return Path() if self.file is None else self.file.path.parent / self.file.settings.places
+
+    def sight(self, place: "Place") -> "Sight | None":
+        """Return the localiser's camera and the tags of a place; None if the files do not say where they are.
+
+        A camera of ROS has no file, and that of another machine may not be here. Raises FileError or
+        ConfigError.
+        """
+        from deploy.tag.board import load_tags
+        from deploy.tag.field_of_view import sight_of
+        from deploy.tag.tag_map import CameraFile
+        from rover_ncp.core.config import load_yaml
+
+        settings = None if self.file is None else self.file.settings
+        if self.file is None or settings is None or settings.camera is None:
+            return None
+        camera, tags = self.file.place_of(settings.camera.file), self.file.tags
+        if camera is None or tags is None or not camera.exists():
+            return None
+        return sight_of(load_yaml(camera, CameraFile), load_tags(tags), place)
 
 
 def choose_robot(

@@ -9,6 +9,7 @@ from pydantic import Field
 from deploy.drive.safety_monitor import Timeouts
 from deploy.estimator.settings import GYRO_S, EstimatorSettings
 from deploy.place.place import Place
+from deploy.place.sight import Sight
 from rover_ncp.course.course import TICK_S, Course
 from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile
@@ -73,6 +74,9 @@ class DriveConfig(Timeouts):
     start_rad: float = Field(default=0.35, gt=0, description="largest turn from the start's heading (rad)")
     require_certainty: bool = Field(default=False, description="whether 'parked, uncertain' is a failure")
     place: Place | None = Field(default=None, description="where to dock, in place of a course")
+    sight: Sight | None = Field(
+        default=None, description="the localiser's camera and the tags of the place, if they are known"
+    )
     undock: bool = Field(default=False, description="whether to leave the place")
     pose_frame: str = Field(default=COURSE_FRAME, description="frame_id of the external poses")
     estimator: EstimatorSettings = EstimatorSettings()

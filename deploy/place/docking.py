@@ -251,7 +251,12 @@ class Docking:
         else:
             # A moving rover cannot wait for a search among detours.
             way, problems = to_staging(
-                self.place, pose, self._config.described, self._slower, detours=self.stage is Stage.NONE
+                self.place,
+                pose,
+                self._config.described,
+                self._slower,
+                detours=self.stage is Stage.NONE,
+                sight=self._config.sight,
             )
             problem = "; ".join(map(str, problems))
         if way is None:

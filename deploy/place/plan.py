@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
-import numpy as np
-
 from deploy.drive.config import BLIND_S
 from deploy.place.place import AT_PLACE_M, Place
+from deploy.place.sight import Sight, blind
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose, compose, distance, wrap_angle
@@ -29,7 +28,7 @@ from rover_ncp.course.course import (
     ParkedRule,
 )
 from rover_ncp.course.feasibility import Problem, check_course, clearance_at
-from rover_ncp.course.reference import FloatArray, Reference, drive_profile
+from rover_ncp.course.reference import Reference, drive_profile
 from rover_ncp.robot.description import RobotDescription, load_description
 
 EASE = 0.6
@@ -50,8 +49,6 @@ FAR_M = 3.0
 """Largest distance of a start from the staging pose."""
 SMALL_M, SMALL_RAD = 0.02, 0.03
 """Shorter pieces are left out: the approach corrects them."""
-VIEW_RAD, VIEW_M = math.radians(30.0), 3.0
-"""Where a camera sees tags: so far to either side, which most cameras have, and so far away."""
 CHECKPOINT_TICKS = 10
 DETOURS_M = (0.5, 0.0), (1.0, 0.0), (0.0, 0.8), (0.0, -0.8), (0.8, 0.8), (0.8, -0.8)
 """Points of detours: how much farther out than the staging pose, and how far to its left."""
@@ -128,11 +125,13 @@ def to_staging(
     slower: float = 1.0,
     *,
     detours: bool = True,
+    sight: Sight | None = None,
 ) -> tuple[Way | None, tuple[Problem | str, ...]]:
     """Return the best clear way from ``start`` to the staging pose, or None and why there is none.
 
     The rover turns on the spot, drives straight, and turns on the spot; or it does so by one more point. The
-    best way is the shortest in time, where time without tags in view counts twice.
+    best way is the shortest in time, where time without tags in view counts twice. ``sight`` is the camera,
+    if it is known.
     """
     ways, problems = [], tuple[Problem | str, ...]()
     for detour in (None, *(DETOURS_M if detours else ())):
@@ -140,46 +139,20 @@ def to_staging(
         for backward in (False, True):
             pieces = list(_pieces([start, *via, place.staging], backward))
             ways.append(_way(place, "staging", start, pieces, backward=backward, slower=slower))
-    lost = [blind_s(place, way) for way in ways]
-    for way, lost_s in sorted(
-        zip(ways, lost, strict=True), key=lambda each: each[0].course.horizon_s + each[1]
+    lost = [blind(place, way.reference, sight) for way in ways]
+    for way, gap in sorted(
+        zip(ways, lost, strict=True),
+        key=lambda each: each[0].course.horizon_s + (each[1].seconds if each[1] else 0.0),
     ):
-        if lost_s > BLIND_S:
-            words = f"the way loses the tags for {lost_s:.0f} s of motion (at most {BLIND_S:g} s)"
-            problems = problems or (words,)
+        if gap is not None and gap.seconds > BLIND_S:
+            remedy = "start nearer to the tags, or hang up tags that are in view there"
+            problems = problems or (f"{gap} (at most {BLIND_S:g} s); {remedy}",)
             continue
         found = check_course(way.course, robot, way.reference, clearance=False)
         if found.drivable:
             return way, ()
         problems = problems or found.problems
     return None, problems
-
-
-def blind_s(place: Place, way: Way) -> float:
-    """Return the longest time of motion on a way without tags in view, in s; 0 if their place is not known.
-
-    The camera looks ahead or back, whichever is nearer to the tags when the rover stands in its place.
-    """
-    if place.tags is None:
-        return 0.0
-    tags = place.tags.x, place.tags.y
-    behind = abs(_bearings(np.array([place.goal]), tags)[0]) > math.pi / 2
-    poses = way.reference.poses + np.array([0.0, 0.0, math.pi if behind else 0.0])
-    seen = np.abs(_bearings(poses, tags)) <= VIEW_RAD
-    seen &= np.hypot(*(poses[:, :2] - tags).T) <= VIEW_M
-    moves = (way.reference.motion != 0.0).any(axis=1)
-    longest = ticks = 0
-    for sees, moving in zip(seen.tolist(), moves.tolist(), strict=True):
-        ticks = 0 if sees else ticks + moving
-        longest = max(longest, ticks)
-    return longest * TICK_S
-
-
-def _bearings(poses: FloatArray, point: tuple[float, float]) -> FloatArray:
-    """Return the angle from each pose's heading to a point."""
-    away = np.array(point) - poses[:, :2]
-    found: FloatArray = np.angle(np.exp(1j * (np.arctan2(away[:, 1], away[:, 0]) - poses[:, 2])))
-    return found
 
 
 def _beside(place: Place, farther_m: float, left_m: float) -> Pose:

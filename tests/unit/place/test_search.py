@@ -2,12 +2,18 @@
 
 import math
 
+import numpy as np
 import pytest
+from kit.tags import CAMERA, WALL, picture_of
 from kit.virtual_docking import BEFORE_STAGING, STAGING, VirtualDocking, place
 
 from deploy.place.outcome import DockError
-from deploy.place.plan import blind_s, to_staging
+from deploy.place.plan import to_staging
+from deploy.place.sight import SeenTag, Sight, blind, seen
 from deploy.replay import replay
+from deploy.tag.detector import Detector
+from deploy.tag.field_of_view import sight_of
+from deploy.tag.localiser import DECIMATE
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.wire.messages import point_cloud
 
@@ -68,8 +74,8 @@ def test_dry_run_does_not_turn():
 def test_way_keeps_the_tags_in_view_though_another_takes_less_time():
     start = Pose(1.9, 1.5, -math.pi / 2)
     ways = [to_staging(place(tags=tags), start)[0] for tags in (None, TAGS)]
-    known = place(tags=TAGS)
-    assert blind_s(known, ways[1]) <= blind_s(known, ways[0])
+    lost = [blind(place(tags=TAGS), way.reference, None) for way in ways]
+    assert lost[1].seconds <= lost[0].seconds
 
 
 def test_way_that_loses_the_tags_for_a_minute_is_not_begun():
@@ -78,3 +84,28 @@ def test_way_that_loses_the_tags_for_a_minute_is_not_begun():
     way, problems = to_staging(place(tags=TAGS), start, None, slow)
     assert way is None
     assert "loses the tags for" in str(problems[0])
+
+
+def test_known_camera_decides_whether_a_way_loses_the_tags_and_where():
+    slow, start = 12.0, STAGING._replace(theta=math.pi)
+    tag = SeenTag(left=(2.5, 1.07), right=(2.5, 0.93))
+    narrow, wide = (
+        Sight(x=0.2, y=0.0, yaw=0.0, to_left=side, to_right=-side, tags=(tag,)) for side in (0.5, 3.1)
+    )
+    assert to_staging(place(), start, None, slow, sight=wide)[0] is not None
+    way, problems = to_staging(place(), start, None, slow, sight=narrow)
+    assert way is None
+    assert "from x 1.30 m, y 1.00 m" in str(problems[0])
+    behind = narrow.model_copy(update={"tags": (SeenTag(left=tag.right, right=tag.left),)})
+    ahead = to_staging(place(), BEFORE_STAGING)[0].reference
+    assert blind(place(), ahead, behind).seconds > blind(place(), ahead, narrow).seconds  # its back is seen
+
+
+def test_view_of_a_camera_is_that_of_its_pictures():
+    sight, detector = sight_of(CAMERA, WALL, place()), Detector(DECIMATE)
+    poses = np.array([[0.9, 0.05, theta] for theta in np.arange(-0.9, 1.0, 0.05)])
+    expected = seen(poses, sight)
+    found = [bool(detector.detect(picture_of(Pose(*pose)))) for pose in poses]
+    assert 15 < sum(found) < 30
+    assert sum(expected != found) <= 2  # a tag at the edge of the picture
+    assert sight_of(CAMERA, WALL.model_copy(update={"frame": "hall"}), place()) is None

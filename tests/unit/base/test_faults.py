@@ -3,11 +3,11 @@
 import pytest
 from kit.pioneer_bench import Pioneer
 
-from bridge.pioneer.framing import Command, Decoder, Packet, encode_frame
+from bridge.pioneer.framing import Command
 from bridge.pioneer.packets import Flag
 from rover_ncp.core.errors import UsageError
 from sim.base.client_commands import MockCommand
-from sim.base.faults import Faults, parse_fault
+from sim.base.faults import parse_fault
 
 
 @pytest.mark.parametrize(
@@ -60,19 +60,3 @@ def test_enable_has_no_effect_while_the_stop_button_is_pressed() -> None:
     free.obey(2.0, MockCommand.E_STALL, 0)
     shown = free.sip().flags & (Flag.MOTORS | Flag.STOP_BUTTON | Flag.E_STALL)
     assert shown == Flag.MOTORS | Flag.STOP_BUTTON
-
-
-@pytest.mark.parametrize("name", ["corrupt", "drop", "noise"])
-def test_damage_hits_its_share_of_packets_the_same_ones_for_a_seed(name: str) -> None:
-    frame = encode_frame(0x32, bytes(range(40)))
-
-    def line(seed: int) -> list[bytes]:
-        faults = Faults([parse_fault(f"{name}=0.3")], seed)
-        return [faults.damage(frame, None) for _ in range(1000)]
-
-    damaged = [data for data in line(1) if data != frame]
-    assert len(damaged) == pytest.approx(300, abs=60)
-    assert line(1) == line(1) != line(2)
-    whole = Packet(0x32, bytes(range(40)))
-    if name != "noise":
-        assert not any(whole in Decoder().feed(data) for data in damaged)

@@ -160,13 +160,3 @@ def test_a_simulators_commands_move_the_truth_and_not_odometry(pioneer: Pioneer)
     pioneer.drive(100, 1.0)
     pioneer.tell(MockCommand.SIM_RESET)
     assert pioneer.rover.pose == pytest.approx((0, 0, 0), abs=1e-9)
-
-
-def test_a_client_that_comes_after_one_that_vanished_finds_the_session_open(pioneer: Pioneer) -> None:
-    pioneer.tell(Command.VEL, 200)
-    pioneer.firmware.receive(b"\xfa\xfb\x06\x0b", pioneer.now)
-    pioneer.firmware.line_changed()
-    pioneer.run(0.5, fed=False)
-    assert pioneer.sips()
-    assert pioneer.tell(Command.PULSE) == []
-    assert [len(pioneer.tell(Command.CLOSE)), len(pioneer.tell(Command.PULSE))] == [0, 1]

@@ -108,16 +108,6 @@ def test_base_gets_the_published_setpoint_rounded_to_its_units(bridge):
     assert bridge.published[-1] == (0.3, -0.0567)
 
 
-def test_a_drive_goes_on_although_its_stamps_no_longer_fit_ros(bridge):
-    bridge.set_ns = 2_300_000_000 * SECOND_NS - WALL_NS
-    bridge.driver.lease.end()
-    bridge.sleep(2.0)
-    assert bridge.driver.odom.stamp_ns == 0
-    assert bridge.driver.motors().granted
-    bridge.driver.drive(1.0, 0.2)
-    assert bridge.sent[-2:] == [(Command.VEL, 200), (Command.RVEL, 0)]
-
-
 def test_a_damaged_packet_is_a_warning_for_some_seconds(bridge):
     levels = []
     bridge.deliver = lambda name, data: (

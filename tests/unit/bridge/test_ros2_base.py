@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from kit.ros2_world import BURGER, EPOCH_S, World, announced, header, odometry, twist
+from kit.ros2_world import BURGER, EPOCH_S, World, announced, twist
 
 from bridge.base import Failed, Lost, Notice, PassedOn, Ready, Recovered
 from bridge.ros2.discovery import Announced, LoopSeen, TokenSeen
@@ -117,13 +117,6 @@ def test_battery_is_known_for_a_minute(ready, status, charging):
     assert (ready.reports[-1].battery_v, ready.reports[-1].charging) == (0.0, None)
 
 
-def test_a_battery_report_that_is_repeated_grows_old_and_its_voltage_still_counts(ready):
-    stuck = encode(BATTERY_STATE, header=header(EPOCH_S), voltage=11.5, power_supply_status=1)
-    ready.run(70.0, each=lambda: ready.hear("battery_state", stuck))
-    assert ready.reports[-1].battery_v == pytest.approx(11.5)
-    assert ready.reports[-1].battery_age_s == pytest.approx(70.0, abs=0.2)
-
-
 # Bad input.
 
 
@@ -162,14 +155,6 @@ def test_reason_of_a_robot_that_cannot_be_served_is_named(world, token, odom, wo
         world.tell(token)
     world.run(7.0, **odom)
     assert world.last == Failed(f"tcp/robot:7447: {words}")
-
-
-@pytest.mark.parametrize("payload", [b"", odometry(EPOCH_S)[:-9], b"\0\1\0\0" + b"\xff" * 900])
-def test_bytes_that_are_no_odometry_never_make_it_ready(world, payload):
-    world.run(7.0, odom=False, each=lambda: world.hear("odom", payload))
-    assert isinstance(world.last, Failed)
-    assert "odom" in world.last.reason
-    assert not world.reports
 
 
 def test_a_second_publisher_of_commands_stops_it_and_is_named(ready):

@@ -1,4 +1,3 @@
-import copy
 from dataclasses import replace
 from unittest import mock
 
@@ -6,17 +5,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.wirings import build_circuit, in_bounds, unit_vectors, wirings
+from kit.wirings import in_bounds, unit_vectors, wirings
 
 from rover_ncp.circuit import reference
 from rover_ncp.circuit import runner as runner_module
-from rover_ncp.circuit.circuit import SynapseKind, time_constants
 from rover_ncp.circuit.compiled import make_circuits
 from rover_ncp.circuit.motors import Motors, parking_motors
 from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.runner import Runner
-from rover_ncp.circuit.sensing import Channel, Sensing, parking_sensing
+from rover_ncp.circuit.sensing import Sensing, parking_sensing
 from rover_ncp.native import core
 from rover_ncp.native.core import bound_tick, fill_lanes
 
@@ -130,29 +128,3 @@ def test_both_builds_of_the_library_give_the_same_bits():
         found = run_lanes(PARKING, vectors, observations)
     for a, b in zip(expected, found, strict=True):
         assert a.tobytes() == b.tobytes()
-
-
-def test_a_copy_of_a_runner_goes_on_by_itself():
-    runner = Runner(PARKING)
-    runner.tick([0.1, 0.2, 0.3, 1.0])
-    copied = copy.deepcopy(runner)
-    before = copied.potentials
-    command = runner.tick([0.3, 0.1, 0.1, 1.0])
-    assert copied.potentials.tolist() == before.tolist()
-    assert copied.tick([0.3, 0.1, 0.1, 1.0]) == command
-
-
-def test_time_constant_is_that_of_the_solver():
-    # A neuron with one half open synapse: tau = C / (G + w g); a step divides its distance to rest.
-    wiring = [(SynapseKind.EXCITATORY, 0, 1, 2.0)]
-    circuit = build_circuit("two", ("a", "b"), wiring)
-    channel = Channel(name="x", positive="a", maximum=1.0)
-    sensing = Sensing(name="none", inputs=("x",), channels=(channel,))
-    motor = Channel(name="u", positive="b", maximum=1.0)
-    policy = Policy(circuit, sensing, Motors(outputs=("u",), channels=(motor,)), substeps=1)
-    runner = Runner(policy)
-    tau = time_constants(circuit, np.array([-40.0, -70.0]))
-    assert tau[1] == pytest.approx(0.05 / (1.0 + 2.0 * 0.5))
-    runner.tick([0.6])  # puts the sensory neuron at -40 mV
-    rest = 1.0 * -70.0 / 2.0
-    assert runner.potentials[1] - rest == pytest.approx((-70.0 - rest) / (1 + 0.01 / tau[1]))

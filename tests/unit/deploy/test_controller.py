@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from kit.base_odometry import reported
-from kit.virtual_drive import AHEAD, controlled
+from kit.virtual_drive import controlled
 
 from deploy.drive.controller import Controller
 from deploy.estimator.settings import EstimatorSettings
@@ -18,18 +18,6 @@ from sim.world.randomization import nominal_trials
 
 COURSE = load_course("parking")
 DT = 0.1
-
-
-def test_the_circuit_is_run_as_in_the_simulator():
-    _, ticks, _ = controlled()
-    runner = Runner(AHEAD)
-    runner.tick((0.0, 0.0, 0.0, 0.0))
-    for tick in ticks:
-        start = 1.0 if tick.index >= 30 else 0.0
-        command = runner.tick((*tick.estimate.pose, start))
-        assert tick.command == command
-        assert np.array_equal(tick.potentials, runner.potentials)
-    assert len({tick.command for tick in ticks}) > 100  # the run does move
 
 
 def test_a_circuit_that_follows_the_course_sees_its_reference_as_in_the_simulator():

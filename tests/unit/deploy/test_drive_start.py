@@ -21,7 +21,7 @@ from rover_ncp.recording.recording import read_recording, rewrite
 from rover_ncp.robot.lasting_error import UNDECLARED
 from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import imu, pose_with_covariance, read_pose, read_text
-from rover_ncp.wire.protocol import StopRequest, dump_json, parse_json
+from rover_ncp.wire.protocol import parse_json
 
 COVARIANCE = np.diag([1e-4, 1e-4, 3e-4])
 ARC = load_course(DATA / "arc_course.yaml")
@@ -168,14 +168,6 @@ def test_a_rover_that_stands_needs_no_further_poses():
     assert (result.stopped_by, result.ticks) == (None, waits.ticks)
 
 
-def test_refusal_moves_nothing_and_has_its_reason():
-    virtual = VirtualDrive()
-    virtual.bridge.sleep(3.0)
-    virtual.bridge.query("rover/stop", dump_json(StopRequest(reason="Anna")))
-    result = virtual.run()
-    assert (result.exit_code, result.stopped_by, virtual.link.sent) == (4, "stopped", [])
-
-
 def test_dry_run_commands_nothing_and_is_done_with_0(tmp_path):
     virtual = VirtualDrive(dry_run=True, path=tmp_path / "run.mcap")
     result = virtual.run()
@@ -201,26 +193,6 @@ def test_drive_that_cannot_start_requests_no_motors(error, words, settings):
         virtual.run()
     assert virtual.link.requests == 0
     assert virtual.bridge.monotonic() < 2.0
-
-
-def test_estimate_is_where_the_rover_is_and_the_drive_recomputes(tmp_path):
-    virtual = VirtualDrive(path=tmp_path / "run.mcap")
-    truth = []
-    observe = virtual.link.publish
-
-    def publish(name, data, wall_ns):
-        if name == "rover/estimate":
-            truth.append(virtual.rover.pose)
-        observe(name, data, wall_ns)
-
-    virtual.link.publish = publish
-    result = virtual.run()
-    assert len(truth) == result.ticks + 1
-    errors = [distance(estimate, pose) for estimate, pose in zip(estimates(virtual), truth, strict=True)]
-    assert np.median(errors) < 0.002
-    assert max(errors) < 0.004
-    assert truth[-1].x > 0.1
-    assert replay(virtual.path).difference is None
 
 
 def test_rover_with_an_external_start_pose_parks_on_the_true_pose(tmp_path):

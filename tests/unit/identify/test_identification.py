@@ -3,13 +3,12 @@
 import functools
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from kit.identified import driven, errors, robot, truth
 
-from deploy.identify.excitation import FENCE_M, steps
+from deploy.identify.excitation import FENCE_M
 from deploy.identify.fit import identify
-from deploy.identify.motion_log import MotionLog, Track, motion_log
+from deploy.identify.motion_log import motion_log
 from deploy.identify.run import _lines
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import Pose, Velocity
@@ -123,38 +122,6 @@ def test_ramps_show_the_dead_band_and_the_gains_beyond_it():
     assert (found.dead_band_v, found.dead_band_omega) == (0.03, pytest.approx(0.1, abs=0.02))
     assert abs(off["gain_v"].error) < 0.003
     assert abs(off["gain_omega"].error) < 0.01
-
-
-def log_of(sent_s, sent, t, motion):
-    """Return the log of commands and of motion at times ``t``, without any pose."""
-    none = Track(t[:0], np.zeros((0, 3)))
-    return MotionLog(sent_s, sent, Track(t, np.zeros((len(t), 3))), motion, none)
-
-
-def made(delay, gain, acceleration):
-    """Return the record of a base that does exactly this on both axes, its odometry ten times a second."""
-    velocities = np.array([step.velocity for step in steps()])
-    ends = 0.4 + np.cumsum([step.seconds for step in steps()])
-    begins = np.concatenate([[0.4], ends[:-1]])
-    t = np.arange(0.037, ends[-1], 0.1)
-    motion = np.zeros((len(t), 2))
-    for axis in range(2):
-        before = gain * np.concatenate([[0.0], velocities[:-1, axis]])
-        after = gain * velocities[:, axis]
-        reached = begins + delay + np.abs(after - before) / acceleration
-        knots = np.column_stack([begins + delay, reached]).ravel()
-        motion[:, axis] = np.interp(t, knots, np.column_stack([before, after]).ravel())
-    return log_of(begins, velocities, t, motion)
-
-
-@pytest.mark.parametrize(
-    ("delay", "gain", "acceleration"), [(0.0, 1.0, 0.3), (0.31, 0.9, 0.25), (0.57, 1.2, 0.6)]
-)
-def test_fit_finds_delay_gain_and_acceleration(delay, gain, acceleration):
-    found = identify(made(delay, gain, acceleration), "exact")
-    assert (found.delay_v_s, found.delay_omega_s) == pytest.approx((delay, delay), abs=0.004)
-    assert (found.gain_v, found.gain_omega) == pytest.approx((gain, gain), rel=0.003)
-    assert found.accel == pytest.approx(acceleration, rel=0.05)
 
 
 def test_text_shows_a_standard_deviation_with_each_value():

@@ -122,14 +122,6 @@ def test_a_lost_race_is_stopped_and_no_other_is_touched():
     assert (raced[lost] > returns[lost]).any()
 
 
-def test_other_rovers_other_returns():
-    model = default_rover(delay_v_s=0.32, delay_omega_s=0.05, accel=0.1, decel=0.2, alpha=0.5)
-    vectors = candidates(4, seed=4)
-    returns = Evaluator(POLICY, COURSE, model).returns(vectors)
-    assert returns.tolist() == [alone(vector, model=model).total for vector in vectors]
-    assert not np.array_equal(returns, Evaluator(POLICY, COURSE).returns(vectors))
-
-
 MOTORS = {
     "dead_band_m_s": (0.01, 0.06),
     "dead_band_rad_s": (0.01, 0.14),
@@ -260,18 +252,6 @@ def test_blocked_start_of_a_later_course_is_rejected():
     blocked = COURSE.model_copy(update={"obstacles": (Obstacle(x=0.2, y=0.0, length=0.2, width=0.2),)})
     with pytest.raises(ConfigError, match="an obstacle stands where the rover starts"):
         Evaluator(POLICY, [COURSE, blocked])
-
-
-def test_a_rollout_shows_what_happened():
-    run = rollout(POLICY, FENCED)
-    assert run.times[[0, -1]] == pytest.approx([0.0, 12.0])
-    assert run.poses.shape == (121, 3)
-    assert run.commands.shape == (120, 2)
-    assert run.potentials.shape == (120, 12)
-    assert not run.poses[0].any()
-    assert run.touched
-    assert run.verdict.reason == "touched an obstacle"
-    assert run.verdict.error_m == pytest.approx(np.hypot(*(run.poses[-1, :2] - COURSE.goal[:2])))
 
 
 @pytest.mark.parametrize("build", [Evaluator, rollout])

@@ -1,7 +1,5 @@
 """Training on random trials, and its command."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 import yaml
@@ -13,7 +11,6 @@ from rover_ncp.course.course import ParkedRule, load_course
 from rover_ncp.course.reference import plan_reference
 from sim.learn.evaluator import Evaluator, Outcomes
 from sim.learn.robust import (
-    REFINING,
     TRAINING,
     RobustSearch,
     costs,
@@ -82,20 +79,6 @@ def test_wider_rule_of_a_course_costs_less(field):
     wide = ParkedRule(position_m=1.0, heading_rad=1.0, still_m=1.0, still_rad=1.0)
     found = outcome(**{field: 0.2})
     assert costs(found, rule=wide)[0, 0] < costs(found)[0, 0] - TRAINING.stages[0].failure
-
-
-@pytest.mark.parametrize("schedule", [TRAINING, REFINING])
-def test_all_courses_take_their_turn_in_each_stage(schedule):
-    judge, driven = SimpleNamespace(courses=[COURSE] * 300), set()
-    judge.change_trials = lambda trials, first: driven.update((first + i) % 300 for i in range(trials.size))
-    judge.outcomes = lambda vectors: outcome()
-    drive = drive_trials(judge, FULL, MODEL, 3)
-    for stage in schedule.stages:
-        driven.clear()
-        count = 96 // stage.divisor
-        for number in range(stage.since, stage.since - (-300 // count)):
-            drive(START.parameters()[None], 96 * number, count, stage)
-        assert len(driven) == 300
 
 
 def test_training_and_evaluation_share_no_course():

@@ -1,12 +1,9 @@
 """The unit box: points and parameters are the same place, and walls reflect."""
 
-import math
-
 import numpy as np
 import pytest
 from kit.toy_search import DEFAULTS, INERT, LAYOUT, POLICY, WIDTH
 
-from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.course.course import load_course
 from sim.learn.evaluator import Evaluator
 from sim.learn.search import Batch
@@ -20,15 +17,6 @@ def test_box_reaches_every_bound_and_returns_to_its_start():
     assert corners[1] == pytest.approx(LAYOUT.upper, rel=1e-12)
     assert ((corners >= LAYOUT.lower) & (corners <= LAYOUT.upper)).all()
     assert box.vectors(box.start[None])[0] == pytest.approx(DEFAULTS, rel=1e-12)
-
-
-def test_factors_go_by_their_logarithm_and_all_else_is_linear():
-    box = UnitBox.of(LAYOUT, DEFAULTS)
-    middle = box.vectors(np.full((1, box.size), 0.5))[0]
-    for block in LAYOUT.blocks:
-        factor = block.kind in (ParameterKind.LEAK, ParameterKind.CAPACITANCE)
-        mean = math.sqrt(block.lower * block.upper) if factor else (block.lower + block.upper) / 2
-        assert middle[block.slice] == pytest.approx(mean)
 
 
 def test_inert_parameters_change_no_miss_and_all_others_do():

@@ -10,11 +10,8 @@ from kit.paths import DATA
 from rover_ncp.circuit.policy import course_policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit, save_policy
 from rover_ncp.cli import run
-from rover_ncp.course.builder import PoseList, make_course
 from rover_ncp.course.course import load_course
 from rover_ncp.course.reference import plan_reference
-from sim.evaluate import evaluate
-from sim.learn.policies import any_policy
 from sim.learn.rollout import rollout
 from sim.world.described import default_rover
 from sim.world.randomization import draw_trials, load_randomization
@@ -119,13 +116,3 @@ SAME = "are the same; add --randomize full"
 def test_number_of_trials_that_gives_no_sample_is_an_error(files, capsys, options, message):
     assert run(["eval", "numb.yaml", *options.split()]) == 2
     assert message in capsys.readouterr().err
-
-
-def test_parked_rover_holds_against_the_noise_of_its_odometry():
-    """The course of the tutorial: without the driver's hold, three of these robots were still moving."""
-    poses = [(0.0, 0.0, 0.0), (0.6, 0.2, 0.6), (1.2, 0.5, 0.2)]
-    listed = PoseList(poses=[dict(zip(["x", "y", "theta"], pose, strict=True)) for pose in poses])
-    course, _ = make_course("tutorial", "poses", listed)
-    full, policy = load_randomization("full"), any_policy("course")
-    found = evaluate.drive_trials(policy, [course], full, trials=20, seed=0)
-    assert [trial.reason for trial in found if trial.reason] == []

@@ -2,28 +2,21 @@
 
 import math
 
-import numpy as np
 import pytest
 from kit.paths import DATA
 from scipy.stats import chi2
 
 from rover_ncp.core.geometry import Pose, distance
-from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.course.course import load_course
 from rover_ncp.course.scoring import Parked
-from rover_ncp.robot.description import load_description
 from rover_ncp.robot.profile import RoverProfile
-from sim.base.drive_train import DriveTrain
-from sim.base.trial import BaseTrial
 from sim.learn.policies import any_policy
 from sim.learn.rollout import rollout
 from sim.stack.estimates import summary
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
-from sim.world.described import default_rover
-from sim.world.localiser_errors import LocaliserErrors, LocaliserRanges, Measured
-from sim.world.pymunk_rover import Ground, PymunkRover
-from sim.world.randomization import Randomization, draw_trials, load_randomization
+from sim.world.localiser_errors import LocaliserRanges
+from sim.world.randomization import Randomization, load_randomization
 from sim.world.skid_robot import Contact, SkidRanges
 
 SHORT, BRIEF, ARC = (str(DATA / f"{name}_course.yaml") for name in ("short", "brief", "arc"))
@@ -120,28 +113,6 @@ def test_a_driver_that_a_rule_stops_has_not_parked():
     assert trial.ticks < 20
 
 
-def test_stiction_holds_a_base_again_after_its_watchdog_halted_it():
-    ranges = Randomization(name="sticks", dead_band_m_s=(0.1, 0.1))
-    trials = draw_trials(ranges, default_rover(stiction=0.5), 1, count=1, ticks=1)
-    wheels = DriveTrain(
-        load_description("p3at-sh"), PymunkRover(default_rover(), Ground()), BaseTrial(trials)
-    )
-
-    def speed(v):
-        wheels.set_speed(v)
-        for _ in range(300):
-            wheels.substep(False)
-        return wheels.rover.velocity.v
-
-    wheels.enable(True)
-    assert speed(0.08) == 0.0
-    assert speed(0.15) == pytest.approx(0.15, abs=1e-6)
-    assert speed(0.08) == pytest.approx(0.08, abs=1e-6)
-    for _ in range(300):
-        wheels.substep(True)
-    assert speed(0.08) == 0.0
-
-
 def test_a_driver_makes_up_for_the_turn_gain_that_its_gyro_or_its_identification_shows():
     # Outside the training's turn gains of 1.0 to 1.4; without either, both end 0.2 rad off.
     fast = Randomization(name="turning", turn_gain=(1.5, 1.5))
@@ -165,23 +136,6 @@ def test_the_command_line_drives_another_body(run_json):
     assert (code, fields["success_rate"], fields["trials"], fields["stack"]["overruns"]) == (0, 1.0, 1, 0)
     assert (fields["body"], fields["randomize"], fields["course"]) == ("mujoco", "nominal", BRIEF)
     assert math.isfinite(fields["stack"]["times_real_time"])
-
-
-def test_error_of_external_poses_lasts_as_long_and_is_as_large_as_drawn():
-    ranges = LocaliserRanges(lasting_m=(0.03, 0.03), lasting_rad=(0.02, 0.02), lasting_s=(5.0, 5.0))
-    true, seen = Pose(1.0, 2.0, 3.0), Measured(Pose(1.0, 2.0, 3.0), np.zeros((3, 3)))
-    errors = []
-    for number in range(1500):
-        drawn = LocaliserErrors(ranges, random_stream(7, Domain.LOCALISER, number))
-        found = [drawn.apply(seen, true, now) for now in (1.0, 2.0, 6.0)]
-        errors.append([np.array(each.pose) - true for each in found])
-        assert np.sqrt(np.diag(found[0].covariance)) == pytest.approx([0.03, 0.03, 0.02])
-    first, second, third = np.moveaxis(errors, 1, 0)
-    for each in (first, second, third):
-        assert np.std(each, axis=0) == pytest.approx([0.03, 0.03, 0.02], rel=0.07)
-    for later, dt in ((second, 1.0), (third, 5.0)):
-        correlation = np.mean(first * later, axis=0) / np.mean(first**2, axis=0)
-        assert correlation == pytest.approx(math.exp(-dt / 5.0), abs=0.08)
 
 
 def test_localiser_without_errors_that_last_drives_the_same_trial():

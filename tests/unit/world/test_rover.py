@@ -135,15 +135,6 @@ def test_a_turn_on_the_spot_leaves_the_centre_of_rotation_where_it_is(center):
     assert math.dist(centre(), before) < 1000 * abs(center) * (1.3 * 0.18 * 0.01) ** 2 / 2
 
 
-def test_wheels_without_grip_do_not_slide_the_rover():
-    rover = PymunkRover(default_rover(rotation_center_m=0.06, friction=0.0), Ground())
-    rover.command(0.0, 0.18)
-    for _ in range(300):
-        rover.substep()
-    assert rover.pose[:2] == (0.0, 0.0)
-    assert rover.velocity.omega == pytest.approx(0.18)
-
-
 @pytest.mark.parametrize("command", [(math.nan, 0.0), (0.0, math.inf)])
 def test_refuses_a_command_that_is_no_number(command):
     rover = PymunkRover(default_rover(), Ground())

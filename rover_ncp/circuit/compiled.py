@@ -106,10 +106,10 @@ class LaneParameters(NamedTuple):
     """mV, of the block at work."""
     current: Annotated[FloatArray, Axes(1, "integrated", WIDTH)]
     total: Annotated[FloatArray, Axes(1, "integrated", WIDTH)]
-    next_potential: Annotated[FloatArray, Axes(1, "integrated", WIDTH)]
-    """Current and conductance that are constant over a tick, and the next potentials."""
-    divisor: Annotated[FloatArray, Axes(1, "recurrent_synapses.synapses", WIDTH)]
-    """What the weights of recurrent synapses are divided by."""
+    """Current and conductance that are constant over a tick."""
+    gate: Annotated[FloatArray, Axes(1, "recurrent_synapses.synapses", WIDTH)]
+    gap_current: Annotated[FloatArray, Axes(1, "recurrent_gaps.junctions", WIDTH)]
+    """What recurrent synapses conduct, and w V of gap junctions, in a substep."""
     channel: Annotated[FloatArray, Axes(1, "motor_channels", WIDTH)]
 
 
@@ -208,8 +208,8 @@ def make_circuits(policy: Policy, count: int) -> Circuits:
         potential=rows(policy.circuit.size, 1),
         current=rows(integrated, 1),
         total=rows(integrated, 1),
-        next_potential=rows(integrated, 1),
-        divisor=rows(len(program.recurrent_synapses.source), 1),
+        gate=rows(len(program.recurrent_synapses.source), 1),
+        gap_current=rows(len(program.recurrent_gaps.source), 1),
         channel=rows(len(policy.motors.channels), 1),
     )
     potentials = aligned_zeros(policy.circuit.size, count)

@@ -41,6 +41,7 @@ constexpr int REGISTER = 2;
 #define INLINE inline __attribute__((always_inline))
 
 typedef double Register __attribute__((vector_size(REGISTER * 8)));
+typedef double InMemory __attribute__((vector_size(REGISTER * 8), aligned(8)));
 typedef int64_t IntRegister __attribute__((vector_size(REGISTER * 8)));
 
 // The same number of all lanes, in PARTS registers. Compilers keep an array of registers in registers, but move a
@@ -109,13 +110,14 @@ INLINE Vec<PARTS> scale_by_power_of_two(Vec<PARTS> value, Vec<PARTS> shifted) {
 template <int PARTS>
 INLINE Vec<PARTS> load(const double *row) {
     Vec<PARTS> value;
-    EACH_PART __builtin_memcpy(&value.part[i], row + i * REGISTER, sizeof(Register));
+    EACH_PART value.part[i] = *(const InMemory *)(row + i * REGISTER);
     return value;
 }
 
+// By assignment, not by memcpy: the compiler then knows that only doubles change, and loads no address again.
 template <int PARTS>
 INLINE void store(double *row, Vec<PARTS> value) {
-    EACH_PART __builtin_memcpy(row + i * REGISTER, &value.part[i], sizeof(Register));
+    EACH_PART *(InMemory *)(row + i * REGISTER) = value.part[i];
 }
 
 // Load the lanes from start on of a row with all L lanes; lanes beyond the last repeat it.

@@ -45,10 +45,10 @@ INLINE Vec<PARTS> exp2(Vec<PARTS> z) {
     return scale_by_power_of_two(low + (middle + high * f4) * f4, shifted);
 }
 
-// 1 + exp(-sigma (V - mu)): a chemical synapse conducts its weight divided by this. The slope is -sigma log2 e.
+// What a chemical synapse conducts: w / (1 + exp(-sigma (V - mu))). The slope is -sigma log2 e.
 template <int PARTS>
-INLINE Vec<PARTS> divisor(Vec<PARTS> slope, Vec<PARTS> potential) {
-    return 1.0 + exp2(slope * (potential - MIDPOINT_MV));
+INLINE Vec<PARTS> gate(Vec<PARTS> weight, Vec<PARTS> slope, Vec<PARTS> potential) {
+    return weight / (1.0 + exp2(slope * (potential - MIDPOINT_MV)));
 }
 
 // PARTS registers of one block of WIDTH lanes.
@@ -90,10 +90,10 @@ struct Block {
         for (int64_t d = 0; d < program.integrated.neuron.shape[0]; d++) {
             V current = parameter(lanes.leak_current, d), total = parameter(lanes.conductance, d);
             for (int64_t s = synapses.first(d); s < synapses.first(d + 1); s++) {
-                const V gate = parameter(lanes.input_weight, s) /
-                               divisor(parameter(lanes.input_slope, s), potential(synapses.source(s)));
-                total = total + gate;
-                if (s >= synapses.first_inhibitory(d)) current = current + INHIBITORY_MV * gate;
+                const V g = gate(parameter(lanes.input_weight, s), parameter(lanes.input_slope, s),
+                                 potential(synapses.source(s)));
+                total = total + g;
+                if (s >= synapses.first_inhibitory(d)) current = current + INHIBITORY_MV * g;
             }
             for (int64_t s = gaps.first(d); s < gaps.first(d + 1); s++)
                 current = current + parameter(lanes.input_gap, s) * potential(gaps.source(s));
@@ -102,36 +102,33 @@ struct Block {
         }
     }
 
-    // Advance the integrated neurons by a tick; in each substep all of them from the old potentials.
+    // Advance the integrated neurons by a tick. In each substep first come all synapses, which need the old potentials
+    // and not each other: the processor overlaps the division of one with the exponentials of the next.
     void run_substeps() const {
         const Synapses &synapses = program.recurrent_synapses;
         const GapJunctions &gaps = program.recurrent_gaps;
         const Indices &neurons = program.integrated.neuron;
-        const int64_t count = neurons.shape[0];
         for (int64_t substep = 0; substep < program.substeps; substep++) {
-            int64_t known = 0;
-            for (int64_t d = 0; d < count; d++) {
-                // Also the next neuron's divisors: the processor computes them beside the divisions of this one.
-                const int64_t needed = synapses.first(d + 2 < count ? d + 2 : count);
-                for (; known < needed; known++)
-                    store(work(lanes.divisor, known),
-                          divisor(parameter(lanes.recurrent_slope, known), potential(synapses.source(known))));
+            for (int64_t s = 0; s < synapses.source.shape[0]; s++)
+                store(work(lanes.gate, s), gate(parameter(lanes.recurrent_weight, s),
+                                                parameter(lanes.recurrent_slope, s), potential(synapses.source(s))));
+            for (int64_t s = 0; s < gaps.source.shape[0]; s++)
+                store(work(lanes.gap_current, s), parameter(lanes.recurrent_gap, s) * potential(gaps.source(s)));
+            for (int64_t d = 0; d < neurons.shape[0]; d++) {
                 V current = load<PARTS>(work(lanes.current, d)) + parameter(lanes.rate, d) * potential(neurons(d));
                 V total = load<PARTS>(work(lanes.total, d));
-                const int64_t first = synapses.first(d), inhibitory = synapses.first_inhibitory(d);
-                for (int64_t s = first; s < inhibitory; s++)
-                    total = total + parameter(lanes.recurrent_weight, s) / load<PARTS>(work(lanes.divisor, s));
+                const int64_t inhibitory = synapses.first_inhibitory(d);
+                for (int64_t s = synapses.first(d); s < inhibitory; s++)
+                    total = total + load<PARTS>(work(lanes.gate, s));
                 for (int64_t s = inhibitory; s < synapses.first(d + 1); s++) {
-                    const V gate = parameter(lanes.recurrent_weight, s) / load<PARTS>(work(lanes.divisor, s));
-                    total = total + gate;
-                    current = current + INHIBITORY_MV * gate;
+                    const V g = load<PARTS>(work(lanes.gate, s));
+                    total = total + g;
+                    current = current + INHIBITORY_MV * g;
                 }
                 for (int64_t s = gaps.first(d); s < gaps.first(d + 1); s++)
-                    current = current + parameter(lanes.recurrent_gap, s) * potential(gaps.source(s));
-                store(work(lanes.next_potential, d), current / total);
+                    current = current + load<PARTS>(work(lanes.gap_current, s));
+                store(work(lanes.potential, neurons(d)), current / total);
             }
-            for (int64_t d = 0; d < count; d++)
-                store(work(lanes.potential, neurons(d)), load<PARTS>(work(lanes.next_potential, d)));
         }
     }
 

@@ -43,7 +43,7 @@ struct Program {
 struct LaneParameters {
     Cube input_weight, input_slope, recurrent_weight, recurrent_slope, input_gap, recurrent_gap;
     Cube rate, leak_current, conductance, input_layer, output_layer;
-    Cube potential, current, total, next_potential, divisor, channel;
+    Cube potential, current, total, gate, gap_current, channel;
 };
 
 struct Circuits {

@@ -64,7 +64,7 @@ class SafetyMonitor:
         """The contact that the base reported since the lease was granted, in words."""
         self._confirmed: int | None = None
         """Number of the newest lease that the gate confirmed."""
-        self._response = ResponseCheck()
+        self._response, self._odometry_response = ResponseCheck(), ResponseCheck()
         self._checked_ns: int | None = None
         self._pause_s, self._pause_odometry = 0.0, measurements.newest
         """The longest time between two checks since the newest odometry."""
@@ -173,7 +173,13 @@ class SafetyMonitor:
         """
         if not all(map(math.isfinite, command)):
             raise SafetyStop("command", f"the circuit's command is not finite: {command}")
-        if missing := self._response.tick(command, motion):
+        missing = self._response.tick(command, motion)
+        assert self._measurements.newest is not None  # `wait` was called
+        by_odometry = self._odometry_response.tick(command, self._measurements.newest.sample.velocity)
+        if missing and not by_odometry and self._measurements.taken["imu"]:
+            words = "odometry shows more: the gyro is wrong, or the wheels spin"
+            raise SafetyStop("gyro", f"by the estimate the rover drove {missing}, and {words}")
+        if missing:
             gate = self._link.gate
             held = f" (the gate reports {in_words(gate.held, gate.held_detail)})" if gate.held else ""
             raise SafetyStop("no-response", f"by the estimate the rover drove {missing}{held}")

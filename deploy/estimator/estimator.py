@@ -328,7 +328,8 @@ class Estimator:
         """Count a rejection; so many in a row are the fault ``rule``."""
         self._in_a_row[what] += 1
         if self._in_a_row[what] >= limit:
-            self._fail(f"{self._in_a_row[what]} {what} rejected in a row (last: {outcome.value})", rule)
+            why = ": the gyro is wrong, or the wheels spin" if what == GYRO_READINGS else ""
+            self._fail(f"{self._in_a_row[what]} {what} rejected in a row (last: {outcome.value}){why}", rule)
 
     def _fail(self, words: str, rule: str) -> None:
         """Note the first fault."""

@@ -20,7 +20,7 @@ from deploy.estimator.motion import (
     ASIDE,
     CENTER,
     DELAY,
-    GAIN,
+    GYRO,
     LASTING,
     MOTION,
     OWN,
@@ -116,7 +116,9 @@ class Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy ships no t
     def correct_by_turn(self, turn: Turn) -> None:
         """Apply the turn of a gyro."""
         self.P[np.ix_((THETA, TURN), (THETA, TURN))] += turn.disturbance_variance
-        self.P[GAIN, GAIN] += turn.gain_variance
+        if turn.gain_variance:
+            by_gain = turn.by_gain(float(self.x[GYRO]))
+            self.P += turn.gain_variance * np.outer(by_gain, by_gain)
         H = turn.row
         self.correct(turn.angle - H @ self.x, H, np.array([[turn.variance]]))
         self.P[CENTERS, CENTERS] += turn.center_variances

@@ -29,8 +29,9 @@ LEARNT_STD = 0.1
 """Standard deviation of a turn gain that is learnt, as a share of it."""
 AXLE_SLIP = 0.33
 """Share of a turn by which one axle's wheels slip at most: the robot then turns about the other axle."""
-GYRO_GAINS = 0.3, 4.0
-"""Limits of the true turn over odometry's: what a gyro shows beyond them is no slip."""
+GYRO_GAINS = 0.1, 4.0
+"""Limits of the true turn over odometry's: what a gyro shows beyond them is no slip. A rover that turns less
+does not follow its commands."""
 MAX_DISTURBANCE_RAD = 0.2
 """Largest disturbance that the estimate follows."""
 DISTURBANCE_END_NIS = 1.0
@@ -56,14 +57,17 @@ class GyroTurns:
     def apply(self, angle: float, seconds: float, ahead: float) -> Turn | None:
         """Apply a gyro's turn, as a disturbance if it does not fit; return it, None if it is rejected."""
         s, x, P = self._filter.settings, self._filter.x, self._filter.P
-        turn = Turn(angle, seconds, ahead, s.gyro_rad**2 * seconds / GYRO_S)
+        turned = float(x[TURN] / x[GAIN]) if x[GAIN] > 0.0 else 0.0
+        turn = Turn(angle, seconds, ahead, turned, s.gyro_rad**2 * seconds / GYRO_S)
         row = turn.row[0]
         variance = float(row @ P @ row) + turn.variance
         missing = angle - float(row @ x)
         gain = float(x[GAIN] + P[GAIN] @ row / variance * missing)
         minimum, maximum = (limit * s.turn_gain for limit in GYRO_GAINS)
         gate = DISTURBANCE_END_NIS if self._disturbance_rad else s.gyro_gate
-        needed = self._needed_gain(missing)
+        # What the gyro measured of odometry's turn.
+        seen = turned - ahead
+        needed = float(x[GAIN]) + missing / seen if abs(seen) >= MIN_TURN_RAD else math.nan
         before = self._sign
         self._sign = 0.0 if math.isnan(needed) else math.copysign(1.0, needed - x[GAIN])
         if missing**2 <= gate * variance and (
@@ -87,13 +91,6 @@ class GyroTurns:
         turn = turn._replace(center_variances=self._center_variances())
         self._filter.P[CENTERS, CENTERS] += turn.center_variances
         return turn
-
-    def _needed_gain(self, missing: float) -> float:
-        """Return the turn gain that explains what a gyro's turn misses; NaN for a rover that hardly turns."""
-        x = self._filter.x
-        gain = float(x[GAIN])
-        turned = float(x[TURN]) / gain if gain > 0.0 else 0.0
-        return gain + missing / turned if abs(turned) >= MIN_TURN_RAD else math.nan
 
     def _center_variances(self) -> tuple[float, float]:
         """Return how much less is known of the centre of rotation, m², because the turn gain has changed.

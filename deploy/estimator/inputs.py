@@ -49,16 +49,18 @@ class Turn(NamedTuple):
     """Angle (rad) that a gyro turned in some seconds, its variance, and that of a disturbance.
 
     The newest reading may be older than odometry. ``ahead`` is how much more odometry had turned since then
-    at the turn's end than at its begin, before the turn gain, rad.
+    at the turn's end than at its begin, before the turn gain, rad. ``turned`` is all that odometry turned,
+    before the turn gain, rad.
     """
 
     angle: float
     seconds: float
     ahead: float
+    turned: float
     variance: float
     disturbance_variance: float = 0.0
     gain_variance: float = 0.0
-    """Of a change of the turn gain, as on another floor."""
+    """Of a change of the turn gain before this turn, as on another floor."""
     center_variances: tuple[float, float] = (0.0, 0.0)
     """Of the change of the centre of rotation that goes with it: behind, and to the left, m²."""
 
@@ -68,6 +70,12 @@ class Turn(NamedTuple):
         row = np.zeros((1, SIZE))
         row[0, [TURN, BIAS, GAIN]] = 1.0, self.seconds, -self.ahead
         return row
+
+    def by_gain(self, gyro_scale: float) -> Array:
+        """Return the derivative (22,) of the state by the turn gain of this turn."""
+        column = np.zeros(SIZE)
+        column[[GAIN, TURN, THETA]] = 1.0, self.turned, gyro_scale * self.turned
+        return column
 
 
 class Odometry(NamedTuple):

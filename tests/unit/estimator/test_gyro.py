@@ -164,3 +164,18 @@ def test_a_push_that_begins_before_the_rover_turns_is_no_other_floor():
         if tick == 43:
             assert abs(estimator.at(t).turn_gain - 1.0) < 0.3
     assert not estimator.fault
+
+
+@pytest.mark.parametrize("gain", [0.4, 2.0])
+def test_another_floor_is_learnt_at_once_also_from_readings_older_than_odometry(gain):
+    """The rover turns to and fro, so that odometry turns on between a reading and its own sample."""
+    estimator, own = started(), 0.0
+    for tick in range(1, 101):
+        t, rate = tick * 0.1, 0.4 * math.sin(0.8 * tick * 0.1)
+        own += rate * 0.1
+        true = gain if tick > 60 else 1.0
+        estimator.gyro(true * 0.4 * math.sin(0.8 * (t - 0.09)), t - 0.04)
+        estimator.odometry(*reported(Pose(0.0, 0.0, own), Velocity(0.0, rate)), t)
+        if tick > 65:
+            assert 0.5 * gain < estimator.at(t).turn_gain < 1.5 * gain
+    assert not estimator.fault

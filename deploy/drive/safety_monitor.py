@@ -7,6 +7,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
+from typing import NamedTuple
 
 from pydantic import Field
 
@@ -176,7 +177,7 @@ class SafetyMonitor:
         missing = self._response.tick(command, motion)
         assert self._measurements.newest is not None  # `wait` was called
         by_odometry = self._odometry_response.tick(command, self._measurements.newest.sample.velocity)
-        if missing and not by_odometry and self._measurements.taken["imu"]:
+        if missing and missing.unit == "rad" and not by_odometry and self._measurements.taken["imu"]:
             words = "odometry shows more: the gyro is wrong, or the wheels spin"
             raise SafetyStop("gyro", f"by the estimate the rover drove {missing}, and {words}")
         if missing:
@@ -192,6 +193,18 @@ def revoked(gate: GateStatus) -> SafetyStop:
     return SafetyStop(gate.ended or "lease", gate.ended_detail or "the gate revoked the lease")
 
 
+class Missing(NamedTuple):
+    """Motion of a second that is missing: what was driven and what was commanded, in m or rad."""
+
+    driven: float
+    commanded: float
+    unit: str
+
+    def __str__(self) -> str:
+        driven, commanded = f"{self.driven:.3f} {self.unit}", f"{self.commanded:.3f} {self.unit}"
+        return f"{driven} where {commanded} were commanded within a second"
+
+
 class ResponseCheck:
     """Compares each tick's command with the estimated motion.
 
@@ -204,10 +217,10 @@ class ResponseCheck:
         self._commanded: deque[Velocity] = deque(maxlen=WINDOW_TICKS + LAG_TICKS)
         self._driven: deque[Velocity] = deque(maxlen=WINDOW_TICKS)
 
-    def tick(self, command: Velocity, motion: Velocity) -> str:
-        """Return the motion that is missing, "" if none is. ``motion`` was measured before this command."""
+    def tick(self, command: Velocity, motion: Velocity) -> Missing | None:
+        """Return the motion that is missing, if any is. ``motion`` was measured before this command."""
         self._driven.append(motion)
-        complaint = ""
+        missing = None
         if len(self._commanded) == self._commanded.maxlen:
             commands, latest = list(self._commanded), LAG_TICKS - SHORTEST_LAG_TICKS
             windows = commands[:WINDOW_TICKS], commands[latest : latest + WINDOW_TICKS]
@@ -216,6 +229,6 @@ class ResponseCheck:
                 wanted = TICK_S * min(abs(sum(command[axis] for command in window)) for window in windows)
                 got = TICK_S * sum(abs(motion[axis]) for motion in self._driven)
                 if wanted >= minimum and got < FOLLOWED_MIN * wanted:
-                    complaint = f"{got:.3f} {unit} where {wanted:.3f} {unit} were commanded within a second"
+                    missing = Missing(got, wanted, unit)
         self._commanded.append(command)
-        return complaint
+        return missing

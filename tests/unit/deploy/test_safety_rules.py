@@ -36,14 +36,20 @@ class Drive:
             about_base=lambda: None,
         )
         self.link.gate, self.link.lease = GateStatus(), DriverLease()
-        self.newest = SimpleNamespace(ref=SimpleNamespace(measured_ns=BEGIN_NS))
+        self.newest = self.odometry(STILL)
         self.measurements = SimpleNamespace(
             newest=self.newest,
             odometry=lambda wait_s: None if wait_s else self.newest,
             complaints={},
             doubtful={"odom": 0},
+            taken={"imu": 0},
         )
         self.monitor = SafetyMonitor(self.link, self.measurements, lambda: self.signal, timeouts, self)
+
+    def odometry(self, velocity):
+        """Return odometry of now."""
+        ref, sample = SimpleNamespace(measured_ns=self.now_ns), SimpleNamespace(velocity=velocity)
+        return SimpleNamespace(ref=ref, sample=sample)
 
     def monotonic(self):
         return self.now_ns / NS_PER_S
@@ -59,7 +65,7 @@ class Drive:
         """Check after that time; return the words of the stop, "" without one."""
         self.now_ns += round(seconds * NS_PER_S)
         if fresh:
-            self.measurements.newest = SimpleNamespace(ref=SimpleNamespace(measured_ns=self.now_ns))
+            self.measurements.newest = self.odometry(STILL)
         try:
             self.monitor.check()
         except SafetyStop as stop:
@@ -289,6 +295,19 @@ def test_a_rover_that_does_not_follow_is_stopped_with_the_gates_reason(held, end
         drive.monitor.check_command(FORWARD, STILL)
 
 
+@pytest.mark.parametrize(
+    ("readings", "driven", "rule"), [(9, 0.3, "gyro"), (9, 0.0, "no-response"), (0, 0.3, "no-response")]
+)
+def test_a_turn_that_odometry_shows_and_the_gyro_does_not_is_the_gyros_fault(readings, driven, rule):
+    drive = Drive()
+    drive.measurements.taken["imu"] = readings
+    drive.measurements.newest = drive.odometry(Velocity(0.0, driven))
+    for _ in range(17):
+        drive.monitor.check_command(Velocity(0.0, 0.3), STILL)
+    with pytest.raises(SafetyStop, match=f"^stopped by {rule}: "):
+        drive.monitor.check_command(Velocity(0.0, 0.3), STILL)
+
+
 # The response to commands: a second of them, which began 1.7 s and 1.1 s ago
 
 
@@ -329,7 +348,7 @@ def test_limits_of_the_response_are_exact():
 def test_words_name_the_missing_turn():
     check = ResponseCheck()
     words = [check.tick(Velocity(0.0, -0.3), Velocity(0.0, 0.01)) for _ in range(18)]
-    assert words[-1] == "0.010 rad where 0.300 rad were commanded within a second"
+    assert str(words[-1]) == "0.010 rad where 0.300 rad were commanded within a second"
 
 
 @pytest.mark.parametrize(
@@ -367,4 +386,4 @@ def test_a_rover_that_follows_is_never_stopped(model):
     for policy in (load_policy("parking"), AHEAD):
         watch = ResponseCheck()
         for tick in controlled(policy, model=model)[1]:
-            assert watch.tick(tick.command, tick.estimate.velocity) == ""
+            assert watch.tick(tick.command, tick.estimate.velocity) is None

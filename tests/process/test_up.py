@@ -5,6 +5,7 @@ import pty
 import signal
 import subprocess
 import sys
+import time
 from functools import partial
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from kit.bridge_bench import Driver, wait_for
 from deploy.zenoh_client import BridgeAddress, ZenohClient
 from rover_ncp import cli
 from rover_ncp.core.config import dump_yaml
+from rover_ncp.core.geometry import ORIGIN
 from sim.camera.server import MockCamera
 from sim.mock.ros2_server import free_port
 from sim.park.live import Process
@@ -186,18 +188,23 @@ def test_a_camera_that_is_unplugged_is_said_once_and_poses_come_again_with_it(ro
     listen, poses = ("127.0.0.1", free_port("127.0.0.1")), []
     robot.write_camera("http://{}:{}/".format(*listen), page=None)
     plugged = partial(MockCamera, *robot.camera_files, listen, 10.0, 1)
-    with plugged():
-        up = robot.up()
-        up.wait_for_line("localiser localising")
+
+    def sends_poses(camera):
+        camera.show(ORIGIN, time.time_ns())
+        return "pose" in poses
+
+    up = robot.up()
     with ZenohClient(BridgeAddress(robot.bridge), lambda row, data: poses.append(row.name)):
+        with plugged() as camera:
+            wait_for(lambda: sends_poses(camera), 40.0, "poses")
         with robot.driving():
-            up.wait_for_line("localiser ended with 2")
+            lost = up.wait_for_line("localiser ended with 2: camera ")
             assert robot.speed() > 0.1
         poses.clear()
-        with plugged():
-            wait_for(lambda: "pose" in poses, 40.0, "poses of the camera that is back")
+        with plugged() as camera:
+            wait_for(lambda: sends_poses(camera), 40.0, "poses of the camera that is back")
             wait_for(lambda: "localiser localising (restart" in lines_of(up), 10.0)
-    assert lines_of(up).count("localiser ended with 2") == 1
+    assert lines_of(up).count(lost) == 1
 
 
 def test_a_broken_file_starts_nothing(robot):

@@ -95,6 +95,8 @@ class HttpCamera(ReadCamera):
                     stamp = found.stamp or response.headers.get(STAMP)
                     if (moment_ns := self.moment_ns(_stamp_ns(stamp), wall_ns)) is not None:
                         yield partial(decode_picture, found.data, moment_ns)
+        if not reader.began and kind.startswith("multipart/"):
+            raise ValueError("its stream ended before the first picture")
         if not reader.began:
             raise ValueError(
                 f"it sends {kind}, no JPEG: give the address of its stream or its "

@@ -123,7 +123,7 @@ def test_little_waits_for_a_page_that_takes_nothing_and_then_it_is_closed(monkey
 
 
 def test_page_stops_a_driven_rover_reports_the_end_of_the_bridge_and_ends_at_ctrl_c(bridge, tmp_path):
-    """The drive of a circuit is watched and stopped in tests/system/test_browser_watch.py."""
+    """The drive of a circuit is watched and stopped in tests/system/test_browser.py."""
     options = ["--robot", bridge.robot, "--port", "0"]
     with Process("watch", options, tmp_path) as watch, Driver(bridge.robot) as driver:
         page = Page(watch.wait_for_line("watching at "))

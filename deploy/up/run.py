@@ -8,6 +8,7 @@ Rules of this file:
 3. No child outlives this process: each one holds a pipe that ends with it.
 """
 
+import math
 import signal
 import time
 from collections.abc import Sequence
@@ -34,7 +35,8 @@ BRIDGE_END_S, OTHER_END_S = 5.0, 3.0
 LINES, LINES_PER_S = 10.0, 1.0
 """Lines of one process that are shown at once, and how fast as many may follow."""
 PROVEN_S = 5.0
-"""A process that was started again and runs for so long works: a camera that is not there ends it before."""
+"""A process that was started again works if it runs for so long after its first line: a camera that is not
+there ends it before."""
 KILLED = 3
 """Exit code when the bridge was killed."""
 WATCHDOG = "only the base's own watchdog stops the rover now"
@@ -60,11 +62,12 @@ class _Part:
         self._shown, self._complaint = "", ""
         """The last state that was shown, and how the process ended that was started again."""
         self._pending: list[str] = []
+        self._first_line_s = math.inf
         self._allowed, self._filled_s, self._left_out = LINES, time.monotonic(), 0
 
     def start(self, pipe: ParentPipe) -> None:
         """Start the process."""
-        self.child = Child(self._arguments, self.log, pipe)
+        self.child, self._first_line_s = Child(self._arguments, self.log, pipe), math.inf
 
     def say(self, state: str) -> None:
         """Show a state, if it is another than the last one."""
@@ -90,11 +93,13 @@ class _Part:
             return
         ended = self.child.code is not None  # looked up first: its last lines count
         lines = self.child.new_lines()
+        if lines:
+            self._first_line_s = min(self._first_line_s, now_s)
         if ended:
             self._restart_later(self.child, now_s)
         elif self._complaint:
             self._pending = [*self._pending, *lines][-1:]
-            if now_s - self.child.began_s >= PROVEN_S:
+            if now_s - self._first_line_s >= PROVEN_S:
                 self._complaint = ""
                 for line in self._pending:
                     self.say(f"{line} (restart {self.restarts.count})")

@@ -167,15 +167,21 @@ def test_a_killed_bridge_ends_all_and_is_named(robot):
     assert gone(children)
 
 
-def test_a_page_that_dies_starts_again_and_is_counted(robot):
-    robot.write(page=0)
+def test_processes_beside_the_bridge_start_again_are_named_and_hinder_no_drive(robot):
+    """The page is killed once. The localiser ends each time, because its camera is not there."""
+    robot.write_camera("/dev/video97", page=0)
     up = robot.up()
+    assert "/dev/video97" in up.wait_for_line("localiser ended with 2")
     up.wait_for_line("page      watching")
     page = next(child for child in children_of(up) if "watch" in child.cmdline())
     page.kill()
     assert "starts again" in up.wait_for_line("page      killed by SIGKILL")
     wait_for(lambda: "(restart 1)" in lines_of(up), 60.0)
-    assert up.stop().result["restarts"] == {"page": 1}
+    with robot.driving():
+        pass
+    assert lines_of(up).count("localiser ended") == 1
+    restarts = up.stop().result["restarts"]
+    assert (restarts["page"], restarts["localiser"] >= 1) == (1, True)
 
 
 def test_a_camera_that_is_unplugged_is_said_once_and_poses_come_again_with_it(robot):

@@ -102,7 +102,7 @@ test-browser: chromium $(BROWSER_STAMP) ## Pages in chromium; pictures in runs/b
 
 .PHONY: pictures
 pictures: chromium $(BROWSER_STAMP) ## The moving picture of the README, from the page of a drive.
-	$(BIN)/rover-ncp park --policy parking --out runs/pictures --overwrite
+	$(BIN)/rover-ncp park --policy course --out runs/pictures --overwrite
 	PYTHONPATH=tests $(BIN)/python tests/tools/pictures.py runs/pictures/run.html docs/drive.webp
 
 .PHONY: chromium

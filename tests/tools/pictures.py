@@ -9,7 +9,7 @@ from PIL import Image
 
 STEP_S, FRAME_MS = 0.4, 100
 """Time of the drive between frames, and time that a frame is shown."""
-WIDTH = 820
+WIDTH, QUALITY, MAX_BYTES = 720, 40, 600_000
 STYLE = """
 section { display: none; } #path, #brain { display: block; }
 #path .control, .now, .legend, #player .bar { display: none; } #circuit svg { max-height: 500px; }
@@ -29,7 +29,12 @@ def main(page: Path, out: Path) -> None:
             frame = Image.open(io.BytesIO(watched.page.screenshot())).convert("RGB")
             frame.thumbnail((WIDTH, WIDTH))
             frames.append(frame)
-    frames[0].save(out, save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0, quality=60)
+    frames[0].save(
+        out, save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0, quality=QUALITY, method=6
+    )
+    size = out.stat().st_size
+    if size > MAX_BYTES:
+        sys.exit(f"{out}: {size} bytes (limit {MAX_BYTES}): lower the quality or the width")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from rover_ncp.wire.cdr import decode, encode, type_hash
 from rover_ncp.wire.key_table import KEYS, Kind
 from rover_ncp.wire.messages import BOOL, HAZARDS, LASER_SCAN, POSE_STAMPED, TWIST
 
-NO_WHEEL = {"tf2_msgs/msg/TFMessage", HAZARDS}
+NO_WHEEL = {"tf2_msgs/msg/TFMessage", "foxglove_msgs/msg/ImageAnnotations", HAZARDS}
 """Types without a Python package on PyPI. A TFMessage is a list of TransformStamped."""
 TYPES = {row.type for row in KEYS if row.kind is Kind.MESSAGE} | {BOOL, LASER_SCAN, POSE_STAMPED, TWIST}
 TYPES |= {"geometry_msgs/msg/TransformStamped", "nav_msgs/msg/Path"}

@@ -97,7 +97,7 @@ test-timed: $(STAMP) ## Every row of both safety matrices and live drives.
 	$(BIN)/pytest tests/system -m "timed and long" --numprocesses 2 --dist loadgroup
 
 .PHONY: test-browser
-test-browser: chromium $(BROWSER_STAMP) ## Pages in chromium; pictures in runs/browser.
+test-browser: chromium $(BROWSER_STAMP) $(DEMO_STAMP) ## Pages in chromium; pictures in runs/browser.
 	$(BIN)/pytest tests -m browser
 
 .PHONY: pictures

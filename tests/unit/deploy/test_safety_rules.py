@@ -308,6 +308,16 @@ def test_a_turn_that_odometry_shows_and_the_gyro_does_not_is_the_gyros_fault(rea
         drive.monitor.check_command(Velocity(0.0, 0.3), STILL)
 
 
+def test_a_distance_that_only_odometry_shows_is_no_fault_of_the_gyro():
+    drive = Drive()
+    drive.measurements.taken["imu"] = 9
+    drive.measurements.newest = drive.odometry(FORWARD)
+    for _ in range(17):
+        drive.monitor.check_command(FORWARD, STILL)
+    with pytest.raises(SafetyStop, match=r"^stopped by no-response: "):
+        drive.monitor.check_command(FORWARD, STILL)
+
+
 # The response to commands: a second of them, which began 1.7 s and 1.1 s ago
 
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _BATCH = 500
 """Trials at a time, so that drawn noise takes some 10 MB whatever is asked for."""
 _FEW = 3
-"""So few trials are driven one by one, with the same bits: a kernel of whole episodes takes long to load."""
+"""So few trials are driven one by one, with the same bits: this needs no native library."""
 _SHOWN = 5
 """Largest number of lines about scaled courses; random courses may be many."""
 

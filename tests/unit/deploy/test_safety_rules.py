@@ -295,27 +295,26 @@ def test_a_rover_that_does_not_follow_is_stopped_with_the_gates_reason(held, end
         drive.monitor.check_command(FORWARD, STILL)
 
 
+TURN = Velocity(0.0, 0.3)
+
+
 @pytest.mark.parametrize(
-    ("readings", "driven", "rule"), [(9, 0.3, "gyro"), (9, 0.0, "no-response"), (0, 0.3, "no-response")]
+    ("command", "by_odometry", "readings", "rule"),
+    [
+        (TURN, TURN, 9, "gyro"),
+        (TURN, STILL, 9, "no-response"),
+        (TURN, TURN, 0, "no-response"),
+        (FORWARD, FORWARD, 9, "no-response"),
+    ],
 )
-def test_a_turn_that_odometry_shows_and_the_gyro_does_not_is_the_gyros_fault(readings, driven, rule):
+def test_a_turn_that_only_odometry_shows_is_the_gyros_fault(command, by_odometry, readings, rule):
     drive = Drive()
     drive.measurements.taken["imu"] = readings
-    drive.measurements.newest = drive.odometry(Velocity(0.0, driven))
+    drive.measurements.newest = drive.odometry(by_odometry)
     for _ in range(17):
-        drive.monitor.check_command(Velocity(0.0, 0.3), STILL)
+        drive.monitor.check_command(command, STILL)
     with pytest.raises(SafetyStop, match=f"^stopped by {rule}: "):
-        drive.monitor.check_command(Velocity(0.0, 0.3), STILL)
-
-
-def test_a_distance_that_only_odometry_shows_is_no_fault_of_the_gyro():
-    drive = Drive()
-    drive.measurements.taken["imu"] = 9
-    drive.measurements.newest = drive.odometry(FORWARD)
-    for _ in range(17):
-        drive.monitor.check_command(FORWARD, STILL)
-    with pytest.raises(SafetyStop, match=r"^stopped by no-response: "):
-        drive.monitor.check_command(FORWARD, STILL)
+        drive.monitor.check_command(command, STILL)
 
 
 # The response to commands: a second of them, which began 1.7 s and 1.1 s ago

@@ -28,19 +28,19 @@ TRIALS, STACK_TRIALS = 1000, 50
 _MUJOCO = {"trials": STACK_TRIALS, "stack": True, "body": Body.MUJOCO, "randomize": "varied"}
 ROBOTS: dict[str, dict[str, Any]] = {
     "nominal robot": {"trials": 1, "randomize": "none"},
-    "start within 5 cm and 5°": {"randomize": "mild"},
-    "start within 10 cm and 10°": {"randomize": "full"},
-    "lost commands, wheel mismatch, a push": {"randomize": "harsh"},
-    "skid-steer, pose from a localiser": {"randomize": "skid"},
+    "`mild`: start within 5 cm and 5°": {"randomize": "mild"},
+    "`full`: start within 10 cm and 10°": {"randomize": "full"},
+    "`harsh`: lost commands, wheel mismatch, a push": {"randomize": "harsh"},
+    "`skid`: skid-steer, pose from a localiser": {"randomize": "skid"},
     "MuJoCo, level floor, encoders alone": {**_MUJOCO, "sensors": Sensors.ENCODERS},
     "MuJoCo, level floor, gyro": {**_MUJOCO, "sensors": Sensors.GYRO},
 }
 """By condition: options of ``eval`` in place of the usual ones; for every policy, on its own course."""
 COURSES: dict[str, dict[str, Any]] = {
-    "mirrored course": {"course": ["mirrored"], "randomize": "full"},
-    "course bay": {"course": ["bay"], "randomize": "full"},
-    "course longer": {"course": ["longer"], "randomize": "full"},
-    "200 random courses": {"random_courses": 200, "randomize": "full"},
+    "`full`, course `mirrored`": {"course": ["mirrored"], "randomize": "full"},
+    "`full`, course `bay`": {"course": ["bay"], "randomize": "full"},
+    "`full`, course `longer`": {"course": ["longer"], "randomize": "full"},
+    "`full`, 200 random courses": {"random_courses": 200, "randomize": "full"},
 }
 """The same for policies that follow a reference, and so any course."""
 
@@ -91,7 +91,7 @@ def conditions(policy: Policy, options: EvalOptions) -> Iterator[tuple[str, dict
     course = options.course or [str(settings.get("course", "parking"))]
     robots, trained = dict(ROBOTS), settings.get("randomize")
     if trained in {*shipped_names("randomizations")} - {row["randomize"] for row in ROBOTS.values()}:
-        robots[f"as trained: {trained}"] = {"randomize": trained}
+        robots[f"`{trained}`: as trained"] = {"randomize": trained}
     usual = {"trials": TRIALS, "seed": SEED}
     for condition, changes in robots.items():
         yield condition, {"course": course, **usual, **changes}
@@ -125,17 +125,17 @@ def _lines(card: Card, policy: Policy, options: EvalOptions) -> Iterator[str]:
     yield from (f"| {name} | {_cell(text)} |" for name, text in facts.items())
     yield from (
         "",
-        f"`rover-ncp eval {card.policy}{course} --card` writes this page. The true pose is judged.",
+        f"`rover-ncp eval {card.policy}{course} --card` writes this page, with `--json` the command "
+        "of each row. The true pose is judged.",
         "",
-        "| condition | parked | 95 % interval | position, heading error, 95th percentile | command |",
-        "|---|---|---|---|---|",
+        "| condition | parked | 95 % interval | position, heading error, 95th percentile |",
+        "|---|---|---|---|",
     )
     for row in card.rows:
         interval = "–".join(f"{100 * bound:.1f}" for bound in row.found.success_ci95) + " %"
         yield (
             f"| {row.condition} | {_parked(row.found)} | {interval if row.found.trials > 1 else ''} "
-            f"| {1000 * row.found.error_m.p95:.0f} mm, {math.degrees(row.found.error_rad.p95):.1f}° "
-            f"| `{_cell(row.command)}` |"
+            f"| {1000 * row.found.error_m.p95:.0f} mm, {math.degrees(row.found.error_rad.p95):.1f}° |"
         )
 
 

@@ -31,10 +31,10 @@ def test_each_row_is_measured_again_by_its_command_and_the_page_names_file_and_t
     assert "`rover-ncp train --seed 3`" in page
     assert "| search | CMA-ES on random robots |" in page
     rows = {row["condition"]: row for row in found["rows"]}
-    assert [*rows] == ["nominal", "some", "as trained: far", "mirrored"]
-    assert " --course bay " in rows["as trained: far"]["command"]
+    assert [*rows] == ["nominal", "some", "`far`: as trained", "mirrored"]
+    assert " --course bay " in rows["`far`: as trained"]["command"]
     for row in rows.values():
-        assert f"| `{row['command']}` |" in page
+        assert f"| {row['condition']} | " in page
         again = run_json(row["command"].removeprefix("rover-ncp "))[1]
         assert {name: again[name] for name in row["found"]} == row["found"]
 

@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.special import ndtri, stdtrit
 
 from deploy.identify.motion_log import FloatArray, MotionLog
+from deploy.identify.odometry_fit import Fit, student
 
 DELAY_MAX_S = 0.8
 SCALES = (0.004, 0.01)
@@ -47,13 +47,6 @@ CHANGE = 1e-3
 """Change of a scale, and of a slip in s, for derivatives."""
 
 
-class OdometryErrors(NamedTuple):
-    """Odometry's errors on an axis: scale and slip (s), values (2,) and covariance (2, 2)."""
-
-    values: FloatArray
-    covariance: FloatArray
-
-
 class Axis(NamedTuple):
     """Delay (s), gain as odometry sees it, true acceleration and deceleration (m/s² or rad/s²) of an axis."""
 
@@ -73,15 +66,18 @@ class _Step(NamedTuple):
     reported: FloatArray
 
 
-class _Fit(NamedTuple):
+class _StepFit(NamedTuple):
     """Delay, gain and the logarithms of both accelerations; NaN for one that the step does not determine."""
 
     values: FloatArray
     residual: float
 
 
-def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis | None:
-    """Fit axis 0 (v) or 1 (omega); None if too few steps determine its gain."""
+def identify_axis(log: MotionLog, axis: int, odometry: Fit) -> Axis | None:
+    """Fit axis 0 (v) or 1 (omega) with odometry's scale and slip (s) on it.
+
+    Return None if too few steps determine its gain.
+    """
     steps = list(_steps(log, axis))
     fits = _fit_all(steps, axis, odometry.values)
     values, std = _median(fits)
@@ -102,7 +98,7 @@ def identify_axis(log: MotionLog, axis: int, odometry: OdometryErrors) -> Axis |
     return Axis(values, np.where(np.isfinite(values), std, np.inf), residual)
 
 
-def _median(fits: Sequence[_Fit]) -> tuple[FloatArray, FloatArray]:
+def _median(fits: Sequence[_StepFit]) -> tuple[FloatArray, FloatArray]:
     """Return the medians (4,) of fits and their standard deviations; NaN where too few determine a value."""
     values, std = np.full(4, np.nan), np.full(4, np.nan)
     for place, column in enumerate(np.array([fit.values for fit in fits]).reshape(-1, 4).T):
@@ -110,8 +106,7 @@ def _median(fits: Sequence[_Fit]) -> tuple[FloatArray, FloatArray]:
         if len(found) >= MIN_STEPS:
             values[place] = np.median(found)
             # For an interval of ± 1.96 of it from few steps; that also covers the scatter of a median.
-            student = float(stdtrit(len(found) - 1, 0.975) / ndtri(0.975))
-            std[place] = student * np.std(found, ddof=1) / math.sqrt(len(found))
+            std[place] = student(len(found) - 1) * np.std(found, ddof=1) / math.sqrt(len(found))
     return values, std
 
 
@@ -137,7 +132,7 @@ def _steps(log: MotionLog, axis: int) -> Iterator[_Step]:
         yield _Step(times[begin:end], commands[begin:end], log.odometry.t[inside], log.motion[inside, axis])
 
 
-def _fit_all(steps: Sequence[_Step], axis: int, errors: FloatArray) -> list[_Fit]:
+def _fit_all(steps: Sequence[_Step], axis: int, errors: FloatArray) -> list[_StepFit]:
     """Return the fits of the steps that fit."""
     fits = [fit for step in steps if (fit := _fit(step, axis, errors)) is not None]
     sizes = np.array([fit.residual for fit in fits])
@@ -145,7 +140,7 @@ def _fit_all(steps: Sequence[_Step], axis: int, errors: FloatArray) -> list[_Fit
     return [fit for fit in fits if fit.residual <= limit]
 
 
-def _fit(step: _Step, axis: int, errors: FloatArray) -> _Fit | None:
+def _fit(step: _Step, axis: int, errors: FloatArray) -> _StepFit | None:
     """Fit one step; None if the best delay or gain is beyond any base's."""
     scale, default = SCALES[axis], DEFAULT_ACCELERATIONS[axis]
     if len(step.t) < 2 * len(DIFFERENCES):
@@ -183,7 +178,7 @@ def _fit(step: _Step, axis: int, errors: FloatArray) -> _Fit | None:
     # Where commands change more slowly than the base could, they do not show an acceleration.
     shown = (np.linalg.norm(fit.jac, axis=0) > NEGLIGIBLE) & ((room >= AT_BOUND) | [True, True, False, False])
     residual = scale * float(np.sqrt(np.mean(np.square(residuals(x)))))
-    return _Fit(np.where(shown, x, np.nan), residual)
+    return _StepFit(np.where(shown, x, np.nan), residual)
 
 
 def _modelled(

@@ -11,10 +11,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from deploy.identify.axis_fit import OdometryErrors, identify_axis
+from deploy.identify.axis_fit import identify_axis
 from deploy.identify.excitation import DeadBands
 from deploy.identify.motion_log import MotionLog
-from deploy.identify.odometry_fit import Fit, fit_center, fit_distance, fit_turns, standstills_with_poses
+from deploy.identify.odometry_fit import (
+    STEP_M,
+    STEP_RAD,
+    Fit,
+    fit_center,
+    fit_distance,
+    fit_turns,
+    scatter,
+    standstills_with_poses,
+)
 from rover_ncp.robot.profile import RoverProfile
 
 STANDING_M_S, STANDING_RAD_S = 0.004, 0.006
@@ -22,8 +31,6 @@ STANDING_S = 0.35
 """A stand begins this long after the last motion, and lasts at least as long."""
 ROCKING_S = 0.35
 """A shorter motion ends no stand."""
-STEP_M, STEP_RAD = 0.001, math.tau / 4096
-"""Resolution of positions and headings."""
 MIN_NOISE_SAMPLES = 20
 
 SCALE_STD = 0.0173
@@ -65,19 +72,19 @@ def identify(log: MotionLog, name: str, bands: DeadBands = (None, None)) -> Rove
     stands = _stands(log)
     found = _noise(log, stands)
     odometry = (
-        OdometryErrors(np.array([1.0, 0.0]), np.diag([SCALE_STD**2, 0.0])),
-        OdometryErrors(np.array([1.0, 0.0]), np.diag([SCALE_STD**2, SLIP_STD_S**2])),
+        Fit(np.array([1.0, 0.0]), np.diag([SCALE_STD**2, 0.0])),
+        Fit(np.array([1.0, 0.0]), np.diag([SCALE_STD**2, SLIP_STD_S**2])),
     )
     if len(log.external.t):
         measured["external_poses"] = len(log.external.t)
-        standstills = standstills_with_poses(log, stands, (STEP_M, STEP_RAD))
+        standstills = standstills_with_poses(log, stands)
         if way := fit_distance(standstills):
             found |= _named(("odometry_distance",), way)
-            odometry = OdometryErrors(np.append(way.values, 0.0), np.pad(way.covariance, (0, 1))), odometry[1]
+            odometry = Fit(np.append(way.values, 0.0), np.pad(way.covariance, (0, 1))), odometry[1]
         if turn := fit_turns(log, standstills):
             names = "odometry_heading", "slip_s", "wheel_mismatch_rad_m", None, "turn_asymmetry"
             found |= _named(names, turn)
-            odometry = odometry[0], OdometryErrors(turn.values[:2], turn.covariance[:2, :2])
+            odometry = odometry[0], Fit(turn.values[:2], turn.covariance[:2, :2])
             # Poses that do not turn with the robot are those of another object: they show no centre either.
             if center := fit_center(standstills):
                 centers = "rotation_center_m", "rotation_center_left_m"
@@ -136,16 +143,11 @@ def _noise(log: MotionLog, stands: Sequence[tuple[float, float]]) -> dict[str, _
     The first and last stand are left out: a base may report differently while its motors are off. Noise below
     the rounding is 0.
     """
-    squares, count = np.zeros(3), 0
-    for a, b in stands[1:-1]:
-        inside = (log.odometry.t >= a) & (log.odometry.t <= b)
-        poses = log.odometry.poses[inside]
-        squares += np.square(poses - poses.mean(axis=0)).sum(axis=0)
-        count += len(poses) - 1
+    poses = [log.odometry.between(a, b) for a, b in stands[1:-1]]
+    count = sum(len(rows) - 1 for rows in poses)
     if count < MIN_NOISE_SAMPLES:
         return {}
-    variance = squares / count
-    found = {}
+    variance, found = scatter(poses), {}
     for key, seen, step, samples in (
         ("noise_m", float(variance[:2].mean()), STEP_M, 2 * count),
         ("noise_rad", float(variance[2]), STEP_RAD, count),

@@ -38,6 +38,10 @@ class Track(NamedTuple):
     t: FloatArray
     poses: FloatArray
 
+    def between(self, begin_s: float, end_s: float) -> FloatArray:
+        """Return the poses of an interval, both ends included."""
+        return self.poses[(self.t >= begin_s) & (self.t <= end_s)]
+
 
 class MotionLog(NamedTuple):
     """Times in s from the first odometry."""

@@ -28,6 +28,8 @@ MIN_POSES = 3
 """Of odometry and of external poses in a stand."""
 DISTURBED = float(ndtri(0.9995))
 """An interval with a larger standardised residual counts as disturbed: one in 1000 by chance."""
+STEP_M, STEP_RAD = 0.001, math.tau / 4096
+"""Resolution of odometry's positions and headings."""
 PLAUSIBLE = 0.5, 2.0
 """Plausible scales of odometry; external poses that give others belong to another object."""
 SLIP_MAX_S = 3.0
@@ -59,26 +61,31 @@ class Stand(NamedTuple):
     """How far, beyond noise, odometry's heading differs from this stand's until the next stand, rad."""
 
 
-def standstills_with_poses(
-    log: MotionLog, spans: Sequence[tuple[float, float]], steps: tuple[float, float]
-) -> list[Stand]:
-    """Return the stands with both kinds of poses; their noise is pooled over all stands.
+def student(free: int) -> float:
+    """Return by how much the 95 % interval is wider for a deviation from so many degrees of freedom."""
+    return float(stdtrit(free, 0.975) / ndtri(0.975))
 
-    ``steps`` are the resolution of odometry's positions (m) and headings (rad).
-    """
+
+def scatter(poses: Sequence[FloatArray]) -> FloatArray:
+    """Return the variance (3,) of poses about the mean of their stand."""
+    squares = sum((np.square(rows - rows.mean(axis=0)).sum(axis=0) for rows in poses), np.zeros(3))
+    found: FloatArray = squares / sum(len(rows) - 1 for rows in poses)
+    return found
+
+
+def standstills_with_poses(log: MotionLog, spans: Sequence[tuple[float, float]]) -> list[Stand]:
+    """Return the stands with both kinds of poses; their noise is pooled over all stands."""
     inside: list[tuple[float, float, FloatArray, FloatArray]] = []
     for begin, end in spans:
-        own, true = (
-            track.poses[(track.t >= begin) & (track.t <= end)] for track in (log.odometry, log.external)
-        )
+        own, true = log.odometry.between(begin, end), log.external.between(begin, end)
         if min(len(own), len(true)) >= MIN_POSES:
             inside.append((begin, end, own, true))
     if not inside:
         return []
     begins = [*(row[0] for row in inside[1:]), inside[-1][1]]
     t, headings = log.odometry.t, log.odometry.poses[:, 2]
-    own_noise, true_noise = _scatter([row[2] for row in inside]), _scatter([row[3] for row in inside])
-    rounding = np.square([steps[0], steps[0], steps[1]]) / 12.0
+    own_noise, true_noise = scatter([row[2] for row in inside]), scatter([row[3] for row in inside])
+    rounding = np.square([STEP_M, STEP_M, STEP_RAD]) / 12.0
     return [
         Stand(
             begin,
@@ -250,14 +257,5 @@ def _fitted(
             # A small disturbance is a misfit beyond the noise of the poses, estimated from few intervals:
             # Student's quantile replaces 1.96.
             misfit = 2.0 * fit.cost / free
-            return Fit(
-                x, values * (misfit * (stdtrit(free, 0.975) / ndtri(0.975)) ** 2 if misfit > 1.0 else 1.0)
-            )
+            return Fit(x, values * (misfit * student(free) ** 2 if misfit > 1.0 else 1.0))
         kept[np.flatnonzero(kept)[worst]] = False
-
-
-def _scatter(poses: Sequence[FloatArray]) -> FloatArray:
-    """Return the variance (3,) of poses about the mean of their stand."""
-    squares = sum((np.square(rows - rows.mean(axis=0)).sum(axis=0) for rows in poses), np.zeros(3))
-    found: FloatArray = squares / sum(len(rows) - 1 for rows in poses)
-    return found

@@ -11,20 +11,9 @@ import cv2
 import numpy as np
 
 from deploy.tag.detector import Detection
-from deploy.tag.locate import (
-    APART_M,
-    APART_RAD,
-    FLOOR_M,
-    FLOOR_RAD,
-    PIXEL,
-    Located,
-    Locator,
-    Rejection,
-    corner_rms,
-    doubtful,
-)
+from deploy.tag.locate import Candidate, Locator, pose_of, tilts
 from deploy.tag.tag_map import CameraFile, Floats, TagMap
-from rover_ncp.core.geometry import Pose, near, wrap_angle
+from rover_ncp.core.geometry import wrap_angle
 
 TILT_RAD = math.radians(30.0)
 """Largest tilt of the rover in the board's frame: beyond, the board hangs sideways or upside down."""
@@ -40,34 +29,20 @@ def locator(camera: CameraFile, tag_map: TagMap) -> Locator:
 class BoardLocator(Locator):
     """Computes poses for one camera and one board."""
 
-    def fit(self, detections: Sequence[Detection]) -> Located | Rejection:
-        """Return the best pose for tags of the board, however badly they fit."""
+    def candidates(self, detections: Sequence[Detection]) -> list[Candidate]:
+        """Return the poses that fit tags of the board best, one for each tilt that it may have."""
         corners, flat = self.observed(detections)
-        _, turns, shifts, _ = cv2.solvePnPGeneric(
-            corners, flat[:, None, :], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
-        )
-        fits = []
-        for turn, shift in zip(turns, shifts, strict=True):
+        found = []
+        for turn, shift in tilts(corners, flat):
             refined = cv2.solvePnPRefineLM(corners, flat, np.eye(3), None, turn.copy(), shift.copy())
             space = np.concatenate([np.ravel(each) for each in refined]).astype(np.float64)
             errors, jacobian = self._errors(space, corners, flat)
-            fits.append((errors, jacobian, space))
-        (errors, jacobian, space), *others = sorted(fits, key=lambda fit: float(fit[0] @ fit[0]))
-        if self._tilt(space) > TILT_RAD:
-            return Rejection.TILTED
-        x, y, theta = map(float, self._planar(space))
-        pose = Pose(x, y, wrap_angle(theta))
-        for other, _, elsewhere in others:
-            same = near(pose, Pose(*self._planar(elsewhere)), APART_M, APART_RAD)
-            if not same and doubtful(errors, other):
-                return Rejection.AMBIGUOUS
-        rms = corner_rms(errors)
-        of_space = max(rms, PIXEL) ** 2 * np.linalg.pinv(jacobian.T @ jacobian)
-        steps = STEP * np.eye(6)
-        change = [self._planar(space + step) - self._planar(space - step) for step in steps]
-        planar = np.array([[dx, dy, wrap_angle(dt)] for dx, dy, dt in change]).T / (2.0 * STEP)
-        covariance = planar @ of_space @ planar.T + np.diag(np.square([FLOOR_M, FLOOR_M, FLOOR_RAD]))
-        return Located(pose, covariance, tuple(each.id for each in detections), rms)
+            change = [self._planar(space + step) - self._planar(space - step) for step in STEP * np.eye(6)]
+            planar = np.array([[dx, dy, wrap_angle(dt)] for dx, dy, dt in change]).T / (2.0 * STEP)
+            spread = planar @ np.linalg.pinv(jacobian.T @ jacobian) @ planar.T
+            tilted = self._tilt(space) > TILT_RAD
+            found.append(Candidate(pose_of(self._planar(space)), errors, spread, tilted))
+        return found
 
     def _errors(self, space: Floats, corners: Floats, flat: Floats) -> tuple[Floats, Floats]:
         """Return the corners' errors in pixels (2n), and how they change with the pose in space (2n × 6)."""

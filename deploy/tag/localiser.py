@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from deploy.tag.board_locator import locator
-from deploy.tag.cameras.camera import Picture
+from deploy.tag.cameras.camera import Device, Picture
 from deploy.tag.detector import Detection, Detector
 from deploy.tag.locate import Located, Rejection
 from deploy.tag.tag_map import CameraFile, TagMap
@@ -71,18 +71,10 @@ class TagCalibration(BaseModel):
     yaw_std: float | None = Field(default=None, description="rad, standard deviation of `yaw`")
 
 
-class TagCamera(BaseModel):
-    """A camera of this machine."""
-
-    path: str = Field(description="for --camera")
-    name: str = Field(description="as the camera calls itself")
-    stable: str = Field(description="a path that it keeps when other cameras are plugged in; empty for none")
-
-
 class TagCameras(BaseModel):
     """Result of ``tag cameras``."""
 
-    cameras: tuple[TagCamera, ...] = Field(description="the cameras of this machine")
+    cameras: tuple[Device, ...] = Field(description="the cameras of this machine")
 
 
 class Localiser:

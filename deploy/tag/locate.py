@@ -5,9 +5,10 @@ picture between the corners that were found and those that the pose predicts.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -61,6 +62,17 @@ class Located:
     covariance: Floats
     ids: tuple[int, ...]
     rms: float
+
+
+class Candidate(NamedTuple):
+    """A pose that may be that of the base, and its corners' errors in pixels (2n)."""
+
+    pose: Pose
+    errors: Floats
+    spread: Floats
+    """Covariance (3, 3) of the pose for a standard deviation of one pixel."""
+    tilted: bool = False
+    """Whether no rover can stand so."""
 
 
 class Locator:
@@ -122,33 +134,33 @@ class Locator:
 
     def fit(self, detections: Sequence[Detection]) -> Located | Rejection:
         """Return the best pose for tags of the map, however badly they fit."""
-        observed = self.observed(detections)
-        fits = [
-            least_squares(self.errors, start, args=observed, method="lm", max_nfev=100)
-            for start in self._starts(detections)
-        ]
-        best, *others = sorted(fits, key=lambda fit: float(fit.cost))
-        rms = corner_rms(best.fun)
+        best, *others = sorted(self.candidates(detections), key=lambda each: float(each.errors @ each.errors))
+        if best.tilted:
+            return Rejection.TILTED
+        rms = _corner_rms(best.errors)
+        variance = max(rms, PIXEL) ** 2
         for other in others:
-            same = near(Pose(*best.x), Pose(*other.x), APART_M, APART_RAD)
-            if not same and doubtful(best.fun, other.fun):
+            doubtful = float(other.errors @ other.errors - best.errors @ best.errors) < AMBIGUOUS * variance
+            if doubtful and not near(best.pose, other.pose, APART_M, APART_RAD):
                 return Rejection.AMBIGUOUS
-        information = best.jac.T @ best.jac
-        covariance = max(rms, PIXEL) ** 2 * np.linalg.pinv(information)
-        covariance += np.diag(np.square([FLOOR_M, FLOOR_M, FLOOR_RAD]))
-        x, y, theta = map(float, best.x)
-        return Located(Pose(x, y, wrap_angle(theta)), covariance, tuple(e.id for e in detections), rms)
+        covariance = variance * best.spread + np.diag(np.square([FLOOR_M, FLOOR_M, FLOOR_RAD]))
+        return Located(best.pose, covariance, tuple(each.id for each in detections), rms)
+
+    def candidates(self, detections: Sequence[Detection]) -> list[Candidate]:
+        """Return the poses that fit tags of the map best, one for each tilt that the tags may have."""
+        observed, found = self.observed(detections), []
+        for start in self._starts(detections):
+            fit = least_squares(self.errors, start, args=observed, method="lm", max_nfev=100)
+            found.append(Candidate(pose_of(fit.x), fit.fun, np.linalg.pinv(fit.jac.T @ fit.jac)))
+        return found
 
     def _starts(self, detections: Sequence[Detection]) -> list[Floats]:
         """Return the poses that fit the largest tag: from afar two tilts of a square look alike."""
         largest = max(detections, key=lambda each: float(np.ptp(each.corners, axis=0).prod()))
         corners, flat = self._tags[largest.id].corners, undistorted(self._intrinsics, largest.corners)
-        _, turns, shifts, _ = cv2.solvePnPGeneric(
-            corners, flat[:, None, :], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
-        )
         return [
             self._base(np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(shift[:, 0], np.float64))
-            for turn, shift in zip(turns, shifts, strict=True)
+            for turn, shift in tilts(corners, flat)
         ]
 
     def _base(self, turn: Floats, shift: Floats) -> Floats:
@@ -169,11 +181,20 @@ def undistorted(intrinsics: Intrinsics, pixels: Floats) -> Floats:
     return np.asarray(flat, np.float64)
 
 
-def doubtful(best: Floats, other: Floats) -> bool:
-    """Return whether a pose with these corner errors may be the true one beside the best, in pixels."""
-    return float(other @ other - best @ best) < AMBIGUOUS * max(corner_rms(best), PIXEL) ** 2
+def tilts(corners: Floats, flat: Floats) -> Iterator[tuple[Floats, Floats]]:
+    """Yield the turns and places that tags in one plane may have in the camera (OpenCV's axes)."""
+    _, turns, shifts, _ = cv2.solvePnPGeneric(
+        corners, flat[:, None, :], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
+    )
+    yield from zip(turns, shifts, strict=True)
 
 
-def corner_rms(errors: Floats) -> float:
+def pose_of(numbers: Floats) -> Pose:
+    """Return x, y and heading as a pose."""
+    x, y, theta = map(float, numbers)
+    return Pose(x, y, wrap_angle(theta))
+
+
+def _corner_rms(errors: Floats) -> float:
     """Return the root mean square of the corners' distances, by their errors in x and y."""
     return float(np.sqrt(2.0 * np.mean(np.square(errors))))

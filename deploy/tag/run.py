@@ -25,7 +25,6 @@ from deploy.tag.localiser import (
     DECIMATE,
     Localiser,
     TagCalibration,
-    TagCamera,
     TagCameras,
     TagRunResult,
     tag_pose,
@@ -197,7 +196,7 @@ def list_cameras(output: Output) -> int:
     """See ``commands.cameras``; return the exit code."""
     found = devices()
     lines = [f"{each.path}  {each.name}" + (f"  ({each.stable})" if each.stable else "") for each in found]
-    result = TagCameras(cameras=tuple(TagCamera(**each._asdict()) for each in found))
+    result = TagCameras(cameras=tuple(found))
     output.result(result, "\n".join(lines) or "no camera: is it plugged in, and passed to this container?")
     return 0 if found else 1
 

@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from pydantic import BaseModel, Field
 
 from deploy.drive.link import Inbox
 from rover_ncp.core.clock_offset import StampClock
@@ -271,12 +272,12 @@ class DeviceCamera(ReadCamera):
         )
 
 
-class Device(NamedTuple):
-    """A camera of this machine; ``stable`` is a path that it keeps when others are plugged in, or ""."""
+class Device(BaseModel):
+    """A camera of this machine."""
 
-    path: str
-    name: str
-    stable: str
+    path: str = Field(description="for --camera")
+    name: str = Field(description="as the camera calls itself")
+    stable: str = Field(description="a path that it keeps when other cameras are plugged in; empty for none")
 
 
 def devices(root: Path = Path("/")) -> list[Device]:
@@ -290,6 +291,6 @@ def devices(root: Path = Path("/")) -> list[Device]:
         except OSError:  # unplugged at this moment
             continue
         if index == "0":  # the others of a camera carry no pictures
-            stable = links.get(node.name)
-            found.append(Device(f"/dev/{node.name}", name, f"/{stable.relative_to(root)}" if stable else ""))
+            stable = f"/{links[node.name].relative_to(root)}" if node.name in links else ""
+            found.append(Device(path=f"/dev/{node.name}", name=name, stable=stable))
     return found

@@ -164,7 +164,7 @@ def test_each_camera_is_listed_once_in_order_with_the_path_that_it_keeps(tmp_pat
         (node / "index").write_text(f"{index}\n")
     (tmp_path / "dev/v4l/by-id").mkdir(parents=True)
     (tmp_path / "dev/v4l/by-id/usb-Webcam-index0").symlink_to("../../video10")
-    assert devices(tmp_path) == [
+    assert [(each.path, each.name, each.stable) for each in devices(tmp_path)] == [
         ("/dev/video2", "RealSense", ""),
         ("/dev/video10", "Webcam", "/dev/v4l/by-id/usb-Webcam-index0"),
     ]

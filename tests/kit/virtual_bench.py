@@ -12,10 +12,10 @@ STEP_S = 0.01
 
 
 class VirtualRig(VirtualBridge):
-    """The bridge of one robot among ``walls``; each driver receives all that it publishes."""
+    """The bridge of one robot; each driver receives all that it publishes."""
 
-    def __init__(self, robot, *, limits=None, walls=()):
-        self.rover = PymunkRover(described_rover(robot), Ground(walls))
+    def __init__(self, robot, *, limits=None):
+        self.rover = PymunkRover(described_rover(robot), Ground(()))
         self.base = Firmware(robot, self.rover) if robot.arcos else Ros2Robot(robot, self.rover)
         super().__init__(self.base, limits)
         self.drivers = []

@@ -1,20 +1,15 @@
-"""The mock Pioneer with recorded third-party clients, and with arbitrary bytes."""
+"""The mock Pioneer with recorded third-party clients."""
 
 import math
 import struct
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from kit.arcos_captures import CAPTURES, Capture
 from kit.pioneer_bench import Pioneer
 
-from bridge.pioneer.framing import Command, Packet, encode_frame
+from bridge.pioneer.framing import Packet, encode_frame
 from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.packets import decode_names
-from sim.base.client_commands import MockCommand
-
-SYNC = [Command.PULSE, Command.OPEN, Command.CLOSE]
 
 
 def set_points_by_hand(chunks: list[tuple[float, bytes]]) -> list[tuple[float, float, float]]:
@@ -63,23 +58,3 @@ def test_third_party_handshakes_are_answered_as_the_recorded_robot_answered() ->
         assert [data for _, data in capture.chunks("r2c")][:2] == [encode_frame(0), encode_frame(1)]
         (names,) = pioneer.say(sync2)
         assert decode_names(names.payload)[1:] == ("Pioneer", capture.model)
-
-
-NUMBER = st.builds(struct.pack, st.just("<BH"), st.sampled_from([0x3B, 0x1B]), st.integers(0, 65535))
-KIND = st.sampled_from([*Command, *MockCommand]) | st.integers(0, 255)
-COMMAND = st.builds(encode_frame, KIND, st.binary(max_size=20) | NUMBER)
-
-
-@given(st.lists(st.one_of(COMMAND, st.binary(max_size=30)), max_size=30))
-def test_firmware_survives_any_bytes(pieces: list[bytes]) -> None:
-    """Invariant: after any bytes the firmware lives, its rover is somewhere, and a client can connect."""
-    pioneer = Pioneer().open()
-    for piece in pieces:
-        pioneer.say(piece)
-        pioneer.run(0.05, fed=False)
-    assert all(map(math.isfinite, pioneer.rover.pose))
-    assert all(map(math.isfinite, pioneer.firmware.drive.odometry))
-    pioneer.now += 0.2
-    pioneer.tell(Command.CLOSE)
-    pioneer.tell(Command.CLOSE)
-    assert [len(pioneer.tell(sync)) for sync in SYNC] == [1, 1, 1]

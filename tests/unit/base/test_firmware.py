@@ -1,16 +1,13 @@
 """The mock Pioneer as the manuals say a base behaves."""
 
 import math
-import struct
 
 import pytest
 from kit.pioneer_bench import Pioneer
 
-from bridge.pioneer.framing import Command, encode_frame
-from bridge.pioneer.odometry import ROBOTS, Odometer
+from bridge.pioneer.framing import Command
 from bridge.pioneer.packets import Flag
 from sim.base.client_commands import MockCommand
-from sim.base.report import ENCODER, SIMSTAT
 
 
 @pytest.fixture
@@ -88,17 +85,6 @@ def test_stop_keeps_the_limit_and_e_stop_does_not() -> None:
     assert ways[1] < 0.1
 
 
-def test_position_counters_wrap_at_15_bits_and_the_driver_follows() -> None:
-    pioneer = Pioneer("p3at").open()
-    pioneer.drive(700, 60.0)
-    units = [sip.x for sip in pioneer.sips()]
-    assert max(units) < 0x8000
-    assert min(units[100:]) < 1000
-    odometer = Odometer(ROBOTS["p3at"])
-    *_, last = (odometer.update(sip, 0.0) for sip in pioneer.sips())
-    assert 35 < last.x == pytest.approx(pioneer.rover.pose.x, abs=0.002)
-
-
 def test_a_wall_stalls_the_wheels_and_odometry_does_not_run_on() -> None:
     pioneer = Pioneer(wall_x=1.0).open()
     pioneer.drive(200, 6.0)
@@ -127,36 +113,3 @@ def test_sonars_measure_the_wall_and_follow_commands() -> None:
     pioneer.obey(0.2, MockCommand.POLLING, bytes([9, 10]))
     assert {number for number, _ in pioneer.sip().sonar} <= {8, 9}
     assert pioneer.sip().flags & (Flag.SONAR_1 | Flag.SONAR_2) == Flag.SONAR_2
-
-
-def test_encoders_count_the_wheels_way_once_or_in_a_stream(pioneer: Pioneer) -> None:
-    pioneer.obey(0.5, MockCommand.ENCODER, 1)
-    assert len(pioneer.of_kind(ENCODER)) == 1
-    pioneer.tell(MockCommand.ENCODER, 2)
-    pioneer.obey(8.0, MockCommand.MOVE, 500)
-    left, right = struct.unpack("<2i", pioneer.of_kind(ENCODER)[-1].payload)
-    assert left == right == pytest.approx(500 * 128, rel=0.01)
-    pioneer.tell(MockCommand.ENCODER, 0)
-    pioneer.packets.clear()
-    pioneer.run(0.5)
-    assert pioneer.of_kind(ENCODER) == []
-
-
-def true_pose(pioneer: Pioneer) -> tuple[int, int, int]:
-    """Return x and y in mm and the heading in deg of the newest SIMSTAT, at AMRISim's places."""
-    payload = pioneer.of_kind(SIMSTAT)[-1].payload
-    assert len(payload) == 56  # AMRISim's recorded ones have the same length
-    x_mm, y_mm, _, theta_deg = struct.unpack_from("<4i", payload, 12)
-    return x_mm, y_mm, theta_deg
-
-
-def test_a_simulators_commands_move_the_truth_and_not_odometry(pioneer: Pioneer) -> None:
-    pioneer.tell(MockCommand.SIM_SET_POSE, (-1000, 2500, 90))
-    pioneer.say(encode_frame(MockCommand.SIM_STAT))
-    assert pioneer.rover.pose == pytest.approx((-1.0, 2.5, math.pi / 2))
-    assert pioneer.sip().x == 0
-    pioneer.obey(0.3, MockCommand.SIM_STAT, 2)
-    assert true_pose(pioneer) == (-1000, 2500, 90)
-    pioneer.drive(100, 1.0)
-    pioneer.tell(MockCommand.SIM_RESET)
-    assert pioneer.rover.pose == pytest.approx((0, 0, 0), abs=1e-9)

@@ -5,12 +5,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from kit.pioneer_bench import Pioneer
 
 from bridge.base import BaseReport, Failed, Lost, Ready, Recovered
-from bridge.pioneer.framing import HOSTBAUD_RATES, Command
+from bridge.pioneer.framing import HOSTBAUD_RATES
 from bridge.pioneer.odometry import ROBOTS
 from bridge.pioneer.session import BaudChanged, Session, SessionEvent
 from bridge.pioneer.states import FAST_RATE, SessionState
@@ -113,19 +111,6 @@ def test_rover_is_ready_within_a_second_follows_setpoints_and_reports_its_motion
     assert state.theta == pytest.approx(0.137 * 10, abs=0.03)
 
 
-def test_a_base_in_an_old_session_does_not_move_when_a_new_driver_connects() -> None:
-    """Its setpoints would go on with the first packet of any kind (watchdog)."""
-    pioneer = Pioneer().open()
-    pioneer.tell(Command.VEL, 300)
-    pioneer.run(6.0, fed=False)
-    pioneer.firmware.line_changed()
-    x = pioneer.rover.pose.x
-    pair = Pair(pioneer).ready()
-    pair.run(2.0)
-    assert pioneer.rover.pose.x == x
-    assert pair.state.x == pytest.approx(0.0, abs=1e-9)
-
-
 BRAKING_S = 0.15 + 0.2 / 0.31
 """The base's delay, and braking from 0.2 m/s at 0.31 m/s²."""
 
@@ -179,25 +164,3 @@ def test_a_bad_line_is_survived_both_ways(fault: str) -> None:
         pair.session.connect(pair.now)
         pair.run(2.0)
     assert pair.pioneer.rover.velocity == pytest.approx((0.0, 0.0))
-
-
-SPEEDS = st.builds(Velocity, st.floats(-0.3, 0.3), st.floats(-0.6, 0.6))
-STORY = st.lists(st.tuples(st.floats(0.1, 2.0), st.booleans(), st.booleans(), SPEEDS), max_size=8)
-
-
-@settings(max_examples=settings().max_examples // 3)
-@given(STORY)
-def test_rover_stands_soon_after_any_cut_of_the_line(story: list) -> None:
-    """Invariant: no command for 3 s (0.5 s and braking, or the base's 2 s and braking): the rover stands."""
-    pair = Pair().driving(0.2, 0.0)
-    for seconds, pair.cut_up, pair.cut_down, pair.command in story:
-        pair.session.enable(True)
-        pair.run(seconds)
-    pair.command = Velocity(0.0, 0.0)
-    pair.run(4.0)
-    pair.cut_up = pair.cut_down = True
-    assert pair.pioneer.rover.velocity == pytest.approx((0.0, 0.0), abs=1e-6)
-    pair.run(3.0)
-    pair.cut_up = pair.cut_down = False
-    pair.run(3.0)
-    assert pair.pioneer.rover.velocity == pytest.approx((0.0, 0.0), abs=1e-6)

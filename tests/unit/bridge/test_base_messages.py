@@ -10,8 +10,6 @@ from bridge import base_messages as ros
 from bridge.base import BaseReport, LinkHealth
 from bridge.gate.state import NO_CONTACT, GateState, Lease, Reason
 from bridge.pioneer.odometry import ROBOTS
-from rover_ncp.core.files import shipped_names
-from rover_ncp.robot.description import load_description
 from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import decode, read_odometry, text
 from rover_ncp.wire.protocol import dump_json
@@ -67,11 +65,6 @@ def test_bumpers_battery_and_charging_as_far_as_it_is_known(charging, status):
     assert (battery.voltage, battery.present, battery.power_supply_status) == (12.5, True, status)
 
 
-def test_battery_without_a_known_voltage_is_no_empty_one():
-    battery = sent(replace(STATE, battery_v=0.0))["battery_state"]
-    assert (math.isnan(battery.voltage), battery.present) == (True, False)
-
-
 def test_the_longest_state_of_the_gate_fits_its_key():
     counts = dict.fromkeys(Reason, 2**40)
     state = GateState(
@@ -104,25 +97,3 @@ def test_diagnostics_name_the_problems():
     assert levels(well, health=DAMAGED)["link to the base"] == (1, "messages are damaged or cannot be used")
     assert levels(ill, SILENT) == healthy | {"base": (2, ill_words), "gate": (1, "silence")}
     assert levels(None) == healthy | {"base": (2, "not connected")}
-
-
-# Covariances of odometry and gyro: those of the description, and never 0
-
-
-EACH_ROBOT = pytest.mark.parametrize("name", shipped_names("robots"))
-
-
-@EACH_ROBOT
-def test_variances_of_odometry_are_the_errors_of_a_metre_and_a_radian_and_never_zero(name):
-    robot = load_description(name)
-    pose, velocity, lateral = ros.odometry_variances(robot)
-    report = BaseReport(x=1.0, v=0.1, omega=0.1)
-    message = decode(
-        "nav_msgs/msg/Odometry", ros.each_report(report, robot, STAMP, ros.odometry_variances(robot))["odom"]
-    )
-    assert [message.pose.covariance[7 * k] for k in (0, 1, 5)] == list(pose)
-    assert [message.twist.covariance[7 * k] for k in (0, 5, 1)] == [*velocity, lateral]
-    assert min(*pose, *velocity, lateral) >= 1e-6
-    assert math.sqrt(pose[0]) >= robot.odometry.distance_error / math.sqrt(3)
-    assert math.sqrt(pose[2]) >= robot.odometry.turn_error / math.sqrt(3)
-    assert (lateral > 1e-6) is (robot.wheels.axles_m > 0.0)  # a skid-steered robot slides sideways

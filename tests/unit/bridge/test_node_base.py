@@ -121,16 +121,6 @@ def driving(caplog):
     return loop
 
 
-def test_reports_of_a_base_that_is_not_ready_are_not_used_and_named_once(caplog):
-    loop = Loop()
-    loop.base.reports = []
-    loop.turn(3)
-    assert not loop.driver.motors().granted
-    assert [message for message in caplog.messages if "before it is ready" in message] == [
-        "the base reports before it is ready: these reports are not used"
-    ]
-
-
 @pytest.mark.parametrize("fails", ["", "drive", "close"])
 def test_end_of_the_loop_drives_zero_with_motors_off_and_closes_whatever_fails(driving, fails, caplog):
     driving.base.fails[fails] = BrokenPipeError(32, "Broken pipe")
@@ -200,17 +190,6 @@ def test_base_that_is_ready_again_has_other_odometry_and_one_that_recovers_the_s
     assert reply.granted or reply.reason == "fence-lost"
 
 
-def test_nobody_gets_the_motors_of_a_robot_that_is_not_known_to_halt():
-    loop = Loop()
-    loop.base.timeout = BaseTimeout(TimeoutState.UNKNOWN, None, "it is not known to halt")
-    loop.turn(3)
-    reply = loop.driver.motors()
-    assert (reply.granted, reply.reason, reply.detail) == (False, "unchecked", "it is not known to halt")
-    request = b'{"enable": true, "unchecked": true, "name": "x"}'
-    assert '"granted":true' not in loop.query("rover/motors", request)
-    assert loop.node.gate.lease is None
-
-
 def test_the_log_names_who_takes_a_drive_over(caplog):
     """Where no certificates are in use, three messages of any peer do."""
     loop = Loop(turns=3)
@@ -222,12 +201,3 @@ def test_the_log_names_who_takes_a_drive_over(caplog):
     assert "the peer with the Zenoh id f00d requests a stop: mine" in caplog.text
     assert "a peer that states no Zenoh id requests the release of the stop" in caplog.text
     assert "the lease is that of the peer with the Zenoh id f00d" in caplog.text
-
-
-def test_a_flood_of_requests_does_not_fill_the_log(caplog):
-    loop = Loop(turns=3)
-    with caplog.at_level("INFO", "rover_ncp"):
-        for _ in range(100):
-            loop.query("rover/stop", b'{"reason": "mine"}')
-    assert len(caplog.messages) < 60  # in 2 s
-    assert "more requests came" in caplog.text

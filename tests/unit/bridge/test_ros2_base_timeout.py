@@ -7,9 +7,7 @@ from bridge.base import BaseReport
 from bridge.gate.limits import Fence
 from bridge.measure_timeout import measure, words_for
 from bridge.ros2.base_timeout import Phase, TimeoutMeasurement
-from rover_ncp.core.errors import ConfigError, SafetyStop
-from rover_ncp.core.files import shipped_names
-from rover_ncp.robot.description import load_description
+from rover_ncp.core.errors import SafetyStop
 from sim.base.ros2_robot import Ros2Robot
 from sim.stack.lines import WALL_NS, Ros2Connection
 from sim.world.described import described_rover
@@ -131,19 +129,6 @@ def test_a_robot_that_the_fence_halts_is_not_measured(x_max):
     assert robot.robot.drive.rover.pose.x < x_max
 
 
-def test_an_interrupted_measurement_stops_the_robot():
-    robot, moving_s = Robot(None), []
-
-    def stopping():
-        moving_s.extend([robot.now_s] if robot.speed > 0.09 else [])
-        return bool(moving_s) and robot.now_s > moving_s[0] + 1.0
-
-    with pytest.raises(KeyboardInterrupt):
-        robot.measure(stopping)
-    assert moving_s[-1] == robot.now_s
-    assert robot.stands_soon()
-
-
 @pytest.mark.parametrize("silent", [False, True])
 def test_odometry_that_stops_ends_the_measurement_and_the_robot_stands(silent):
     robot = Robot(None)
@@ -159,29 +144,3 @@ def test_odometry_that_stops_ends_the_measurement_and_the_robot_stands(silent):
         robot.measure()
     robot.take = before
     assert robot.stands_soon()
-
-
-def test_a_robot_whose_stop_topic_is_silent_is_not_measured():
-    robot = Robot(0.5, "husky-a200")
-
-    def act():
-        arrivals = robot.line.arrivals
-        arrivals[:] = [found for found in arrivals if found.topic != "platform/emergency_stop"]
-
-    robot.act = act
-    with pytest.raises(SafetyStop, match="emergency_stop: no message has come"):
-        robot.measure()
-    assert not robot.began_s
-
-
-def test_a_measurement_counts_for_its_own_robot_and_not_when_it_halts_too_late(tmp_path):
-    def described(name, text):
-        (tmp_path / name).write_text(f"name: mine\n{text}\n")
-        return load_description(tmp_path / name).measured_base_timeout_s
-
-    turtlebot = "based_on: turtlebot4\nmeasured_base_timeout_s:"
-    assert described("mine.yaml", f"{turtlebot} 0.52 # 2026-11-25") == 0.52
-    assert described("other.yaml", f"based_on: {tmp_path / 'mine.yaml'}") is None
-    with pytest.raises(ConfigError, match="measured_base_timeout_s"):
-        described("late.yaml", f"{turtlebot} 2.6")
-    assert {load_description(name).measured_base_timeout_s for name in shipped_names("robots")} == {None}

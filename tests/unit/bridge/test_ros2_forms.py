@@ -7,7 +7,7 @@ import zenoh.ext
 
 from bridge.ros2.address import RosAddress, parse_ros_address
 from bridge.ros2.discovery import Announced, bridge_token, read_topic_token, topic_token
-from bridge.ros2.rmw import Attachment, Graph, Topic, domain_id, gid, read_token
+from bridge.ros2.rmw import Attachment, Graph, Topic, gid, read_token
 from rover_ncp.core.errors import UsageError
 
 # Type hashes as ROS 2 Jazzy's own packages carry them.
@@ -81,12 +81,6 @@ def test_attachments_are_what_zenohs_own_serializer_makes():
     assert ours.pack() == theirs.to_bytes()
     assert ours.pack().hex() == "0201000000000000" + "2423222120191817" + "10" + bytes(range(16)).hex()
     assert Attachment.unpack(ours.pack()) == ours
-
-
-@pytest.mark.parametrize("value", ["233", "one"])
-def test_invalid_domain_is_rejected(value):
-    with pytest.raises(UsageError, match=f"ROS_DOMAIN_ID={value}"):
-        domain_id({"ROS_DOMAIN_ID": value})
 
 
 # Addresses of robots and their topics

@@ -6,9 +6,6 @@ from kit.ros2_world import World
 
 from bridge.base import Ready
 from bridge.ros2.discovery import Announced, TokenSeen
-from rover_ncp.core.config import validated
-from rover_ncp.core.errors import ConfigError
-from rover_ncp.robot.topics import HazardTopic
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import BATTERY_STATE, BOOL, IMU, hazards
 
@@ -116,8 +113,3 @@ def test_a_stop_of_another_type_that_can_be_read_as_the_described_one_does_not_c
     world.tell(publisher(True, ros_type=UINT8))
     world.hear("stop", encode(UINT8, data=0))
     assert f"it has the type {UINT8}, expected {BOOL}" in unknown(world)
-
-
-def test_a_topic_is_periodic_or_latched():
-    with pytest.raises(ConfigError, match="either periodic_s or latched"):
-        validated(LATCHED | {"periodic_s": 1.0}, HazardTopic, "robot.yaml")

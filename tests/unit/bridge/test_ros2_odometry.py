@@ -3,7 +3,7 @@
 from itertools import cycle, pairwise
 
 import pytest
-from kit.ros2_world import EPOCH_S, announced, odometry
+from kit.ros2_world import EPOCH_S, odometry
 
 from bridge.base import Lost, Notice, Ready, Recovered
 
@@ -57,27 +57,6 @@ def test_two_publishers_of_odometry_stop_it(ready, ahead_s, pose):
     assert ready.last == Lost("two publishers on odom")
     ready.run(5.0)
     assert isinstance(ready.last, Recovered)
-
-
-def test_two_nodes_that_publish_odometry_are_named(ready):
-    ready.tell(announced("odom", "nav_msgs/msg/Odometry", "/ekf"))
-    ready.tell(announced("odom", "nav_msgs/msg/Odometry", "/wheels"))
-
-    def both():
-        ready.odom(source=b"a" * 16)
-        ready.now += 0.001
-        ready.odom(source=b"b" * 16)
-
-    ready.run(0.5, odom=False, each=both)
-    assert ready.last == Lost("two publishers on odom: /ekf and /wheels")
-
-
-def test_odometry_at_200_hz_is_passed_on_at_50(world):
-    for _ in range(1000):
-        world.now += 0.005
-        world.odom()
-    assert isinstance(world.last, Ready)
-    assert 0.0 < len(world.reports) <= 5.0 * 56
 
 
 # Clocks that are set, stamps that are bad, robots that restart.

@@ -1,7 +1,6 @@
 """A ROS 2 robot's laser, by which there is room around it, and its gyro between two odometry messages."""
 
 import math
-import random
 import re
 import struct
 
@@ -113,61 +112,9 @@ def test_a_laser_that_looks_to_the_left_is_turned():
 # The gyro
 
 
-@pytest.fixture
-def turning(world):
-    """A world with odometry, without readings of a gyro so far."""
-    return world.run(1.5)
-
-
 def imu(rate, stamp_s=None):
     stamp = {} if stamp_s is None else {"header": header(stamp_s, "imu_link")}
     return encode(IMU, **stamp, angular_velocity={"z": rate})
-
-
-def turned(world, messages):
-    """Return the angle that a driver integrates, and that of the gyro until then.
-
-    ``messages`` are (arrival, None) of odometry and (arrival, (stamp, rate)) of the gyro, times in seconds;
-    each rate is the mean since the message before.
-    """
-    begin, true, stamp_before_s, angle, last_s, true_then = world.now, 0.0, 0.0, 0.0, None, 0.0
-    for arrival_s, reading in sorted(messages, key=lambda each: each[0]):
-        world.now = begin + arrival_s
-        if reading is None:
-            world.odom()
-        else:
-            stamp_s, rate = reading
-            true += rate * (stamp_s - stamp_before_s)
-            stamp_before_s = stamp_s
-            world.hear("imu", imu(rate, world.clock_s + begin + stamp_s))
-        for turn in world.turns:
-            at_s = world.now - turn.age_s
-            angle = true if last_s is None else angle + turn.rate * (at_s - last_s)
-            last_s, true_then = at_s, true
-        world.turns.clear()
-    return angle, true_then
-
-
-def test_a_gyro_beside_odometry_of_20_hz_shows_its_whole_turn(turning):
-    """Both are sent at the same moments and overtake each other; the robot turns in jerks."""
-    rate_hz = 25
-    random_ = random.Random(rate_hz)
-    odometry = [(0.05 * k + random_.uniform(0.0, 0.004), None) for k in range(200)]
-    stamps = [k / rate_hz for k in range(10 * rate_hz)]
-    gyro = [(at + random_.uniform(0.0, 0.004), (at, random_.uniform(-0.5, 0.5))) for at in stamps]
-    angle, true = turned(turning, odometry + gyro)
-    assert angle == pytest.approx(true, abs=0.005)
-
-
-def test_the_time_after_a_pause_of_the_gyro_is_not_known(turning):
-    turning.run(0.1, each=lambda: turning.hear("imu", imu(0.5, turning.clock_s + turning.now)))
-    turning.run(0.1)
-    turning.turns.clear()
-    turning.run(1.0)
-    assert not turning.turns
-    turning.hear("imu", imu(-0.5, turning.clock_s + turning.now))
-    turning.run(0.06)
-    assert [turn.rate for turn in turning.turns] == [pytest.approx(-0.5)]
 
 
 def pose_of(degrees=0.0, axis="z", frame="map"):
@@ -211,11 +158,6 @@ def test_pose_that_is_none_is_not_passed_on_and_is_named_once(localising, payloa
 
 
 # Messages that cannot be used
-
-
-def test_a_scan_without_an_upper_limit_of_its_range_is_used(ready):
-    ahead, _ = room(ready, scan((0, 1.0), max_m=math.inf))
-    assert ahead == pytest.approx(0.927, abs=1e-3)
 
 
 BAD = {

@@ -56,10 +56,8 @@ REST = samples(gyro=1.0)
     [
         (1.0, 0.0, True, "where odometry turned 0.375 rad (right: 0.6 to 1.6"),
         (-1.0, 0.0, False, "sign is wrong"),
-        (math.degrees(1.0), 0.0, False, "in degrees per second"),
         (0.5, 0.0, False, "its scale or its axis is wrong"),
         (1.0, 0.6, False, "0.60 s late"),
-        (0.0, 0.0, False, "not on the robot, or repeats itself"),
     ],
 )
 def test_gyro_is_compared_with_odometry(gyro, lag_s, ok, words):
@@ -92,18 +90,12 @@ def mirrored(pose):
     return Pose(pose.y, pose.x, math.pi / 2 - pose.theta)
 
 
-def turned(pose):
-    return compose(pose, Pose(0.0, 0.0, math.radians(90)))
-
-
 @pytest.mark.parametrize(
     ("options", "ok", "words"),
     [
         ({}, True, "moved 0.15"),
         ({"hz": 4, "noise": 0.01}, True, "moved 0.1"),
         ({"scale": 0.5}, False, "is the size of tags or map wrong?"),
-        ({"lag_s": 0.6}, False, "stamp a pose with the time of its picture"),
-        ({"change": turned}, False, "-90° from their heading: expected at most 20°"),
         ({"change": lambda pose: MAP}, False, "repeats itself"),
         ({"hz": 1}, True, "not known: 3 poses"),
     ],
@@ -119,7 +111,6 @@ def test_poses_are_compared_with_odometry_on_a_straight_way(options, ok, words):
     [
         ({}, True, "turned 0.3"),
         ({"change": mirrored}, False, "mirrored"),
-        ({"change": lambda pose: Pose(pose.x, pose.y, 0.0)}, False, "repeats itself"),
     ],
 )
 def test_headings_of_poses_are_compared_with_odometry_on_a_turn(options, ok, words):
@@ -147,14 +138,6 @@ def test_poses_that_are_rare_or_in_two_frames_are_not_right():
     found, words = poses_at_rest(REST, ["map", "course"] * 30, 0.1)
     assert not found
     assert "course, map" in words
-
-
-def test_noisy_poses_of_a_right_localiser_pass():
-    """A pre-flight that rejects a good robot is soon ignored: white noise of 2 cm and 2 degrees."""
-    noisy = {"noise": 0.02, "hz": 10, "lag_s": 0.1}
-    way, turn = samples(V, **noisy), samples(omega=OMEGA, **noisy)
-    for ok, words in (poses_on_way(way, on_floor=True), poses_in_turn(turn, TURN_SHARES, on_floor=True)):
-        assert ok, words
 
 
 @pytest.mark.parametrize(

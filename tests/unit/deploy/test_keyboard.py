@@ -98,10 +98,3 @@ def test_only_a_whole_drive_key_drives(name):
             assert keyboard.velocity(0.0) == STANDSTILL
         keyboard.take("i", IGNORED_S)
         assert keyboard.velocity(IGNORED_S) == Velocity(NUDGE * V_M_S, 0.0)
-
-
-def test_pasted_text_moves_nothing():
-    keyboard = Keyboard()
-    for number, part in enumerate(("look, ", "i", "a jug", "u", " of oil")):
-        keyboard.take(part, 0.05 * number)
-        assert keyboard.velocity(0.05 * number) == STANDSTILL

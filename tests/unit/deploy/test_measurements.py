@@ -1,7 +1,5 @@
 """What the driver does with odometry, gyro readings and external poses whose stamps are wrong."""
 
-import math
-import struct
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +8,7 @@ import pytest
 from deploy.drive.link import Arrival, Inbox
 from deploy.drive.measurements import Measurements
 from rover_ncp.core.clock_offset import NS_PER_S
-from rover_ncp.core.geometry import ORIGIN, Pose, Velocity
+from rover_ncp.core.geometry import ORIGIN, Velocity
 from rover_ncp.wire.messages import imu, odometry, pose_with_covariance
 
 WALL_NS = 1_700_000_000 * NS_PER_S
@@ -22,7 +20,6 @@ MESSAGES = {
     "imu": lambda stamp: imu(0.0, 1e-6, stamp),
     "pose": lambda stamp: pose_with_covariance(ORIGIN, np.eye(3), stamp, "course"),
 }
-TOPICS = pytest.mark.parametrize("topic", MESSAGES)
 
 
 @pytest.fixture
@@ -54,8 +51,8 @@ class Driver:
         return [round((arrival_ns - taken.ref.measured_ns) / MS) for taken in found]
 
 
-@TOPICS
-@pytest.mark.parametrize("step_s", [-3600.0, -0.3, 0.6])
+@pytest.mark.parametrize("topic", MESSAGES)
+@pytest.mark.parametrize("step_s", [-3600.0, 0.6])
 def test_a_publishers_clock_that_is_set_costs_one_sample(topic, step_s, log):
     driver = Driver()
     for number in range(40):
@@ -73,22 +70,6 @@ def test_poses_out_of_order_are_used_for_their_moment():
     ages = [driver.ages_ms("pose", WALL_NS + stamp * PERIOD, arrival * PERIOD) for stamp, arrival in moments]
     assert ages == [[0], [0], [], [800, 0]]  # the late one is known as such by the next
     assert driver.measurements.doubtful == {"pose": 0}
-
-
-@TOPICS
-def test_samples_without_a_stamp_are_as_young_as_their_arrival(topic):
-    driver = Driver()
-    assert [driver.ages_ms(topic, 0, number * PERIOD) for number in range(20)] == [[0]] * 20
-
-
-def test_the_first_unreadable_pose_is_named(log):
-    driver = Driver()
-    data = pose_with_covariance(Pose(0.0, 0.0, 1.0), np.eye(3), WALL_NS, "course")
-    rotation = struct.pack("<2d", math.sin(0.5), math.cos(0.5))
-    for _ in range(3):
-        driver.inboxes["pose"].put(Arrival(data.replace(rotation, bytes(16)), 0))
-    assert driver.measurements.poses() == []
-    assert log.messages == ["a message on 'pose' is not used: the orientation 0, 0, 0, 0 is not a rotation"]
 
 
 @pytest.mark.parametrize("age_ms", [0, 50, 150])

@@ -1,6 +1,5 @@
 import errno
 import json
-import struct
 import threading
 import time
 
@@ -9,16 +8,14 @@ import pytest
 from kit.virtual_drive import VirtualDrive
 
 from deploy import app
-from deploy.drive.zenoh_link import ZenohLink
 from deploy.recorder import BEHIND, Recorder
 from deploy.tag.view import View
-from deploy.zenoh_client import BridgeAddress, ZenohClient
+from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.console import Output
-from rover_ncp.core.errors import FileError, NoPose
-from rover_ncp.core.geometry import ORIGIN
+from rover_ncp.core.errors import FileError
 from rover_ncp.recording.recording import Recorded, RecordingWriter, read_recording
 from rover_ncp.wire.key_table import TAG_VIEW, spec
-from rover_ncp.wire.messages import pose_with_covariance, read_text, text
+from rover_ncp.wire.messages import read_text, text
 from sim.park.live import wait_for
 
 BLACK = np.zeros((48, 64), np.uint8)
@@ -99,21 +96,6 @@ def test_message_that_no_recording_can_hold_is_dropped_and_recording_goes_on(
     assert (found.complete, [read_text(each.data) for each in found.messages]) == (True, ["one", "three"])
 
 
-def test_message_with_a_stamp_that_is_no_time_has_the_time_of_its_arrival(recorder, monkeypatch):
-    receivers = []
-    monkeypatch.setattr(
-        ZenohClient, "__init__", lambda link, address, receive, own: receivers.append(receive)
-    )
-    ZenohLink(BridgeAddress("virtual"), recorder.put)
-    data = bytearray(pose_with_covariance(ORIGIN, np.eye(3), 0, "map"))
-    data[4:8] = struct.pack("<i", -1)
-    receivers[0](spec("pose"), bytes(data))
-    recorder.close()
-    (found,) = read_recording(recorder.path).messages
-    assert found.publish_ns == pytest.approx(time.time_ns(), abs=60e9)
-    assert (bytes(data), recorder.failure, recorder.dropped) == (found.data, "", 0)
-
-
 def test_full_disk_ends_the_recording_and_not_the_drive(tmp_path, monkeypatch, capsys):
     virtual, recorder = VirtualDrive(), Recorder(tmp_path / "run.mcap")
     virtual.use_in(app, monkeypatch)
@@ -152,17 +134,6 @@ def test_a_recording_replaces_no_file_and_a_folder_gets_one_named_by_the_time(tm
     (written,) = set(tmp_path.glob("*.mcap")) - {recorder.path}
     assert named.fields["recording"] == str(written)
     assert time.strptime(written.stem, "%Y-%m-%d_%H-%M-%S").tm_year >= 2024
-
-
-def test_drive_that_does_not_begin_leaves_no_recording(tmp_path, monkeypatch):
-    virtual = VirtualDrive(pose="required", pose_wait_s=0.5)
-    virtual.use_in(app, monkeypatch)
-    drive = {"policy": virtual.policy, "course": virtual.course, "config": virtual.config}
-    with pytest.raises(NoPose):
-        app.run(
-            BridgeAddress("virtual"), Output(as_json=True), recorder=Recorder(tmp_path / "run.mcap"), **drive
-        )
-    assert not list(tmp_path.iterdir())
 
 
 def test_log_times_are_free_of_settings_of_the_wall_clock(recorder, monkeypatch):

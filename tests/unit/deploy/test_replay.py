@@ -60,14 +60,6 @@ def with_file(recorded, name, change, path):
     return path
 
 
-def with_parameters(recorded, path, change):
-    """A copy of the recording whose policy has parameters that ``change`` altered in place."""
-    vector = AHEAD.parameters()
-    change(vector)
-    policy = policy_to_yaml(AHEAD.with_parameters(vector)).encode()
-    return with_file(recorded, POLICY_FILE, lambda _: policy, path)
-
-
 def rewritten(recorded, tmp_path, topic, number, change):
     """The recording with one message of a topic changed, or left out."""
     source, path = read_recording(recorded), tmp_path / "tampered.mcap"
@@ -113,10 +105,10 @@ def test_the_command_says_same_or_names_the_first_difference(recorded, tmp_path,
     assert shell(["replay", str(recorded), "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == SAME.model_dump()
 
-    def nudge(vector):
-        vector[AHEAD.layout().block(ParameterKind.LEAK_POTENTIAL).slice][9] *= 1 + 1e-9
-
-    path = with_parameters(recorded, tmp_path / "changed.mcap", nudge)
+    nudged = AHEAD.parameters()
+    nudged[AHEAD.layout().block(ParameterKind.LEAK_POTENTIAL).slice][9] *= 1 + 1e-9
+    policy = policy_to_yaml(AHEAD.with_parameters(nudged)).encode()
+    path = with_file(recorded, POLICY_FILE, lambda _: policy, tmp_path / "changed.mcap")
     assert shell(["replay", str(path), "--json"]) == 1
     fields = json.loads(capsys.readouterr().out)
     first = fields["difference"]
@@ -141,6 +133,3 @@ def test_what_is_no_recording_of_a_drive_is_one_line_and_exit_code_2(recorded, t
     rewrite(replace(source, messages=tuple(source.topic("odom"))), path)
     assert shell(["replay", str(path)]) == 2
     assert "other.mcap: holds no drive to recompute" in capsys.readouterr().err
-    rewrite(replace(source, attachments={}), path)
-    assert shell(["replay", str(path)]) == 2
-    assert "other.mcap: has no attachment policy.yaml" in capsys.readouterr().err

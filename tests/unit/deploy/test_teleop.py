@@ -1,7 +1,6 @@
 """A person's drive on the virtual clock, and the terminal of a process over a pseudo-terminal."""
 
 import contextlib
-import math
 import os
 import pty
 import sys
@@ -11,15 +10,10 @@ import numpy as np
 import pytest
 from kit.virtual_drive import VirtualDrive
 
-from deploy.keyboard import HOLD_S, OMEGA_RAD_S, V_M_S
+from deploy.keyboard import HOLD_S, V_M_S
 from deploy.teleop import Teleop, Terminal
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import STANDSTILL
-from rover_ncp.robot.description import load_description
-from sim.base.ros2_robot import Ros2Robot
-from sim.stack.virtual import VirtualBridge, VirtualLink
-from sim.world.described import described_rover
-from sim.world.pymunk_rover import Ground, PymunkRover
 
 REPEAT_S, DELAY_S = 0.033, 0.3
 
@@ -81,24 +75,6 @@ def test_it_drives_while_a_key_repeats_and_stands_when_it_is_released(virtual):
     assert driven.seconds == pytest.approx(4.0, abs=0.1)
     assert len(virtual.link.sent) > 71
     assert virtual.link.gate.lease == 0
-
-
-def turned_by(robot, keys):
-    """Return by how much a ROS 2 robot turns, whose model is known."""
-    rover = PymunkRover(described_rover(robot, motors=True), Ground(()))
-    bridge = VirtualBridge(Ros2Robot(robot, rover))
-    bridge.sleep(3.0)
-    terminal = Typed(bridge, [*keys, (6.0, "q")])
-    driven = Teleop(VirtualLink(bridge, None), terminal, lambda: False, bridge, robot=robot)
-    driven.run()
-    return rover.pose.theta
-
-
-def test_base_with_a_dead_band_turns_as_the_keys_say():
-    robot = load_description("turtlebot4")
-    assert turned_by(robot, held("j", 4.0)) == pytest.approx(4.0 * OMEGA_RAD_S, rel=0.25)
-    one_press = turned_by(robot, [(0.0, "j")])
-    assert math.radians(1.0) < one_press < math.radians(3.5)
 
 
 @pytest.mark.parametrize("way", ["q", None, "signal", "bridge-lost"])

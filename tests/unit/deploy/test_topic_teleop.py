@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 
 import pytest
-from kit.ros2_world import twist
 from kit.virtual_drive import VirtualDrive
 
 from deploy.drive.link import RosCommand
@@ -125,15 +124,6 @@ def test_a_command_that_is_not_fresh_finite_and_readable_stops_the_rover(bad, wo
     assert not run.moved(3.9, 8.0)
     assert caplog.text.count(words) == 1
     assert next(at for at, lease in run.leases if at > 3.0 and lease == 0) < 4.2
-
-
-def test_commands_that_piled_up_while_it_did_not_run_move_nothing():
-    run = Run(Span(1.5, 2.0, STANDSTILL))
-    run.at = [(1.7, lambda: run.bridge.sleep(3.0))]
-    piled = RosCommand(twist(AHEAD), 0.0)
-    run.commands = lambda begin, end: [piled] * 20 if end > 3.0 else Run.commands(run, begin, end)
-    run.run(6.0)
-    assert not run.moved(0.0, 6.0)
 
 
 def test_another_driver_follows_and_is_not_disturbed():

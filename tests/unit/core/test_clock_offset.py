@@ -35,7 +35,7 @@ def test_after_a_fast_sample_every_moment_is_exact(delays):
         assert clock.measured_ns(taken, arrival) == taken + 1 * MS
 
 
-@pytest.mark.parametrize("step_s", [-3600.0, -1.0, -0.3, -0.2, 0.2, 5.0])
+@pytest.mark.parametrize("step_s", [-3600.0, -0.2, 0.2])
 def test_a_clock_that_is_set_costs_one_sample(step_s):
     clock, shown = StampClock(), []
     for number in range(10):
@@ -47,7 +47,7 @@ def test_a_clock_that_is_set_costs_one_sample(step_s):
     assert not any(shown[:6] + shown[7:])
 
 
-@pytest.mark.parametrize("error_s", [-3600.0, -0.3, 0.3, 1e9])
+@pytest.mark.parametrize("error_s", [-3600.0, 0.3])
 @pytest.mark.parametrize("bad", [0, 5])
 def test_a_bad_stamp_costs_one_sample(error_s, bad):
     clock = StampClock()

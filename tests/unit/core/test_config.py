@@ -58,10 +58,8 @@ def test_every_problem_is_reported_at_once_with_its_path():
     [
         ("wheels: [", "not valid YAML at line 2"),
         ("- a\n- b\n", "expected a mapping"),
-        ("wheels: []\nwheels: []\n", "appears twice"),
         ("wheels: !!python/object/apply:os.system ['true']\n", "not valid YAML"),
         ("speed: &a [*a]\n", "aliases included"),
-        ("speed: !!int 1_000\n", "the tag"),
     ],
 )
 def test_bad_yaml_is_one_line_naming_source_and_place(text, expected):
@@ -71,13 +69,9 @@ def test_bad_yaml_is_one_line_naming_source_and_place(text, expected):
     assert "\n" not in error
 
 
-NO_NUMBERS = [
-    *("yes", "true", "null", '"1.5"', "one", "[1]", "{}"),
-    *("1:30", "0x1", "010", "1_000", "2001-01-01", ".nan", ".inf", "1e999"),
-]
-
-
-@pytest.mark.parametrize("value", NO_NUMBERS)
+@pytest.mark.parametrize(
+    "value", ["yes", "null", '"1.5"', "[1]", "1:30", "010", "2001-01-01", ".nan", "1e999"]
+)
 def test_only_a_number_is_a_number(value):
     lines = [f"{key}: {value}" for key in ("speed", "count", "size", "format")]
     lines += [f"sides: [1, {value}]", f"by_name: {{a: {value}}}", f"pair: [{value}, 1]"]
@@ -103,7 +97,6 @@ def nested(first, row):
     ("text", "expected"),
     [
         (nested("[x, x]", "[*, *]"), "aliases"),
-        (nested("{x: 1}", "{<<: [*, *]}"), "aliases"),
         ("sides: [" + "1," * 300_000 + "]", "more than 100000 values"),
         ("count: " + "9" * 400, "an integer of more than"),
         ("? " + "k" * 900_000 + "\n: 1", "unknown key"),

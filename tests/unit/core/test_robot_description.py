@@ -44,19 +44,13 @@ def test_a_description_is_based_on_a_file_beside_it_whatever_the_working_folder(
     [
         ("", "the file is empty|mapping"),
         ("name: x\nbased_on: p3at\nmotion: {v_max: -1}\n", r"\$.motion.v_max"),
-        ("name: x\nbased_on: turtlebot4\nscan: {range_m: [0.1, 1.0e+300]}\n", r"\$.scan.range_m"),
         ("name: x\nbased_on: p3at\nwheels: {axles_m: 0}\n", "a skid drive needs wheels.axles_m"),
         ("name: x\nbased_on: p3at\ntopics: {odom: /odom}\n", r"\$.topics.odom"),
-        ("name: x\nbased_on: turtlebot4\ntopics: {imu: odom}\n", "odom and imu are both the topic odom"),
         ("name: x\nbased_on: turtlebot4\nscan: {range_m: [3.0, 0.1]}\n", "the smaller range first"),
-        ("name: x\nbased_on: p3at\nbattery: {nominal_v: 12, min_v: 13}\n", "it could never drive"),
         ("name: x\nbased_on: turtlebot4\nmotion: {wheel_min: 0.4}\n", "wheel_min is 0.4, expected less"),
-        (f"name: x\nbased_on: turtlebot4\ntopics: {{odom_frame: {'o' * 201}}}\n", r"\$.topics.odom_frame"),
         ("name: x\nbased_on: p3at\nspeed: 1\n", r"\$.speed: unknown key"),
         ("name: x\n", r"\$.footprint"),
         ("name: loop\nbased_on: bad.yaml\n", r"\$\.based_on: at most 4 steps .*: is a file based on itself"),
-        # From Python 3.14 on there is no such file: Path.is_file() has no error.
-        (f"name: x\nbased_on: {'x' * 5000}\n", r"\$\.based_on: .*(File name too long|xxx: no such file)"),
     ],
 )
 def test_bad_files_are_refused(tmp_path, monkeypatch, text, expected):

@@ -6,7 +6,6 @@ from bridge.options import BridgeSettings, settings_for
 from deploy.options import choose_robot
 from rover_ncp import cli
 from rover_ncp.core.errors import UsageError
-from rover_ncp.robot.robot_file import load_robot_file
 from rover_ncp.wire.key_table import Role
 
 TURTLEBOT = """
@@ -57,12 +56,9 @@ def test_what_was_measured_on_the_files_robot_does_not_hold_for_another(folder):
         ("base: tcp/a\nbse: tcp/b\n", ["$.bse: unknown key", "expected base"]),
         ("base: serial//dev/ttyUSB0\nmeasured_base_timeout_s: 0.5\n", ["measured_base_timeout_s", "ROS 2"]),
         ("base: ros2/tcp/a\n", ["model is missing"]),
-        ("base: tcp/a\nbridge: 127.0.0.1\n", ["bridge is 127.0.0.1", "PROTOCOL/HOST"]),
         ("page: 99999\n", ["$.page", "65535", "99999"]),
         ("name: mine\nbased_on: turtlebot4\n", ["description", "model: FILE"]),
-        ("- base\n", ["mapping"]),
         ("base: [\n", ["line 2"]),
-        ("", ["empty"]),
     ],
 )
 def test_a_mistake_is_one_line_with_the_file_the_key_and_what_was_expected(folder, text, words, capsys):
@@ -73,12 +69,6 @@ def test_a_mistake_is_one_line_with_the_file_the_key_and_what_was_expected(folde
         assert printed.count("\n") == 1
         assert "robot.yaml" in printed
         assert [word for word in words if word not in printed] == []
-
-
-def test_a_model_of_another_kind_of_base_names_the_file(folder, capsys):
-    (folder / "robot.yaml").write_text("base: ros2/tcp/127.0.0.1\nmodel: p3at-sh\n")
-    assert cli.run(["bridge"]) == 2
-    assert "robot.yaml: --model p3at-sh: the description has no topics" in capsys.readouterr().err
 
 
 def test_two_files_an_unreadable_one_and_none_are_told_apart(folder, capsys):
@@ -99,18 +89,3 @@ def test_inline_limits_wider_than_the_robots_name_their_key(folder):
     settings = settings_for(BridgeSettings(), None)
     with pytest.raises(UsageError, match=r"robot.yaml, \$\.limits: v_max is 0\.9"):
         settings.gate_limits(settings.chosen())
-
-
-def test_drivers_of_this_machine_reach_a_bridge_that_listens_everywhere(tmp_path):
-    path = tmp_path / "robot.yaml"
-    path.write_text("base: tcp/a\nbridge: tls/0.0.0.0:7450\n")
-    assert load_robot_file(path).address == "tls/127.0.0.1:7450"
-
-
-def test_a_camera_is_calibrated_by_the_file(folder, capsys):
-    (folder / "robot.yaml").write_text(f"{TURTLEBOT}camera: {{source: shots, file: camera.yaml}}\n")
-    assert cli.run(["tag", "calibrate"]) == 2
-    assert "shots: no such folder" in capsys.readouterr().err
-    (folder / "robot.yaml").write_text(TURTLEBOT)
-    assert cli.run(["tag", "calibrate"]) == 2
-    assert "robot.yaml: $.camera: this key is missing" in capsys.readouterr().err

@@ -38,20 +38,13 @@ def by(board, room, pose, camera=CAMERA, seed=1):
     return locator(camera, board).locate(Detector(2.0).detect(picture))
 
 
-@pytest.mark.parametrize("away", [0.45, 0.8, 1.5])
+@pytest.mark.parametrize("away", [0.45, 1.5])
 def test_pose_by_a_board_needs_no_height(away):
     true = before(away)
     found = by(BOARD, hung(BOARD, z=0.4), true)
     assert distance(found.pose, true) < max(0.01, 0.012 * away**2)
     assert abs(wrap_angle(found.pose.theta - true.theta)) < 0.02
     assert distance(found.pose, true) < 4.0 * math.sqrt(np.trace(found.covariance[:2, :2]))
-
-
-def test_board_that_leans_moves_all_poses_by_the_same_way():
-    poses = before(0.5), before(0.5, bearing=-0.3), before(0.7, turn=-0.1)
-    moves = [np.subtract(by(BOARD, hung(BOARD, pitch=-0.1), true).pose[:2], true[:2]) for true in poses]
-    assert np.linalg.norm(moves[0]) > 0.01
-    assert np.ptp(moves, axis=0).max() < 0.004
 
 
 def test_mount_that_is_wrong_moves_all_poses_by_one_motion_in_the_rovers_frame():
@@ -80,9 +73,8 @@ def test_pose_is_by_the_own_board_though_another_hangs_beside_it():
     assert set(found.ids) <= {tag.id for tag in BOARD.tags}
 
 
-@pytest.mark.parametrize("roll", [math.pi / 2, math.pi])
-def test_board_that_hangs_sideways_gives_no_pose(roll):
-    assert by(BOARD, hung(BOARD, roll=roll), before(0.8)) is Rejection.TILTED
+def test_board_that_hangs_sideways_gives_no_pose():
+    assert by(BOARD, hung(BOARD, roll=math.pi / 2), before(0.8)) is Rejection.TILTED
 
 
 @pytest.mark.parametrize(("away", "places"), [(0.7, True), (2.6, False)])
@@ -91,8 +83,3 @@ def test_single_tag_gives_a_pose_only_where_its_two_poses_can_be_told_apart(away
     true = before(away)
     found = by(tag, hung(tag, z=0.3), true)
     assert found is Rejection.AMBIGUOUS if not places else distance(found.pose, true) < 0.02
-
-
-def test_board_of_tags_that_are_not_in_one_plane_is_refused():
-    with pytest.raises(ValueError, match="expected tags at x 0"):
-        TagMap(tags_on="board", tags=(Tag(id=3, size=0.14, x=0.0, y=0.0, z=0.0, yaw=0.1),))

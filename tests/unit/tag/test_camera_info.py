@@ -51,14 +51,8 @@ def test_calibration_of_each_format_is_read(tmp_path, text, model, distortion):
     file = tmp_path / "info.yaml"
     file.write_text(text)
     found = load_camera_info(file)
-    assert (found.width, found.height, found.fx, found.fy, found.cx, found.cy) == (
-        640,
-        480,
-        500.5,
-        501,
-        320,
-        241,
-    )
+    read = (found.width, found.height, found.fx, found.fy, found.cx, found.cy)
+    assert read == (640, 480, 500.5, 501, 320, 241)
     assert (found.model, found.distortion) == (model, pytest.approx(distortion))
 
 
@@ -68,15 +62,12 @@ def test_calibration_of_each_format_is_read(tmp_path, text, model, distortion):
         (ros(D[:4], ""), "4 coefficients without distortion_model: add it"),
         (ros(D, "distortion_model: equidistant\n"), "5 coefficients of a fisheye camera, expected 4"),
         (ros(D, "", K.replace("501", "1")), "focal lengths 500.5 and 1 do not fit"),
-        (ros(D, "", K.replace("320", "3200")), "principal point 3200, 241 is outside the picture"),
-        (ros(D, "", "[.nan, 0, 320, 0, 501, 241, 0, 0, 1]"), "fx"),
         (ros(D, "", "[500, 0, 320, 0, 500, 241, 0, 0, 0]"), "expected fx, 0, cx, 0, fy, cy, 0, 0, 1"),
         (
             "image_width: 640\n",
             "no image_height, camera_matrix, distortion_coefficients; expected a calibration",
         ),
         ("# oST version 5.0 parameters\n\n\n[image]\n\nwidth\n640\n", "expected a calibration of ROS"),
-        ("%YAML:1.0\n---\nnothing: " + "[" * 100_000, "in each other"),
     ],
 )
 def test_calibration_that_cannot_be_right_is_refused(tmp_path, text, words):

@@ -1,19 +1,11 @@
 """Streams of cameras as bytes, their stamps, and the devices of a machine."""
 
-import contextlib
-import ssl
-import time
-from collections import Counter
-from types import SimpleNamespace
-
 import cv2
 import numpy as np
 import pytest
-import requests
 
-from deploy.tag.cameras import http_camera
-from deploy.tag.cameras.camera import DeviceCamera, DeviceSettings, PictureMoments, devices
-from deploy.tag.cameras.http_camera import MAX_PICTURE, HttpCamera, PictureReader, _stamp_ns
+from deploy.tag.cameras.camera import PictureMoments, devices
+from deploy.tag.cameras.http_camera import MAX_PICTURE, PictureReader, _stamp_ns
 
 PICTURES = [cv2.imencode(".jpg", np.full((8, 8), level, np.uint8))[1].tobytes() for level in (10, 90, 200)]
 NS_PER_S = 1_000_000_000
@@ -114,48 +106,6 @@ def test_clock_that_is_set_costs_a_picture():
         assert [each for each in found if each is not None] == pytest.approx([0.0] * 19, abs=1e-5)
 
 
-class FakeCapture:
-    """A device that can do 1280 × 720 and has an autofocus."""
-
-    def __init__(self, *opened):
-        self.opened, self.was_set = opened, {cv2.CAP_PROP_AUTOFOCUS: 1.0}
-        self.size = (640, 480)
-        FakeCapture.last = self
-
-    def isOpened(self):  # noqa: N802, OpenCV's name
-        return True
-
-    def set(self, key, value):
-        self.was_set[key] = value
-        if key == cv2.CAP_PROP_FRAME_WIDTH and value > 640:
-            self.size = (1280, 720)
-        return True
-
-    def get(self, key):
-        return self.was_set.get(key, 0.0)
-
-    def read(self):
-        time.sleep(0.01)
-        return True, np.zeros((self.size[1], self.size[0], 3), np.uint8)
-
-    def release(self):
-        pass
-
-
-@pytest.mark.parametrize("focus", [None, 30.0])
-def test_device_is_set_to_its_calibration(monkeypatch, caplog, tmp_path, focus):
-    monkeypatch.setattr(cv2, "VideoCapture", FakeCapture)
-    link = tmp_path / "by-id"
-    link.symlink_to("/dev/video7")
-    settings = DeviceSettings((1280, 720), 30.0, focus)
-    with DeviceCamera(str(link), settings, Counter()) as camera:
-        assert next(iter(camera)).grey.shape == (720, 1280)
-    device = FakeCapture.last
-    assert (device.opened[0], device.was_set[cv2.CAP_PROP_FPS]) == (7, 30.0)
-    assert ("its autofocus is on" in caplog.text) is (focus is None)
-    assert focus is None or (device.get(cv2.CAP_PROP_AUTOFOCUS), device.get(cv2.CAP_PROP_FOCUS)) == (0, 30)
-
-
 def test_each_camera_is_listed_once_in_order_with_the_path_that_it_keeps(tmp_path):
     for number, name, index in ((10, "Webcam", 0), (2, "RealSense", 0), (3, "RealSense", 1)):
         node = tmp_path / f"sys/class/video4linux/video{number}"
@@ -168,39 +118,3 @@ def test_each_camera_is_listed_once_in_order_with_the_path_that_it_keeps(tmp_pat
         ("/dev/video2", "RealSense", ""),
         ("/dev/video10", "Webcam", "/dev/v4l/by-id/usb-Webcam-index0"),
     ]
-
-
-def untrusted():
-    error, cause = requests.exceptions.SSLError(), ssl.SSLCertVerificationError()
-    cause.verify_message = "self-signed certificate"
-    error.__cause__ = cause
-    return error
-
-
-@pytest.mark.parametrize(
-    ("then", "words"),
-    [
-        (requests.ConnectionError(), "the connection failed"),
-        (untrusted(), "its certificate is not trusted (self-signed certificate)"),
-    ],
-)
-def test_camera_that_closes_after_each_picture_is_asked_again_until_it_stays_away(monkeypatch, then, words):
-    parts = [*stream(PICTURES[:1]), b"", *stream(PICTURES[1:2]), b""]
-    asked = []
-
-    def answer(camera, session):
-        asked.append(1)
-        if not parts:
-            raise then
-        raw = SimpleNamespace(read1=lambda size: parts.pop(0))
-        return contextlib.nullcontext(SimpleNamespace(raw=raw, headers={}))
-
-    monkeypatch.setattr(http_camera, "RETRY_S", 0.2)
-    monkeypatch.setattr(http_camera, "MIN_PERIOD_S", 0.02)
-    monkeypatch.setattr(HttpCamera, "_answer", answer)
-    with HttpCamera("http://camera/stream", Counter()) as camera:
-        ended = []
-        while not ended:
-            ended = [each for each in camera.newest.take(5.0) if isinstance(each, str)]
-    assert words in ended[0]
-    assert 3 < len(asked) < 20

@@ -1,18 +1,16 @@
 """Pictures of a camera that works, and of cameras that do not."""
 
 import math
-from collections import Counter
 
 import cv2
-import numpy as np
 import pytest
 from kit.tags import CAMERA, WALL, picture_of
 
-from deploy.tag.cameras.camera import Picture, folder_pictures
+from deploy.tag.cameras.camera import Picture
 from deploy.tag.localiser import Localiser
 from deploy.tag.locate import Rejection
 from deploy.tag.tag_map import Tag, TagMap
-from rover_ncp.core.errors import FileError, UsageError
+from rover_ncp.core.errors import UsageError
 from rover_ncp.core.geometry import Pose
 
 POSE = Pose(0.9, 0.05, 0.1)
@@ -66,20 +64,3 @@ def test_tag_that_is_printed_twice_is_named():
     both = picture_of(POSE, tag_map=TagMap.model_construct(tags=(WALL.tags[0], twin)))
     assert localiser.take(Picture(both, SECOND_NS)) is None
     assert (localiser.rejected, localiser.twice) == ({Rejection.TWICE: 1}, {7})
-
-
-def test_folder_of_pictures_is_read_in_order_without_what_is_no_picture(tmp_path):
-    for name, grey in (("0.png", 10), ("1.JPG", 200)):
-        coded = cv2.imencode(name[1:].lower(), np.full((48, 64), grey, np.uint8))[1]
-        (tmp_path / name).write_bytes(coded.tobytes())
-        (tmp_path / f"._{name}").write_bytes(b"a Mac's by-product")
-    left_out = Counter()
-    (tmp_path / "2.png").write_bytes(b"no picture")
-    assert [int(each.grey[0, 0]) for each in folder_pictures(str(tmp_path), left_out)] == [10, 200]
-    assert left_out.total() == 1
-    for good in ("0.png", "1.JPG"):
-        (tmp_path / good).unlink()
-    with pytest.raises(FileError, match="no picture can be read: a picture is neither"):
-        list(folder_pictures(str(tmp_path), left_out))
-    with pytest.raises(FileError, match="no such folder"):
-        folder_pictures(str(tmp_path / "nothing"), left_out)

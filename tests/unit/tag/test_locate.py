@@ -67,9 +67,3 @@ OTHERS = ON_ROVER.model_copy(update={"tags_on": "ground"})
 )
 def test_tags_that_give_no_pose(drawn, known, reason):
     assert located(CAMERA, drawn, known, POSE) is reason
-
-
-def test_id_that_is_seen_twice_is_not_used():
-    twin = Tag(id=7, size=0.14, x=2.0, y=-0.2, z=0.3, yaw=math.pi)
-    both = np.concatenate([picture_of(POSE), picture_of(POSE, tag_map=TagMap(tags=(twin,)))])
-    assert {each.id for each in Detector().detect(both)} == {8, 9}

@@ -42,14 +42,11 @@ def test_a_docking_that_a_lost_line_ended_resumes_after_its_notice(broken):
     [
         [DOCKS, RELEASED, LOST, BACK],  # it had ended before
         [DOCKS, LATE, RELEASED, STOP, LOST, BACK],
-        [DOCKS, LATE, RELEASED, LOST, STOP, BACK],
         [DOCKS, LATE, RELEASED, LOST, BACK, STOP],
         [DOCKS, LATE, RELEASED, LOST, BACK, "stopped: bumper"],
-        [DOCKS, LATE, RELEASED, LOST, BACK, "teleop got the lease"],
         [DOCKS, LATE, RELEASED, LOST, BACK, LOST],
         [DOCKS, "stopped: bumper", "docking at home lost the lease: bumper, ", LOST, BACK],
         [DOCKS, LATE, RELEASED, LOST, CONNECTED],  # odometry restarted
-        ["docking at ../x got the lease", LATE, "docking at ../x released the lease", LOST, BACK],
         ["policy course got the lease", LATE, "policy course released the lease", LOST, BACK],
         ["undocking from home got the lease", LOST, "undocking from home lost the lease: no-base, x", BACK],
     ],

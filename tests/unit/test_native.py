@@ -2,17 +2,13 @@
 
 import numpy as np
 import pytest
-from kit.toy_search import POLICY, candidates
+from kit.toy_search import POLICY
 
-from rover_ncp.circuit.compiled import MAX_LANES, make_circuits
-from rover_ncp.circuit.runner import Runner
 from rover_ncp.core.errors import UsageError
 from rover_ncp.course.course import load_course
 from rover_ncp.course.signals import SIGNALS
 from rover_ncp.native import core
-from rover_ncp.native.core import bound_tick, fill_lanes, structures
 from sim.learn.evaluator import Evaluator
-from sim.learn.search import Batch
 
 COURSE = load_course("parking")
 
@@ -89,17 +85,11 @@ def test_no_array_of_episodes_can_be_of_another_type_order_or_shape(everything):
     ("name", "path", "index"),
     [
         ("queue", ("vector",), 10**6),
-        ("queue", ("task",), 1),
         ("queue", ("trial",), -1),
-        ("queue", ("waiting", "begun"), -1),
         ("lanes", ("latest",), 10**6),
-        ("tasks", ("due",), 10**3),
         ("tasks", ("ticks",), 10**6),
         ("trials", ("delay",), 10**6),
-        ("fleet", ("waits",), -1),
         ("circuits", ("program", "sensors", "neuron"), 12),
-        ("circuits", ("program", "integrated", "leak_at"), 10**4),
-        ("circuits", ("program", "recurrent_synapses", "first"), 100),
         ("circuits", ("program", "recurrent_synapses", "source"), -1),
     ],
 )
@@ -114,59 +104,6 @@ def test_no_index_points_elsewhere(name, path, index, everything):
 
 def test_the_library_has_the_signals_of_the_table():
     assert core.required().rover_ncp_signals() == len(SIGNALS)
-
-
-def test_lanes_are_counted():
-    for count in (0, -1, MAX_LANES + 1, 10_000):
-        with pytest.raises(ValueError, match="lanes"):
-            make_circuits(POLICY, count)
-    circuits = make_circuits(POLICY, 9)
-    vectors = candidates(2, seed=1)
-    for first in (-1, 15, 16):
-        with pytest.raises(ValueError, match="do not fit"):
-            fill_lanes(circuits, vectors, first)
-    with pytest.raises(ValueError, match="points to"):
-        fill_lanes(circuits, vectors[:, :-1].copy())
-    for observations, commands in (((4, 8), (2, 9)), ((3, 9), (2, 9)), ((4, 9), (3, 9)), ((4, 9), (9, 2))):
-        with pytest.raises(ValueError, match="expected"):
-            bound_tick(circuits, np.zeros(observations), np.zeros(commands))
-
-
-def test_numbers_that_are_none_are_refused():
-    evaluator = Evaluator(POLICY, COURSE)
-    vectors = candidates(3, seed=1)
-    vectors[1, 5] = np.nan
-    with pytest.raises(ValueError, match="not finite"):
-        evaluator.returns(vectors)
-    with pytest.raises(ValueError, match="not finite"):
-        evaluator.stream(1).submit(0, Batch(vectors, np.zeros(3)))
-    with pytest.raises(UsageError, match="finite"):
-        Runner(POLICY).tick([np.nan, 0.0, 0.0, 0.0])
-
-
-def test_only_arrays_of_a_batch_can_be_submitted():
-    vectors, to_beat = candidates(3, seed=1), np.full(3, -np.inf)
-    stream = Evaluator(POLICY, COURSE).stream(2)
-    for agent in (-1, 2):
-        with pytest.raises(ValueError, match="cannot submit"):
-            stream.submit(agent, Batch(vectors, to_beat))
-    for other in (vectors[:0], np.repeat(vectors, 100, axis=0)):
-        with pytest.raises(ValueError, match="cannot submit"):
-            stream.submit(0, Batch(other, np.zeros(len(other))))
-    others = (vectors.astype(np.float32), vectors[:, :-1].copy(), vectors.T.copy().T, vectors[:, None])
-    for batch in (*(Batch(other, to_beat) for other in others), Batch(vectors, to_beat[:2])):
-        with pytest.raises((TypeError, ValueError), match=r"expected doubles|contiguous"):
-            stream.submit(0, batch)
-    stream.submit(0, Batch(vectors, to_beat))
-    with pytest.raises(ValueError, match="cannot submit"):
-        stream.submit(0, Batch(vectors, to_beat))
-    [(agent, _)] = stream.collect()
-    assert agent == 0
-
-
-def test_a_structure_keeps_its_arrays():
-    [structure] = structures(numbers=(np.arange(3.0), np.float64, core.Axes("numbers")))
-    assert structure._value.tolist() == [0.0, 1.0, 2.0]
 
 
 def test_without_the_library_training_says_what_it_needs(monkeypatch):

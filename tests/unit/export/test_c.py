@@ -10,10 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from kit.c_policy import CCourse, CPolicy, compile_c
-from kit.wirings import wirings
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.runner import Runner
@@ -54,16 +51,6 @@ def test_random_ticks_agree_with_the_solver_to_the_last_bit(shipped):
     for observation in random_observations(policy, 3000):
         assert c.tick(observation) == solver.tick(observation)
     assert c.potentials.tobytes() == solver.potentials.tobytes()
-
-
-@settings(max_examples=settings().max_examples // 5)
-@given(policy=wirings(), seed=st.integers(0, 2**32))
-def test_any_wiring_compiles_and_agrees_to_the_last_bit(policy, seed, tmp_path_factory):
-    files = c_files(policy, "any", PARKING)
-    library = compile_c(files, tmp_path_factory.mktemp("any"), *LIBRARY)
-    c, solver = CPolicy(policy, library, "any"), Runner(policy)
-    for observation in random_observations(policy, 100, seed):
-        assert c.tick(observation) == solver.tick(observation)
 
 
 def test_float_stays_near_the_solver(tmp_path):

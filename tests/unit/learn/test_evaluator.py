@@ -23,7 +23,7 @@ from sim.learn.rollout import rollout
 from sim.learn.search import Batch
 from sim.world.described import default_rover
 from sim.world.env import ENV_ID
-from sim.world.random_course import mirrored, random_course
+from sim.world.random_course import random_course
 from sim.world.randomization import Sensors, draw_trials, load_randomization
 
 PARKING = load_course("parking")
@@ -88,24 +88,6 @@ def test_misses_are_those_of_a_rover_alone_and_make_up_the_return():
         assert episode.tolist() == expected.tolist()
         assert total == run.total
         assert -np.sum(episode**2) == pytest.approx(total, rel=1e-14)
-
-
-def test_company_and_place_change_no_bit():
-    engine, vectors = Evaluator(POLICY, FENCED), candidates(50, seed=2)
-    returns = engine.returns(vectors)
-    assert np.array_equal(engine.returns(vectors[::-1])[::-1], returns)
-    assert np.array_equal(engine.returns(vectors[7:12]), returns[7:12])
-    assert [engine.returns(vector)[0] for vector in vectors[:5]] == returns[:5].tolist()
-    assert np.array_equal(Evaluator(POLICY, FENCED).returns(vectors[20:]), returns[20:])
-
-
-def test_agent_that_is_behind_gets_the_next_free_lanes():
-    stream = Evaluator(POLICY, COURSE).stream(2)
-    for agent, count in ((0, 60), (1, 3)):
-        stream.submit(agent, Batch(candidates(count, seed=3), np.full(count, -np.inf)))
-    assert [agent for agent, _ in stream.collect()] == [1]
-    assert [agent for agent, _ in stream.collect()] == [0]
-    assert stream.collect() == []
 
 
 def test_a_lost_race_is_stopped_and_no_other_is_touched():
@@ -194,32 +176,6 @@ def test_courses_and_trials_in_one_batch_as_each_alone():
     assert np.array_equal(engine.outcomes(vectors).total, found.total)
 
 
-def test_a_reference_is_planned_from_the_course_if_none_is_given():
-    vectors = candidates(2, 7, TRACKER)
-    planned = Evaluator(TRACKER, COURSE, references=[plan_reference(COURSE)]).outcomes(vectors)
-    assert np.array_equal(Evaluator(TRACKER, COURSE).outcomes(vectors).total, planned.total)
-    assert rollout(TRACKER.with_parameters(vectors[1]), COURSE).total == planned.total[1, 0]
-
-
-def test_courses_with_and_without_obstacles_are_driven_together():
-    vectors, courses = candidates(2, seed=11), [COURSE, FENCED, mirrored(FENCED)]
-    trials = draw_trials(load_randomization("full"), default_rover(), 5, count=6, ticks=320)
-    found = Evaluator(POLICY, courses, trials=trials).outcomes(vectors)
-    runs = [
-        [
-            rollout(POLICY.with_parameters(vector), courses[row % 3], trials=trials, row=row)
-            for row in range(trials.size)
-        ]
-        for vector in vectors
-    ]
-    assert found.total.tolist() == [[run.total for run in row] for row in runs]
-    assert found.touched.tolist() == [[run.touched for run in row] for row in runs]
-    assert found.touched.any()
-    assert not found.touched[:, ::3].any()
-    nominal = Evaluator(POLICY, courses).outcomes(vectors).total
-    assert nominal.T.tolist() == [Evaluator(POLICY, course).returns(vectors).tolist() for course in courses]
-
-
 @pytest.mark.long
 @settings(max_examples=100)
 @given(
@@ -246,12 +202,6 @@ def test_any_policy_on_any_course_in_any_trial_ends_as_a_rover_alone_does(seed, 
             drive = {"trials": trials, "row": row, "reference": reference}
             run = rollout(policy.with_parameters(vector), course, model, **drive)
             assert (found.total[i, row], found.touched[i, row]) == (run.total, run.touched)
-
-
-def test_blocked_start_of_a_later_course_is_rejected():
-    blocked = COURSE.model_copy(update={"obstacles": (Obstacle(x=0.2, y=0.0, length=0.2, width=0.2),)})
-    with pytest.raises(ConfigError, match="an obstacle stands where the rover starts"):
-        Evaluator(POLICY, [COURSE, blocked])
 
 
 @pytest.mark.parametrize("build", [Evaluator, rollout])

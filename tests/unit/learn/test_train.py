@@ -13,10 +13,9 @@ from kit.paths import DATA, content
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.errors import ConfigError, FileError, UsageError
 from rover_ncp.course.course import load_course
-from sim.learn.curve import Agent, curve_csv
 from sim.learn.ensemble import train
 from sim.learn.evaluator import Evaluator
-from sim.learn.settings import TrainSettings, load_task
+from sim.learn.settings import TrainSettings
 
 COURSE = DATA / "short_course.yaml"
 SETTINGS = TrainSettings(course=str(COURSE), seed=1, agents=2, iterations=150)
@@ -32,12 +31,6 @@ def reference(tmp_path_factory):
 
 def run(out, settings=SETTINGS, **options):
     return train(settings, out, processes=1, **options)
-
-
-def test_a_run_leaves_these_files(reference):
-    names = ["agents/00.json", "agents/00.yaml", "agents/01.json", "agents/01.yaml"]
-    others = ["curve.csv", "curve.png", "policy.yaml", "settings.yaml"]
-    assert sorted(content(reference)) == [*names, *others]
 
 
 def test_the_policy_scores_what_its_provenance_says_to_the_last_bit(reference):
@@ -128,13 +121,6 @@ def test_a_folder_in_use_is_refused(reference, tmp_path):
         os.close(handle)
 
 
-def test_other_settings_are_rejected_by_name(reference):
-    before = content(reference)
-    with pytest.raises(ConfigError, match=r"--agents was 2 .*now 3; --iterations was 150 .*now 9"):
-        run(reference, SETTINGS.model_copy(update={"agents": 3, "iterations": 9}), resume=True)
-    assert content(reference) == before
-
-
 def test_a_course_that_changed_is_refused(tmp_path):
     course = tmp_path / "course.yaml"
     course.write_text(COURSE.read_text())
@@ -155,27 +141,3 @@ def test_a_damaged_agent_is_rejected_by_name(reference, tmp_path):
 
 
 # -- curves ------------------------------------------------------------------------------------------------
-
-
-def agents_with(*curves):
-    return [Agent(number=number, vector=(), improvements=curve) for number, curve in enumerate(curves)]
-
-
-def test_the_table_holds_the_best_so_far_with_all_digits():
-    agents = agents_with([(0, -2.5), (2, -0.1)], [(0, -1 / 3)])
-    assert curve_csv(agents, 3) == (
-        "iteration,agent_00,agent_01\n"
-        "0,-2.5,-0.3333333333333333\n1,-2.5,-0.3333333333333333\n"
-        "2,-0.1,-0.3333333333333333\n3,-0.1,-0.3333333333333333\n"
-    )
-
-
-def test_a_described_robot_is_trained_on_and_named_in_the_command(tmp_path):
-    described = tmp_path / "slow.yaml"
-    described.write_text("name: slow\nbased_on: turtlebot4\nmotion: {v_max: 0.12}\n")
-    settings = TrainSettings(model=str(described))
-    assert f"--model {described}" in settings.command()
-    assert "model" not in TrainSettings().model_dump()
-    task = load_task(settings)
-    assert task.course.horizon_s == pytest.approx(2 * load_course("parking").horizon_s)
-    assert task.rover.v_max == 0.12

@@ -1,7 +1,6 @@
 """The train command in this process: what it prints, and what it refuses."""
 
 import json
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -9,7 +8,6 @@ from kit.paths import DATA, content
 
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.cli import run
-from sim.learn import commands
 
 COURSE = DATA / "short_course.yaml"
 TRAIN = f"train --course {COURSE} --processes 1"
@@ -44,19 +42,3 @@ def test_resume_needs_no_options_and_refuses_others(tmp_path, capsys):
     assert run(f"train {out} --resume --seed 9 --agents 2".split()) == 2
     assert "--seed was 0 when this run began, now 9" in capsys.readouterr().err
     assert content(tmp_path) == before
-
-
-@pytest.mark.parametrize("kind", ["--agents 8", "--randomize mild --rollouts 2 --random-courses 0"])
-def test_moved_folder_of_a_run_is_an_error(kind, tmp_path, capsys, monkeypatch):
-    folder, moved = tmp_path / "run", tmp_path / "moved"
-
-    @contextmanager
-    def moving(total, unit):
-        yield lambda *_: folder.exists() and folder.rename(moved)
-
-    monkeypatch.setattr(commands, "progress", moving)
-    assert run(f"{TRAIN} --iterations 60 {kind} --out {folder}".split()) == 2
-    said = capsys.readouterr().err
-    assert f"rover-ncp: {folder}: was moved or removed during the training" in said
-    assert (moved / "settings.yaml").is_file()
-    assert not folder.exists()

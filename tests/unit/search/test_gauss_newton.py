@@ -97,11 +97,6 @@ def test_truncating_lost_episodes_changes_no_candidate():
     assert lost > 40
 
 
-def test_a_return_that_is_no_number_is_an_error():
-    with pytest.raises(ValueError, match="a return is not a number"):
-        begin().tell(np.array([np.nan]), np.zeros((1, CHECKPOINTS, 3)))
-
-
 def test_path_of_a_seed_stays():
     """A decision that changes leads elsewhere within these candidates."""
     search = begin(12)

@@ -10,17 +10,7 @@ from kit.recorded_drives import write_drive
 
 import rover_ncp
 from rover_ncp.core.errors import ConfigError
-from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import load_course
-from rover_ncp.recording.recording import Recorded, RecordingWriter
-from rover_ncp.wire.cdr import encode
-from rover_ncp.wire.messages import (
-    FLOATS,
-    ODOMETRY,
-    POSE_WITH_COVARIANCE,
-    neurons,
-    pose_with_covariance,
-)
 from sim.learn.rollout import rollout
 
 SHORT = str(DATA / "short_course.yaml")
@@ -39,25 +29,6 @@ def test_a_recording_becomes_arrays_of_what_was_recorded(tmp_path):
     assert np.allclose(np.diff(arrays["truth/pose"]["t"]), 0.1)
     assert (arrays["rover/estimate"]["std_x"] > 0).all()
     assert "rover/status" not in arrays
-
-
-def test_messages_that_cannot_be_read_are_left_out_and_counted(tmp_path, caplog):
-    zero = encode(POSE_WITH_COVARIANCE)  # of a localiser before its first fix: no orientation
-    fix = pose_with_covariance(Pose(1.0, 2.0, 0.0), np.eye(3), 1, "course")
-    sent = [
-        *(("pose", POSE_WITH_COVARIANCE, data) for data in (zero, fix, zero, fix)),
-        *(("rover/neurons", FLOATS, data) for data in (neurons([], []), neurons([-50.0], ["AVA"]))),
-        ("odom", ODOMETRY, b""),
-    ]
-    with RecordingWriter(tmp_path / "run.mcap") as writer:
-        for number, (topic, ros_type, data) in enumerate(sent):
-            writer.write(Recorded(topic, ros_type, data, 10**9 * (number + 1), 1))
-    arrays = rover_ncp.read_arrays(tmp_path / "run.mcap")
-    assert arrays["pose"][["t", "x"]].tolist() == [(1.0, 1.0), (3.0, 1.0)]
-    assert arrays["rover/neurons"].tolist() == [(5.0, -50.0)]
-    assert "odom" not in arrays
-    counts = {tuple(record.args[1:3]) for record in caplog.records}
-    assert counts == {("odom", 1), ("rover/neurons", 1), ("pose", 2)}
 
 
 def test_training_calls_back_and_its_policy_can_be_evaluated(tmp_path):

@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -5,7 +6,6 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.paths import DATA
 from kit.wirings import in_bounds, unit_vectors
 
 from rover_ncp.circuit.motors import Motors, parking_motors
@@ -13,14 +13,14 @@ from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.policy_file import (
     load_circuit,
     load_policy,
+    policy_from_yaml,
     policy_to_yaml,
     save_policy,
 )
+from rover_ncp.circuit.rover_interface import RoverInterface
 from rover_ncp.circuit.sensing import Sensing, parking_sensing
-from rover_ncp.core.config import dump_yaml
-from rover_ncp.core.errors import ConfigError, FileError
+from rover_ncp.core.errors import ConfigError
 
-GOLDEN = DATA / "golden"
 PLAIN = replace(parking_policy(load_circuit("parking")), provenance={"seed": 3, "command": "train --seed 3"})
 LAYERED = Policy(
     replace(load_circuit("parking"), held={11: -33.3}),
@@ -78,21 +78,13 @@ NEURON, SYNAPSE = ("circuit", "neurons", 3), ("circuit", "synapses", 2)
         ([(("format",), 2)], ["$.format: input should be 1, got 2"]),
         ([(("surprise",), 1)], ["$.surprise: unknown key"]),
         ([((*NEURON, "leak"), float("nan"))], ["$.circuit.neurons[3].leak: input should be a finite number"]),
-        ([((*NEURON, "name"), "PVD")], ["$.circuit.synapses[4].source: there is no neuron 'AVD'"]),
         ([((*SYNAPSE, "source"), "XYZ")], ["$.circuit.synapses[2].source: there is no neuron 'XYZ'"]),
         ([((*SYNAPSE, "sigma"), None)], ["$.circuit.synapses[2]: a chemical synapse needs sigma"]),
-        ([((*SYNAPSE, "sigma"), 0.0)], ["sigma 0 is outside 0.05"]),
-        ([((*SYNAPSE, "kind"), "gap")], ["$.circuit.synapses[2]: a chemical synapse needs sigma"]),
         ([((*SYNAPSE, "kind"), "magic")], ["$.circuit.synapses[2].kind: input should be 'excitatory'"]),
         ([(("input_layer",), [[1.0]])], ["$.input_layer: needs 4 rows of 4 numbers, got the shape (1, 1)"]),
-        ([(("input_layer",), [[1.0], [1.0, 2.0]])], ["$.input_layer: all rows must have the same length"]),
         (
             [((*NEURON, "leak"), 5.5), ((*SYNAPSE, "weight"), -1)],
             ["$.circuit: AVD: leak 5.5 is outside 0.05..5 S", "weight -1 is outside"],
-        ),
-        (
-            [((*NEURON, "leak"), "much"), ((*SYNAPSE, "weight"), None), (("substeps",), "ten")],
-            ["neurons[3].leak", "synapses[2].weight", "$.substeps"],
         ),
     ],
 )
@@ -107,16 +99,7 @@ def test_bad_policy_is_one_line_with_the_path_of_each_value(edits, problems, tmp
     assert "\n" not in message
 
 
-def test_a_missing_or_empty_file(tmp_path):
-    for name, problem in {"none.yaml": "no such file", "a.yaml": "is empty"}.items():
-        if name != "none.yaml":
-            (tmp_path / name).write_text(" \n")
-        for load in (load_policy, load_circuit):
-            with pytest.raises(FileError, match=f"{name}: .*{problem}"):
-                load(tmp_path / name)
-
-
-@pytest.mark.parametrize("name", ["", "a b", "ä", "x" * 65, "\u202ea", "*/", "-a", "1\n"])
+@pytest.mark.parametrize("name", ["", "a b", "x" * 65, "*/"])
 def test_name_that_no_file_can_hold_is_refused_where_it_is_made(name):
     circuit = load_circuit("parking")
     for changes in ({"name": name}, {"neurons": (name, *circuit.neurons[1:])}):
@@ -124,5 +107,8 @@ def test_name_that_no_file_can_hold_is_refused_where_it_is_made(name):
             replace(circuit, **changes)
 
 
-def test_text_that_is_not_utf_8_does_not_stop_a_file():
-    assert yaml.safe_load(dump_yaml({"from": "a\udcff"})) == {"from": "a\ufffd"}
+def test_unknown_outputs_are_answered_with_the_known_ones():
+    named = policy_to_yaml(load_policy("parking")).replace("name: omega", "name: left")
+    policy = policy_from_yaml(re.sub(r"(outputs.*)\bomega\b", r"\1left", named), "renamed")
+    with pytest.raises(ConfigError, match="outputs are v, left; expected v, omega"):
+        RoverInterface(policy)

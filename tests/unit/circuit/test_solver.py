@@ -1,4 +1,3 @@
-from dataclasses import replace
 from unittest import mock
 
 import numpy as np
@@ -47,15 +46,6 @@ def test_the_library_has_the_bits_of_the_equation_in_python(policy, data):
     for observation in draw_observations(data, policy, 8):
         assert native.tick(observation) == python.tick(observation)
         assert native.potentials.tobytes() == python.potentials.tobytes()
-
-
-@given(wirings(), st.integers(2, 12), st.data())
-def test_a_tick_is_so_many_steps(policy, substeps, data):
-    whole, stepped = (Runner(replace(policy, substeps=count)) for count in (substeps, 1))
-    for observation in draw_observations(data, policy, 4):
-        commands = [stepped.tick(observation) for _ in range(substeps)]
-        assert whole.tick(observation) == commands[-1]
-        assert np.array_equal(whole.potentials, stepped.potentials)
 
 
 @given(

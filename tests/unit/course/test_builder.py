@@ -78,7 +78,6 @@ def test_a_recorded_drive_becomes_a_course_along_the_same_way(tmp_path):
     ("name", "content", "error", "words"),
     [
         ("a.csv", "x,y\n1,2\n", FileError, "lacks theta"),
-        ("a.csv", "x,y,theta\n1,2,three\n", FileError, "line 2: expected three numbers"),
         ("a.csv", "x,y,theta\n1,2,3\n", FileError, "two poses at least, got 1"),
         (
             "a.yaml",
@@ -104,9 +103,7 @@ def test_a_file_that_is_no_list_of_poses_is_named(tmp_path, name, content, error
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("a.csv", "x,y,theta\n0,0,0\n0.4,0.1,0.3\n,,\n , ,\n\n"),
         ("a.csv", "sep=;\nx;y;theta\n0;0;0\n0,4;0,1;0,3\n;;\n"),
-        ("a.csv", "x\ty\ttheta\n0\t0\t0\n0,4\t0,1\t0,3\n\t\t\n"),
         ("A.YML", "poses: [{x: 0, y: 0, theta: 0}, {x: 0.4, y: 0.1, theta: 0.3}]\n"),
     ],
 )

@@ -9,11 +9,10 @@ from kit.identified import driven, errors, robot, truth
 from deploy.identify.excitation import FENCE_M
 from deploy.identify.fit import identify
 from deploy.identify.motion_log import motion_log
-from deploy.identify.run import _lines
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.recording.recording import Recorded
-from rover_ncp.wire.messages import odometry, pose_with_covariance, read_odometry, read_pose, twist_stamped
+from rover_ncp.wire.messages import odometry, read_odometry, twist_stamped
 from sim.stack.virtual import VirtualLink
 from sim.world.randomization import load_randomization
 
@@ -95,20 +94,6 @@ def test_external_poses_show_the_errors_of_odometry():
     assert found.slip_s == pytest.approx(trials.slip[0], abs=0.15)
 
 
-def test_external_poses_count_in_any_one_frame(caplog):
-    done, found, *_ = drive("harsh", outside=True)
-    poses = [n for n, message in enumerate(done.messages) if message.topic == "pose"]
-    messages = list(done.messages)
-    for n in poses[5:]:  # five of another localiser are left out, with a warning
-        sample = read_pose(messages[n].data)
-        data = pose_with_covariance(sample.pose, sample.covariance, sample.stamp_ns, "map")
-        messages[n] = replace(messages[n], data=data)
-    again = identify(motion_log(messages), "mock")
-    assert again.measured["external_poses"] == len(poses) - 5
-    assert again.odometry_heading == pytest.approx(found.odometry_heading, rel=1e-3)
-    assert "used in frame 'map' only; left out: 5 in frame 'course'" in caplog.text
-
-
 def test_external_poses_show_how_a_robot_skids():
     _, found, off, _ = drive("skid", 1, outside=True)
     assert {"odometry_heading", "rotation_center_m", "alpha"} <= set(off)
@@ -122,12 +107,6 @@ def test_ramps_show_the_dead_band_and_the_gains_beyond_it():
     assert (found.dead_band_v, found.dead_band_omega) == (0.03, pytest.approx(0.1, abs=0.02))
     assert abs(off["gain_v"].error) < 0.003
     assert abs(off["gain_omega"].error) < 0.01
-
-
-def test_text_shows_a_standard_deviation_with_each_value():
-    lines = _lines(drive("full")[1])
-    assert [line.split()[0] for line in lines[:2]] == ["delay_v_s", "delay_omega_s"]
-    assert all("±" in line for line in lines if line.startswith(("delay", "gain", "accel")))
 
 
 def test_a_record_that_says_nothing_is_refused():

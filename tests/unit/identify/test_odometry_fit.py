@@ -7,8 +7,7 @@ import pytest
 from kit.base_odometry import moved
 
 from deploy.identify.fit import identify
-from deploy.identify.motion_log import MotionLog, Track, motion_log
-from deploy.identify.odometry_fit import Stand, fit_turns
+from deploy.identify.motion_log import motion_log
 from rover_ncp.core.geometry import ORIGIN, Pose, Velocity
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import load_description
@@ -20,47 +19,6 @@ from rover_ncp.wire.messages import (
     read_pose,
     twist_stamped,
 )
-
-RATES = [0.12, 0.12, 0.3, 0.3, 0.5, 0.5]
-NOISE_RAD = 0.0005
-DT = 0.02
-
-
-def record(scale, slip, mismatch, asymmetry):
-    """Return a log of turns to both sides, straight ways between them, and the stands beside."""
-    rng = np.random.default_rng(3)
-    times, motions, t, own, true = [], [], 0.0, 0.0, 0.0
-    variance = np.array([1e-6, 1e-6, NOISE_RAD**2])
-
-    def stand():
-        nonlocal t
-        begin, t = t, t + 1.0
-        noise = NOISE_RAD * rng.standard_normal(2)
-        seen = (np.array([0.0, 0.0, angle + each]) for angle, each in zip((own, true), noise, strict=True))
-        return Stand(begin, t, *seen, variance, variance)
-
-    stands = [stand()]
-    for rate in RATES:
-        for v, omega in ((0.0, rate), (0.2, 0.0), (0.0, -rate), (-0.15, 0.0)):
-            for _ in range(round(2.5 / DT)):
-                turn = omega * (1.0 - asymmetry * np.sign(omega)) + slip * omega * abs(omega) - mismatch * v
-                motions.append((v, scale * turn))
-                times.append(t)
-                t, own, true = t + DT, own + scale * turn * DT, true + omega * DT
-            times.append(t)
-            stands.append(stand())
-            times.append(t)
-            motions += [(0.0, 0.0)] * 2
-    track = Track(np.array(times), np.zeros((len(times), 3)))
-    return MotionLog(np.zeros(0), np.zeros((0, 2)), track, np.array(motions), track), stands
-
-
-@pytest.mark.parametrize(("scale", "slip", "asymmetry"), [(0.714, 0.3, -0.15), (1.0, 0.0, 0.1)])
-def test_errors_of_a_turn_are_found_to_both_sides(scale, slip, asymmetry):
-    fit = fit_turns(*record(scale, slip, -0.02, asymmetry))
-    true = [scale, slip, -0.02, 0.0, asymmetry]
-    assert (np.abs(fit.values - true) <= 4.0 * np.sqrt(np.diag(fit.covariance)) + 0.002).all()
-
 
 STRAIGHT = [(0.25, 0.0), (-0.25, 0.0), (0.2, 0.0), (-0.3, 0.0)]
 HALF_CIRCLE = [(0.2, 0.785), (-0.2, -0.785)]

@@ -2,8 +2,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from kit.wirings import build_circuit
 
 from rover_ncp.circuit.circuit import SynapseKind
@@ -13,9 +11,6 @@ from rover_ncp.neurons.interpretation import (
     time_constant_ranges,
 )
 from rover_ncp.neurons.trace import synapse_currents
-
-POTENTIAL = st.integers(-9000, 0).map(lambda hundredths: hundredths / 100)
-PAIRS = st.lists(st.tuples(POTENTIAL, POTENTIAL), min_size=2, max_size=40)
 
 
 def test_counts_signs_of_slopes_by_hand():
@@ -50,24 +45,6 @@ def test_threshold_decides_the_sign(positive, negative, sign):
     a = np.arange(len(steps) + 1.0) - 80
     b = np.concatenate([[-40.0], -40 + np.cumsum(steps)])
     assert slopes(a, b).sign is sign
-
-
-@given(PAIRS, st.floats(1e-2, 1e2))
-def test_histogram_counts_each_slope_once_and_a_mirrored_potential_swaps_the_counts(points, scale):
-    a, b = np.array(points).T
-    found = slopes(a, b)
-    assert sum(found.bins) == found.positive + found.negative + found.flat
-    assert sum(found.bins[:5]) == found.negative
-    assert sum(found.bins[5:]) == found.positive + found.flat
-    assert found.vertical <= found.positive + found.negative
-    mirrored = slopes(scale * a, -90 - b / scale)
-    assert (found.positive, found.negative, found.flat) == (
-        mirrored.negative,
-        mirrored.positive,
-        mirrored.flat,
-    )
-    swap = {Sign.POSITIVE: Sign.ANTAGONISTIC, Sign.ANTAGONISTIC: Sign.POSITIVE}
-    assert mirrored.sign is swap.get(found.sign, found.sign)
 
 
 def test_time_constants_by_hand():

@@ -1,5 +1,3 @@
-import dataclasses
-
 import numpy as np
 import pytest
 from kit.wirings import build_circuit
@@ -66,24 +64,6 @@ def test_phases_are_the_signs_of_the_commands():
     assert [p.end_s for p in found] == pytest.approx([1, 3, 6, 7, 8])
     assert [p.driven_m for p in found] == pytest.approx([0, 0.2, 0.3, 0.1, 0])
     assert [p.turned_rad for p in found] == pytest.approx([0, 0, 0.45, -0.15, 0.15])
-
-
-def test_a_long_phase_is_named_for_what_its_small_commands_add_up_to():
-    creep, bend = (0.011, 0.0), (0.1, 0.017)  # below a tenth of 0.16 m/s and of 0.18 rad/s
-    found = phases(trace_of([LEFT] * 20 + [AHEAD] * 10 + [bend] * 140 + [creep] * 150))
-    assert [phase.label for phase in found] == ["left turn", "straight ahead"]
-    assert phases(trace_of([creep] * 40))[0].label == "hardly moving"
-    assert phases(trace_of([(-0.011, 0.0)] * 150))[0].label == "straight back"
-
-
-def test_a_phase_is_named_for_its_net_motion_and_not_for_its_commands():
-    asked = [(0.1, 0.02)] * 60 + [STAND] * 10  # to the left
-    found = trace_of(asked)
-    straight = dataclasses.replace(found, poses=trace_of([(0.1, -0.005)] * 60 + [STAND] * 10).poses)
-    assert [phase.label for phase in phases(straight)] == ["straight ahead", "standing still"]
-    assert phases(straight)[0].signs == (1, 0)  # no motor neuron is named for a turn
-    blocked = dataclasses.replace(found, poses=np.zeros((71, 3)))
-    assert [phase.label for phase in phases(blocked)] == ["standing still"]
 
 
 def test_short_phase_is_merged_with_its_longer_neighbour():

@@ -93,15 +93,6 @@ def test_only_a_single_trial_that_fails_ends_with_1(files, capsys):
     assert "\n0.0% of 3" in out
 
 
-@pytest.mark.parametrize(
-    ("courses", "count"),
-    [("--course parking --course stay.yaml", 2), ("--random-courses 3", 3)],
-)
-def test_each_course_is_driven_once_by_default(files, run_json, courses, count):
-    code, fields = run_json(f"eval numb.yaml {courses}")
-    assert (code, fields["trials"]) == (0, count)
-
-
 SAME = "are the same; add --randomize full"
 
 

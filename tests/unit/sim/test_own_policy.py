@@ -40,12 +40,6 @@ def short(observation):
 def fails(observation):
     return 1 / 0, 0.0
 
-class Model:
-    def predict(self, observation, deterministic=False):
-        assert deterministic and observation.shape == (4,)
-        return [0.05, 0.0], None
-
-model = Model()
 """
 
 
@@ -100,30 +94,22 @@ def test_a_class_of_a_module_in_the_working_folder_is_judged(run_json):
     assert fields["error_m"]["max"] < 0.2
 
 
-def test_a_model_with_predict_is_judged(run_json):
-    code, fields = run_json(f"eval own_module:model --course {SHORT}")
-    assert code in {0, 1}
-    assert fields["error_m"]["max"] != run_json(f"eval own_module:Rest --course {SHORT}")[1]["error_m"]["max"]
-
-
 def test_a_command_that_needs_a_circuit_says_so_of_a_policy_in_python(capsys):
     assert run(["export", "own_module:Follow", "--to", "c", "--out", "c"]) == 2
     assert "a policy in Python, expected one of a circuit" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("stack", [[], ["--stack"]])
 @pytest.mark.parametrize(
     ("policy", "words"),
     [
         ("own_module:short", "expected v and omega as two finite numbers, got (0.1,)"),
         ("own_module:fails", "ZeroDivisionError: division by zero (own_module.py, line"),
-        ("own_module:fails", "; it observes x, y, theta, start without an attribute signals"),
         ("own_module:Blind", "policy own_module:Blind: unknown signals: depth (expected some of x, y"),
         ("broken_module:Follow", "No module named 'no_such_library'"),
     ],
 )
-def test_a_policy_that_cannot_drive_is_one_clear_line(policy, words, stack, capsys):
-    assert run(["eval", policy, "--course", SHORT, "--trials", "1", *stack]) == 2
+def test_a_policy_that_cannot_drive_is_one_clear_line(policy, words, capsys):
+    assert run(["eval", policy, "--course", SHORT, "--trials", "1"]) == 2
     err = capsys.readouterr().err
     assert words in err
     assert err.count("\n") == 1

@@ -15,7 +15,6 @@ from sim.learn.rollout import rollout
 from sim.stack.estimates import summary
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
-from sim.world.localiser_errors import LocaliserRanges
 from sim.world.randomization import Randomization, load_randomization
 from sim.world.skid_robot import Contact, SkidRanges
 
@@ -136,12 +135,3 @@ def test_the_command_line_drives_another_body(run_json):
     assert (code, fields["success_rate"], fields["trials"], fields["stack"]["overruns"]) == (0, 1.0, 1, 0)
     assert (fields["body"], fields["randomize"], fields["course"]) == ("mujoco", "nominal", BRIEF)
     assert math.isfinite(fields["stack"]["times_real_time"])
-
-
-def test_localiser_without_errors_that_last_drives_the_same_trial():
-    ranges = load_randomization("full")
-    same = ranges.model_copy(update={"localiser": LocaliserRanges()})
-    biased = ranges.model_copy(update={"localiser": LocaliserRanges(lasting_m=(0.03, 0.03))})
-    before, after, wrong = (stack(each, camera=True).drive(0) for each in (ranges, same, biased))
-    assert before == after
-    assert wrong.belief.error_m > before.belief.error_m

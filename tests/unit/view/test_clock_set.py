@@ -75,10 +75,7 @@ def unset_drive(unset):
     return read_drive(unset)
 
 
-@pytest.mark.parametrize(
-    ("by_ns", "at", "log"),
-    [(-HOUR_NS, SET_AT + 0.5, True), (2 * 10**9, 0.5, False), (20 * 365 * 24 * HOUR_NS, 38.97, True)],
-)
+@pytest.mark.parametrize(("by_ns", "at", "log"), [(-HOUR_NS, SET_AT + 0.5, True), (2 * 10**9, 0.5, False)])
 def test_clock_that_is_set_in_a_drive_changes_no_time_of_its_report(tmp_path, unset_drive, by_ns, at, log):
     drive, unset = read_drive(write(tmp_path / "set.mcap", by_ns, at, log)), unset_drive
     assert drive.timeline.traces()[0].times == pytest.approx(driven()[1].times[:-1])
@@ -104,11 +101,3 @@ def test_clock_that_is_set_changes_neither_arrays_nor_the_duration_of_recovery(t
     found = recording.recover(path, path)
     assert found.seconds == pytest.approx(recording.recover(unset, tmp_path / "whole.mcap").seconds, abs=0.2)
     assert read_recording(path).messages == before[: found.messages]
-
-
-@pytest.mark.parametrize("value", ["1", -1, 1 << 70])
-def test_tick_record_of_strangers_moves_no_message(value):
-    record = messages.text(json.dumps({"now_ns": value, "wall_ns": BEGAN_NS}))
-    own = [message for message in driven()[0] if message.topic != TICKS_TOPIC]
-    ticks = [Recorded(TICKS_TOPIC, "std_msgs/msg/String", record, m.log_ns, m.log_ns) for m in own]
-    assert list(recording.steady(ticks)) == ticks

@@ -14,7 +14,6 @@ from deploy.view.recorded_drive import read_drive, summarise
 from rover_ncp.cli import run
 from rover_ncp.core.geometry import Pose, Velocity
 from rover_ncp.course.scoring import Parked
-from rover_ncp.recording.recording import Recorded
 from rover_ncp.wire import messages
 from rover_ncp.wire.protocol import DriverStatus, GateStatus
 
@@ -110,24 +109,6 @@ def test_text_from_peers_is_escaped_in_updates(feed):
 def recorded(path, course=SHORT, **options):
     write_drive(path, course=course, **options)
     return read_drive(path)
-
-
-def test_the_summary_has_a_stop_and_its_reason(tmp_path):
-    late = BEGAN_NS + 50 * TICK_NS
-    gate = GateStatus(accepted=40, stops={"bumper": 1}, dropped={"stale": 3})
-    status = DriverStatus(state="fault", reason="stopped by bumper", tick=40, overruns=2)
-    more = [
-        state(gate, late),
-        state(status, late),
-        Recorded("odom", "nav_msgs/msg/Odometry", b"garbage", late, late),
-    ]
-    summary = summarise(recorded(tmp_path / "run.mcap", more=more))
-    rows = dict(summary.rows)
-    assert summary.headline == "Not parked (true pose): touched an obstacle"
-    assert rows["Ended as"] == "fault: stopped by bumper"
-    assert rows["Gate"] == "40 commands accepted, 3 dropped (stale 3), 0 limited, 1 stops (bumper 1)"
-    assert rows["Ticks"].endswith("2 late, 0 on prediction")
-    assert rows["Unreadable"] == "1 messages (odom 1)"
 
 
 def test_command_writes_the_page_beside_the_recording(tmp_path, capsys):

@@ -10,7 +10,6 @@ import pytest
 
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.course.course import Checkpoint, Course, Obstacle, load_course
-from rover_ncp.course.scoring import due_checkpoints
 from sim.world.env import ENV_ID
 
 
@@ -62,23 +61,6 @@ def test_doing_nothing_misses_all_checkpoints_and_sees_the_start_signal_at_its_t
     assert not signal[:30].any()
     assert signal[30:].all()
     assert infos[30]["time_s"] == pytest.approx(3.0)
-
-
-def test_a_checkpoint_is_judged_at_the_first_tick_at_or_after_its_deadline():
-    course = load_course("parking")
-    due = due_checkpoints(course)
-    ticks = [int(np.flatnonzero(due == i)[0]) for i in range(len(course.checkpoints))]
-    for tick, checkpoint in zip(ticks, course.checkpoints, strict=True):
-        assert 0.1 * (tick + 1) >= checkpoint.t - 1e-9
-        assert tick == 0 or 0.1 * tick < checkpoint.t
-    assert ticks[:2] == [0, 10]
-    assert ticks[-1] == 319
-
-
-def test_at_most_one_checkpoint_is_judged_a_tick():
-    crowd = [Checkpoint(t=t, x=0.0, y=0.0, theta=0.0) for t in (0.0, 0.01, 0.02, 0.5)]
-    course = Course(name="crowd", start_signal_s=0.0, horizon_s=1.0, checkpoints=tuple(crowd))
-    assert due_checkpoints(course).tolist() == [0, 1, 2, -1, 3, -1, -1, -1, -1, -1]
 
 
 def test_headings_are_missed_by_the_shorter_way_round():

@@ -15,7 +15,7 @@ from rover_ncp.course.course import Obstacle
 from sim.world.bodies import Body
 from sim.world.described import default_rover
 from sim.world.mujoco_rover import TICKS_PER_M, MujocoRover
-from sim.world.randomization import Randomization, load_randomization
+from sim.world.randomization import load_randomization
 from sim.world.skid_robot import Patches, SkidRanges, SkidRobot, draw_robot
 
 OMEGA = 0.18
@@ -88,17 +88,6 @@ def test_a_push_shifts_a_driving_rover():
     assert body.velocity.v == pytest.approx(0.1, abs=0.01)
 
 
-def test_cables_shake_the_rover_and_let_it_pass():
-    across = SkidRobot(cables=((0.6, 0.0, math.pi / 2),))
-    body, heights = rover(across), []
-    body.command(0.16, 0.0)
-    for _ in range(800):
-        body.substep()
-        heights.append(float(body.data.qpos[2]))
-    assert max(heights) - min(heights) > 0.002
-    assert body.pose.x > 1.0
-
-
 def test_floor_is_slippery_on_every_second_square():
     board = Patches(size_m=2.0, friction=0.05)
     hill = SkidRobot(slope_rad=0.1, patches=board)
@@ -124,10 +113,3 @@ def test_a_trial_is_the_same_robot_in_every_set_of_trials():
         update={"slope_rad": 0.0, "cables": (), "uphill_rad": draw_robot(varied, 1, 7).uphill_rad}
     )
     assert draw_robot(SkidRanges(), 1, 7).model_copy(update={"uphill_rad": 0.0}) == SkidRobot()
-
-
-def test_only_the_body_mujoco_has_ranges_of_its_wheels():
-    with pytest.raises(ValueError, match="skid_steer"):
-        Randomization(name="x", skid_steer=SkidRanges())
-    with pytest.raises(ValueError, match="skid_steer"):
-        Randomization(name="x", body=Body.MUJOCO)

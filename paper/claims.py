@@ -21,7 +21,7 @@ import numpy as np
 from pydantic import Field
 
 from paper.runs import PAIRS
-from paper.statistics import LEVEL, even_odds, fisher, holm, mean_text, summary, welch, wilson
+from paper.statistics import LEVEL, even_odds, fisher, holm, mean_text, welch, wilson
 from paper.store import BudgetName, Result, ResultStore
 from paper.tasks import TASKS, Net, Vector
 from rover_ncp.circuit.policy import Policy
@@ -60,7 +60,9 @@ class Claim(StrictModel):
     comparable: bool = True
     """Whether the test decides. Figures of other things than the paper's do not."""
     why: str = ""
-    """Reason that a claim is not tested or not comparable."""
+    """Reason that a claim is not comparable."""
+    core_h: float = 0.1
+    """Core hours of a run, measured."""
 
 
 class ClaimsFile(StrictModel):
@@ -70,6 +72,8 @@ class ClaimsFile(StrictModel):
     claims: tuple[Claim, ...]
     tables: dict[str, dict[str, dict[str, tuple[float, ...]]]]
     """Mean, standard deviation and success rate, where there is one, by table, task and agent."""
+    literature: tuple[tuple[str, str], ...]
+    """Results of PPO on the half-cheetah that others have published, and their sources."""
 
     def of(self, test: str) -> list[Claim]:
         """Return the claims that a test decides on."""
@@ -90,6 +94,8 @@ class Finding:
     p: float | None = None
     significant: Verdict = Verdict.DIFFERS
     """What a significant p means."""
+    missing: int = 0
+    """Runs that a verdict needs beside the stored ones."""
 
 
 class Judged(NamedTuple):
@@ -127,13 +133,14 @@ def judge_claims(store: ResultStore, claims: Sequence[Claim]) -> list[Judged]:
 
 def _judged(claim: Claim, finding: Finding) -> Judged:
     verdict, why = finding.verdict, claim.why
+    core_h = f"{finding.missing} runs are missing, about {finding.missing * claim.core_h:.2g} core hours"
     if verdict is None:
         assert finding.p is not None
         verdict = finding.significant if finding.p < LEVEL else Verdict.UNDECIDED
     if verdict is Verdict.UNDECIDED:
-        why = finding.why if finding.p is None else f"p = {finding.p:.2g}, {finding.why}"
+        why = f"{finding.why}; {core_h}" if finding.p is None else f"p = {finding.p:.2g}, {finding.why}"
     elif verdict is Verdict.NOT_TESTED:
-        why = f"{finding.why}; {claim.why}" if claim.why else finding.why
+        why = core_h
     elif verdict is not Verdict.NOT_COMPARABLE:
         why = ""
     from_paper = finding.against and claim.test in ("rate", "algorithm1")
@@ -141,9 +148,10 @@ def _judged(claim: Claim, finding: Finding) -> Judged:
     return Judged(claim.name, claim.words, claim.where, verdict, finding.figure, against, why)
 
 
-def _too_few(count: int) -> Finding:
-    why = f"{count or 'no'} runs, {MIN_RUNS} are needed"
-    return Finding(verdict=Verdict.NOT_TESTED, why=why)
+def _too_few(*counts: int) -> Finding | None:
+    """Return that a claim is not tested if one of these numbers of runs is too small, None otherwise."""
+    missing = sum(max(MIN_RUNS - count, 0) for count in counts)
+    return Finding(verdict=Verdict.NOT_TESTED, missing=missing) if missing else None
 
 
 def rate(
@@ -154,8 +162,8 @@ def rate(
     ``within`` counts runs that end as successes and reached the task's return after so many iterations.
     """
     runs = store.results(task, "circuit", budget)
-    if len(runs) < MIN_RUNS:
-        return _too_few(len(runs))
+    if untested := _too_few(len(runs)):
+        return untested
     succeeded = [run.success for run in runs]
     if within is not None:
         succeeded = [run.success and run.value_after(within) >= TASKS[task].success for run in runs]
@@ -177,11 +185,11 @@ def compare(
 ) -> Finding:
     """Compare the circuit's returns with another agent's: ``better``, or not worse by the task's margin."""
     ours, theirs = store.returns(task, "circuit", budget), store.returns(task, other, other_budget or budget)
-    if min(len(ours), len(theirs)) < MIN_RUNS:
-        return _too_few(min(len(ours), len(theirs)))
-    found = welch(summary(ours), summary(theirs))
+    if untested := _too_few(len(ours), len(theirs)):
+        return untested
+    found = welch(ours, theirs)
     margin = 0.0 if better else TASKS[task].margin
-    on_par = welch(summary(ours + margin), summary(theirs))
+    on_par = welch(ours + margin, theirs)
     reproduced = on_par.value > 0.0  # else p is of the opposite; each p is of both tails
     return Finding(
         f"{mean_text(float(ours.mean()))} against {mean_text(float(theirs.mean()))}",
@@ -198,16 +206,14 @@ def algorithm1(store: ResultStore, *, task: str, hits: int, of: int) -> Finding:
 
     The claim does not hold only if all pairs are trained and their rates differ: the largest p decides.
     """
-    found = by_pair(store.results(task, "circuit", BudgetName.ALGORITHM1)).values()
-    counts = [(sum(run.success for run in runs), len(runs)) for runs in found if len(runs) >= MIN_RUNS]
-    if not counts:
-        return _too_few(0)
+    found = by_pair(store.results(task, "circuit", BudgetName.ALGORITHM1))
+    counts = [(sum(run.success for run in runs), len(runs)) for runs in found.values()] or [(0, 0)]
     successes, total = (sum(column) for column in zip(*counts, strict=True))
-    figure = f"{successes} of {total} runs of {len(counts)} settings, at most {max(counts)[0]} of one"
-    if len(counts) < len(PAIRS):
-        return Finding(
-            figure, f"{hits} of {of}", Verdict.UNDECIDED, f"{len(counts)} of {len(PAIRS)} settings"
-        )
+    figure = f"{successes} of {total} runs of {len(found)} settings, at most {max(counts)[0]} of one"
+    lacks = [max(MIN_RUNS - len(found.get(pair, ())), 0) for pair in PAIRS]
+    if any(lacks):
+        whole = f"{lacks.count(0)} of {len(PAIRS)} settings"
+        return Finding(figure, f"{hits} of {of}", Verdict.UNDECIDED, whole, missing=sum(lacks))
     p = max(fisher(*count, hits, of).p for count in counts)
     return Finding(figure, f"{hits} of {of}", None, f"n = {min(runs for _, runs in counts)} and {of}", p)
 
@@ -223,8 +229,8 @@ def by_pair(runs: Iterable[Result]) -> dict[tuple[float, float], list[Result]]:
 def sign(store: ResultStore, *, source: str, destination: str, expected: Sign) -> Finding:
     """Ask whether most circuits of the published search have the paper's sign (sign test)."""
     found = signs(store, BudgetName.PUBLISHED, source, destination)
-    if len(found) < MIN_RUNS:
-        return _too_few(len(found))
+    if untested := _too_few(len(found)):
+        return untested
     hits, own = found.count(expected), signs(store, BudgetName.DEFAULT, source, destination)
     significant = Verdict.HOLDS if 2 * hits > len(found) else Verdict.DIFFERS
     return Finding(
@@ -241,7 +247,7 @@ def constants(store: ResultStore, *, ranges: Mapping[str, tuple[float, float]]) 
     """Ask whether each neuron's time constants overlap the paper's."""
     ours = time_constants(store)
     if not ours:
-        return _too_few(0)
+        return Finding(verdict=Verdict.NOT_TESTED, missing=1)
     same = sum(ours[neuron][0] <= high and low <= ours[neuron][1] for neuron, (low, high) in ranges.items())
     verdict = Verdict.HOLDS if same == len(ranges) else Verdict.DIFFERS
     return Finding(f"{same} of {len(ranges)} ranges overlap", verdict=verdict)
@@ -251,7 +257,7 @@ def varying(store: ResultStore, *, ratio: float) -> Finding:
     """Ask whether most neurons' time constants vary by more than a ratio."""
     ours = time_constants(store).values()
     if not ours:
-        return _too_few(0)
+        return Finding(verdict=Verdict.NOT_TESTED, missing=1)
     count = sum(high > ratio * low for low, high in ours)
     verdict = Verdict.HOLDS if 2 * count > len(ours) else Verdict.DIFFERS
     return Finding(f"{count} of {len(ours)} neurons, by {ratio - 1:.0%} or more", verdict=verdict)

@@ -20,7 +20,7 @@ from paper.claims import (
     time_constants,
 )
 from paper.runs import grid
-from paper.statistics import mean_text, summary
+from paper.statistics import mean_interval, mean_text, summary
 from paper.store import BudgetName, Result, ResultStore
 from paper.tasks import GRADIENTS, TASKS
 
@@ -52,8 +52,10 @@ def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Judged])
     if runs := store.results("half-cheetah", "circuit"):
         best = max(runs, key=lambda run: run.mean)
         parts.append(
-            f"**Half-cheetah: torque of a joint per motor neuron, best circuit**\n\n{joint_table(best)}"
+            f"**Half-cheetah: which neuron drives which joints, best circuit**\n\n{wires_table(best)}"
         )
+    ppo = "; ".join(f"{value} ({source})" for value, source in file.literature)
+    parts += [f"**Half-cheetah by PPO**, from the literature: {ppo}.", commits(store)]
     return "\n\n".join(parts)
 
 
@@ -66,7 +68,7 @@ def long_report(store: ResultStore) -> str:
 def summary_of(judged: Sequence[Judged]) -> str:
     """Return how many claims have each verdict."""
     found = Counter(claim.verdict for claim in judged)
-    return markdown([("verdict", "claims"), *((each, found[each]) for each in Verdict)])
+    return f"Of {len(judged)} claims: " + ", ".join(f"{each} {found[each]}" for each in Verdict) + "."
 
 
 def answers(file: ClaimsFile, judged: Sequence[Judged]) -> str:
@@ -102,9 +104,14 @@ def paper_table(store: ResultStore, file: ClaimsFile, name: str) -> str:
 def _score(runs: Sequence[Result]) -> str:
     if not runs:
         return "not tested"
-    mean, std, count = summary(np.array([run.mean for run in runs]))
-    few = f", {count} of {MIN_RUNS} runs" if count < MIN_RUNS else ""
-    return f"{mean_text(mean, std)} ({sum(run.success for run in runs) / count:.0%}{few})"
+    means = np.array([run.mean for run in runs])
+    mean, std, count = summary(means)
+    value = mean_text(mean, std if count > 1 else None)
+    share = f"{value} ({sum(run.success for run in runs) / count:.0%}"
+    if count >= MIN_RUNS:
+        return f"{share})"
+    between = "" if count == 1 else f"; mean {mean_interval(means).text()}"
+    return f"{share}, {count} of {MIN_RUNS} runs{between})"
 
 
 def settings_grid(store: ResultStore, task: str) -> str:
@@ -150,15 +157,34 @@ def readings_table(store: ResultStore, file: ClaimsFile) -> str:
     return markdown(rows)
 
 
-def joint_table(run: Result) -> str:
-    """Return what a half-cheetah's motor neurons do to its joints: the output layer."""
+def wires_table(run: Result) -> str:
+    """Return the layers of a half-cheetah's circuit: what moves each joint, and what drives each sensor."""
     task = TASKS["half-cheetah"]
     policy = task.policy(task.circuit()).with_parameters(run.parameters.array())
     assert policy.output_layer is not None
-    names = [channel.positive for channel in policy.motors.channels]
-    weights = [[f"{weight:.2f}" for weight in row] for row in policy.output_layer]
-    joints = zip(policy.motors.outputs, weights, strict=True)
-    return markdown([("joint", *names), *((joint, *row) for joint, row in joints)])
+    assert policy.input_layer is not None
+    neurons = [channel.positive for channel in policy.motors.channels]
+    rows: list[Row] = [("joints", *(f"{neuron}: back, front" for neuron in neurons), "most torque by")]
+    back, front = policy.output_layer[:3], policy.output_layer[3:]
+    for joint, pair in zip(("thigh", "shin", "foot"), zip(back, front, strict=True), strict=True):
+        cells = (f"{first:+.2f}, {second:+.2f}" for first, second in zip(*pair, strict=True))
+        rows.append((joint, *cells, neurons[int(np.argmax(np.abs(pair).sum(axis=0)))]))
+    senses, names = [], [name.replace("_", " ") for name in policy.sensing.inputs]
+    for channel, weights in zip(policy.sensing.channels, policy.input_layer, strict=True):
+        most = ", ".join(f"{names[at]} {weights[at]:+.2f}" for at in np.argsort(-np.abs(weights))[:4])
+        senses.append(f"{channel.positive} (+) and {channel.negative} (−): {most}")
+    return f"{markdown(rows)}\n\nInputs of most weight: {'; '.join(senses)}."
+
+
+def commits(store: ResultStore) -> str:
+    """Return which commit made which runs."""
+    made: dict[str, dict[str, None]] = {}
+    for run in store.every():
+        name = f"{run.name.budget} {run.name.task}"
+        made.setdefault(_short(run.made_with.get("commit", "unknown")), {})[name] = None
+    most, *others = sorted(made, key=lambda commit: -len(made[commit]))
+    rest = "".join(f"; {', '.join(made[commit])}: {commit}" for commit in others)
+    return f"**Commits of the runs**: {most}{rest}."
 
 
 def time_constant_table(store: ResultStore, file: ClaimsFile) -> str:

@@ -29,30 +29,22 @@ class Estimate(NamedTuple):
         return f"{mean_text(self.value)} [{mean_text(self.low)}, {mean_text(self.high)}]"
 
 
-class Summary(NamedTuple):
-    """Mean and standard deviation of a number of runs."""
-
-    mean: float
-    std: float
-    runs: int
+def summary(values: FloatArray) -> tuple[float, float, int]:
+    """Return mean, standard deviation and number of one or more values (n,)."""
+    return float(np.mean(values)), float(np.std(values, ddof=min(len(values) - 1, 1))), len(values)
 
 
-def summary(values: FloatArray) -> Summary:
-    """Return mean and standard deviation of one or more values (n,)."""
-    return Summary(float(np.mean(values)), float(np.std(values, ddof=min(len(values) - 1, 1))), len(values))
+def mean_interval(values: FloatArray) -> Estimate:
+    """Return the mean of two or more values (n,)."""
+    found = stats.ttest_1samp(values, 0.0)
+    return Estimate(float(np.mean(values)), *map(float, found.confidence_interval(1.0 - LEVEL)))
 
 
-def welch(ours: Summary, theirs: Summary) -> Estimate:
+def welch(ours: FloatArray, theirs: FloatArray) -> Estimate:
     """Return the difference of two means, by Welch's test."""
-    squares = np.array([each.std**2 / each.runs for each in (ours, theirs)])
-    difference, error = ours.mean - theirs.mean, float(np.sqrt(squares.sum()))
-    if error == 0.0:
-        return Estimate(difference, difference, difference, float(difference == 0.0))
-    freedom = squares.sum() ** 2 / (squares**2 / [ours.runs - 1, theirs.runs - 1]).sum()
-    low, high = stats.t.interval(1.0 - LEVEL, freedom, difference, error)
-    return Estimate(
-        difference, float(low), float(high), 2.0 * float(stats.t.sf(abs(difference) / error, freedom))
-    )
+    found = stats.ttest_ind(ours, theirs, equal_var=False)
+    low, high = found.confidence_interval(1.0 - LEVEL)
+    return Estimate(float(np.mean(ours) - np.mean(theirs)), float(low), float(high), float(found.pvalue))
 
 
 def wilson(hits: int, of: int) -> tuple[float, float]:

@@ -46,15 +46,6 @@ def test_watchdog_halts_and_any_packet_resumes_the_setpoints(pioneer: Pioneer) -
     assert pioneer.speed == pytest.approx(0.2)
 
 
-def test_motors_that_are_off_accept_and_keep_no_setpoints() -> None:
-    pioneer = Pioneer().open(motors=False)
-    pioneer.drive(200, 1.0)
-    for enable, seconds in ((1, 1.0), (0, 1.5), (1, 1.0)):
-        pioneer.obey(seconds, Command.ENABLE, enable)
-        assert pioneer.speed == 0.0
-        pioneer.drive(200, 2.0)
-
-
 def test_headings_are_absolute_relative_and_relative_to_the_setpoint(pioneer: Pioneer) -> None:
     for command, argument, heading in [
         (MockCommand.HEAD, 90, 90),
@@ -67,22 +58,6 @@ def test_headings_are_absolute_relative_and_relative_to_the_setpoint(pioneer: Pi
         assert math.degrees(pioneer.rover.pose.theta) == pytest.approx(heading, abs=0.8), command
     pioneer.obey(2.0, MockCommand.ROTATE, 10)
     assert pioneer.turn_deg_s == pytest.approx(10, rel=1e-3)
-
-
-def test_stop_keeps_the_limit_and_e_stop_does_not() -> None:
-    ways = []
-    for command in (Command.STOP, Command.E_STOP):
-        pioneer = Pioneer().open()
-        pioneer.drive(400, 3.0)
-        before = pioneer.rover.pose.x
-        pioneer.obey(3.0, command)
-        assert pioneer.speed == 0.0
-        assert pioneer.sip().flags & Flag.MOTORS
-        ways.append(pioneer.rover.pose.x - before)
-        pioneer.drive(100, 1.0)
-        assert pioneer.speed == pytest.approx(0.1)
-    assert ways[0] == pytest.approx(0.4 * 0.15 + 0.4**2 / (2 * 0.31), rel=0.02)
-    assert ways[1] < 0.1
 
 
 def test_a_wall_stalls_the_wheels_and_odometry_does_not_run_on() -> None:

@@ -2,7 +2,6 @@
 
 from itertools import pairwise
 
-import numpy as np
 import pytest
 from kit.described import described
 from kit.ros2_world import twist
@@ -51,13 +50,6 @@ def faulty(fault):
     for period in range(1, 41):
         robot.command(twist(Velocity(0.1, 0.0)), period / 10)
     return robot.messages()
-
-
-def test_clock_fault_shifts_the_stamps_of_a_ros2_robot():
-    stamps = [read_odometry(data).stamp_ns for name, data in faulty("clock=-0.6@2") if name == "odom"]
-    steps = np.diff(stamps) / 1e9
-    assert np.sum(steps < 0) == 1
-    assert min(steps) == pytest.approx(-0.6 + np.median(steps), abs=0.02)
 
 
 def test_readings_of_a_gyro_are_late_and_those_on_their_way_are_lost_in_silence():

@@ -34,14 +34,6 @@ def test_recorded_sips_encode_back_to_themselves_and_announced_sonars_that_are_n
         assert sip.encode() == packet if packet in sound else (sip.sonar, sip.rotvel) == ((), None)
 
 
-def test_the_recorded_robots_configuration_is_read_to_its_end():
-    for packet in recorded(Kind.CONFIG):
-        config = ConfigPac.decode(packet.payload)
-        assert (config.robot_type, config.subtype.removesuffix("-sh")) == ("Pioneer", "p3at")
-        assert (config.sip_cycle, config.watchdog, config.autobaud) == (100, 2000, 2)
-        assert config.encode().payload[: len(packet.payload)] == packet.payload
-
-
 def test_a_real_configuration_beyond_127_bytes():
     data = bytes.fromhex(VECTORS["real_P3DX-SH_CONFIGpac_prefix"]["hex"])
     assert data[2] == 137

@@ -144,3 +144,29 @@ def test_odometry_that_stops_ends_the_measurement_and_the_robot_stands(silent):
         robot.measure()
     robot.take = before
     assert robot.stands_soon()
+
+
+def test_an_interrupted_measurement_stops_the_robot():
+    robot, moving_s = Robot(None), []
+
+    def stopping():
+        moving_s.extend([robot.now_s] if robot.speed > 0.09 else [])
+        return bool(moving_s) and robot.now_s > moving_s[0] + 1.0
+
+    with pytest.raises(KeyboardInterrupt):
+        robot.measure(stopping)
+    assert moving_s[-1] == robot.now_s
+    assert robot.stands_soon()
+
+
+def test_a_robot_whose_stop_topic_is_silent_is_not_measured():
+    robot = Robot(0.5, "husky-a200")
+
+    def act():
+        arrivals = robot.line.arrivals
+        arrivals[:] = [found for found in arrivals if found.topic != "platform/emergency_stop"]
+
+    robot.act = act
+    with pytest.raises(SafetyStop, match="emergency_stop: no message has come"):
+        robot.measure()
+    assert not robot.began_s

@@ -119,18 +119,6 @@ def test_headings_of_poses_are_compared_with_odometry_on_a_turn(options, ok, wor
     assert words in detail
 
 
-def test_sensors_that_show_no_motion_are_unknown_on_blocks():
-    lifted = {"on_floor": False}
-    still = {"change": lambda pose: MAP}
-    for ok, words in (
-        gyro_in_turn(REST, samples(omega=OMEGA, gyro=0.0), TURN_SHARES, **lifted),
-        poses_on_way(samples(V, **still), **lifted),
-        poses_in_turn(samples(omega=OMEGA, **still), TURN_SHARES, **lifted),
-    ):
-        assert ok
-        assert "not known, as on blocks" in words
-
-
 def test_poses_that_are_rare_or_in_two_frames_are_not_right():
     assert poses_at_rest(REST, ["course"] * 60, 0.1)[0]
     assert not poses_at_rest(samples(hz=0.5), ["course"], 0.1)[0]

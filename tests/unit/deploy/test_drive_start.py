@@ -16,6 +16,7 @@ from rover_ncp.course.course import load_course
 from rover_ncp.course.scoring import SURE, Parked
 from rover_ncp.recording.recording import read_recording, rewrite
 from rover_ncp.robot.profile import RoverProfile
+from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.messages import imu, pose_with_covariance, read_pose, read_text
 from rover_ncp.wire.protocol import parse_json
 
@@ -161,6 +162,14 @@ def test_rover_with_an_external_start_pose_parks_on_the_true_pose(tmp_path):
     assert distance(end, course.goal) < course.parked.position_m / 2 < distance(start, ORIGIN)
     assert abs(wrap_angle(end.theta - course.goal.theta)) < course.parked.heading_rad
     assert replay(virtual.path).difference is None
+    # What viewers show: where odometry lies on the course, and the way.
+    [frames], [way] = (
+        [decode(message.type, message.data) for message in virtual.recorded if message.topic == topic]
+        for topic in ("deploy/frames", "deploy/path")
+    )
+    odom = frames.transforms[0].transform.translation
+    assert (odom.x, odom.y) == pytest.approx(start[:2], abs=0.02)
+    assert [way.poses[-1].pose.position.x] == pytest.approx([end.x], abs=0.03)
 
 
 def test_two_localisers_that_disagree_at_the_start_leave_the_verdict_uncertain():

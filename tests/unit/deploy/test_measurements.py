@@ -80,3 +80,16 @@ def test_the_age_of_a_gyro_reading_counts_beside_odometry_though_all_have_it(age
         [sample] = driver.take("odom", stamp, arrival)
         [reading] = driver.take("imu", stamp - age_ms * MS, arrival)
         assert (sample.ref.measured_ns - reading.ref.measured_ns) / MS == pytest.approx(age_ms, abs=0.001)
+
+
+@pytest.mark.parametrize("topic", MESSAGES)
+def test_samples_without_a_stamp_are_as_young_as_their_arrival(topic):
+    driver = Driver()
+    assert [driver.ages_ms(topic, 0, number * PERIOD) for number in range(20)] == [[0]] * 20
+
+
+def test_message_that_cannot_be_read_is_left_out_and_named(log):
+    driver = Driver()
+    driver.inboxes["pose"].put(Arrival(MESSAGES["pose"](WALL_NS)[:-9], 0))
+    assert driver.measurements.poses() == []
+    assert "a message on 'pose' is not used: " in log.text

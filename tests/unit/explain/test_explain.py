@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 from kit.recorded_drives import write_drive
 
-from rover_ncp.circuit.circuit import BOUNDS, ParameterKind
 from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.circuit.runner import Runner
 from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
 from sim.explain.explain import explain
-from sim.explain.what_if import parameter_names, sensitivities, without_neuron, without_synapse
-from sim.learn.evaluator import Evaluator
+from sim.explain.what_if import without_neuron, without_synapse
 from sim.learn.rollout import rollout
 
 SHORT = "tests/data/short_course.yaml"
@@ -45,27 +43,6 @@ def test_knock_outs_are_the_drives_without_each_part(parking, explained):
     assert by_name["FWD"].change == by_name["FWD"].total - intact.total
     both = rollout(without_synapse(parking, 27), course)
     assert by_name[parking.circuit.label(27)].total == both.total
-
-
-def test_sensitivities_are_the_returns_of_moved_parameters(parking):
-    course = load_course(SHORT)
-    engine = Evaluator(parking, course)
-    found = sensitivities(parking, engine.returns, step=0.01)
-    vector = parking.parameters()
-    assert len(found) == len(vector)
-    base = engine.returns(vector)[0]
-    for i in (0, 40, 93):
-        row = found[i]
-        assert row.value == vector[i]
-        for step, change in ((-row.down, row.change_down), (row.up, row.change_up)):
-            moved = vector.copy()
-            moved[i] += step
-            assert engine.returns(moved)[0] - base == pytest.approx(change, abs=1e-9)
-    bounds = BOUNDS[ParameterKind.WEIGHT]
-    for row, (kind, name) in zip(found, parameter_names(parking), strict=True):
-        assert (row.kind, row.name) == (kind, name)
-        if kind is ParameterKind.WEIGHT:
-            assert row.down == pytest.approx(min(0.01 * (bounds.upper - bounds.lower), row.value))
 
 
 @pytest.mark.long

@@ -1,7 +1,6 @@
 """Identified robot profiles against the true values of the mock."""
 
 import functools
-from dataclasses import replace
 
 import pytest
 from kit.identified import driven, errors, robot, truth
@@ -42,20 +41,6 @@ def test_random_robot_is_identified_from_its_bytes():
     assert found.noise_rad == pytest.approx(0.0087, rel=0.25)
     assert (found.odometry_distance, found.slip_s) == (None, None)
     assert (found.dead_band_v, found.dead_band_omega) == (0.0, 0.0)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.2])
-def test_odometry_that_reports_no_speed_or_far_too_little_gives_no_gain(share):
-    def weakened(message):
-        if message.topic != "odom":
-            return message
-        seen = read_odometry(message.data)
-        velocity = Velocity(share * seen.velocity.v, share * seen.velocity.omega)
-        pose = seen.pose if share == 0.0 else Pose(*(share * value for value in seen.pose))
-        return replace(message, data=odometry(pose, velocity, seen.stamp_ns))
-
-    found = identify(motion_log([weakened(each) for each in drive("full")[0].messages]), "mock")
-    assert (found.gain_v, found.gain_omega) == (None, None)
 
 
 @pytest.mark.parametrize(

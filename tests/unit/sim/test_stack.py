@@ -15,6 +15,7 @@ from sim.learn.rollout import rollout
 from sim.stack.estimates import summary
 from sim.stack.trials import Stack, drive_all
 from sim.world.bodies import Body
+from sim.world.localiser_errors import LocaliserRanges
 from sim.world.randomization import Randomization, load_randomization
 from sim.world.skid_robot import Contact, SkidRanges
 
@@ -102,16 +103,6 @@ def test_a_trial_is_the_same_whatever_the_number_of_processes():
     assert len({trial.pose for trial in alone}) == 4
 
 
-def test_a_driver_that_a_rule_stops_has_not_parked():
-    # Odometry that jumps by decimetres, of a robot whose driver believes that it does not.
-    driven = stack(Randomization(name="wild", noise_m=0.3))
-    driven.__dict__["known"] = RoverProfile(name="calm")
-    trial = driven.drive(0)
-    assert not trial.parked
-    assert trial.reason == "stopped by estimator"
-    assert trial.ticks < 20
-
-
 def test_a_driver_makes_up_for_the_turn_gain_that_its_gyro_or_its_identification_shows():
     # Outside the training's turn gains of 1.0 to 1.4; without either, both end 0.2 rad off.
     fast = Randomization(name="turning", turn_gain=(1.5, 1.5))
@@ -135,3 +126,12 @@ def test_the_command_line_drives_another_body(run_json):
     assert (code, fields["success_rate"], fields["trials"], fields["stack"]["overruns"]) == (0, 1.0, 1, 0)
     assert (fields["body"], fields["randomize"], fields["course"]) == ("mujoco", "nominal", BRIEF)
     assert math.isfinite(fields["stack"]["times_real_time"])
+
+
+def test_localiser_without_errors_that_last_drives_the_same_trial():
+    ranges = load_randomization("full")
+    same = ranges.model_copy(update={"localiser": LocaliserRanges()})
+    biased = ranges.model_copy(update={"localiser": LocaliserRanges(lasting_m=(0.03, 0.03))})
+    before, after, wrong = (stack(each, camera=True).drive(0) for each in (ranges, same, biased))
+    assert before == after
+    assert wrong.belief.error_m > before.belief.error_m

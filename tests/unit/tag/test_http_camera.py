@@ -1,10 +1,13 @@
 """Streams of cameras as bytes, their stamps, and the devices of a machine."""
 
+import time
+from collections import Counter
+
 import cv2
 import numpy as np
 import pytest
 
-from deploy.tag.cameras.camera import PictureMoments, devices
+from deploy.tag.cameras.camera import DeviceCamera, DeviceSettings, PictureMoments, devices
 from deploy.tag.cameras.http_camera import MAX_PICTURE, PictureReader, _stamp_ns
 
 PICTURES = [cv2.imencode(".jpg", np.full((8, 8), level, np.uint8))[1].tobytes() for level in (10, 90, 200)]
@@ -118,3 +121,39 @@ def test_each_camera_is_listed_once_in_order_with_the_path_that_it_keeps(tmp_pat
         ("/dev/video2", "RealSense", ""),
         ("/dev/video10", "Webcam", "/dev/v4l/by-id/usb-Webcam-index0"),
     ]
+
+
+class Device:
+    """A device with an autofocus, which has the size that is asked for."""
+
+    def __init__(self, *opened):
+        self.opened, self.was_set = opened, {cv2.CAP_PROP_AUTOFOCUS: 1.0}
+        Device.last = self
+
+    def isOpened(self):  # noqa: N802, OpenCV's name
+        return True
+
+    def set(self, key, value):
+        self.was_set[key] = value
+        return True
+
+    def get(self, key):
+        return self.was_set.get(key, 0.0)
+
+    def read(self):
+        time.sleep(0.01)
+        size = (self.was_set[key] for key in (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH))
+        return True, np.zeros((*size, 3), np.uint8)
+
+    def release(self):
+        pass
+
+
+@pytest.mark.parametrize("focus", [None, 30.0])
+def test_device_is_set_to_its_calibration(monkeypatch, caplog, focus):
+    monkeypatch.setattr(cv2, "VideoCapture", Device)
+    with DeviceCamera("/dev/video7", DeviceSettings((1280, 720), 30.0, focus), Counter()) as camera:
+        assert next(iter(camera)).grey.shape == (720, 1280)
+    assert (Device.last.opened[0], Device.last.was_set[cv2.CAP_PROP_FPS]) == (7, 30.0)
+    assert ("its autofocus is on" in caplog.text) is (focus is None)
+    assert Device.last.get(cv2.CAP_PROP_AUTOFOCUS) == (focus is None)

@@ -1,15 +1,14 @@
 """Updates of a drive for its live page, and the page that ``watch`` serves."""
 
 import json
-from dataclasses import replace
 from html import unescape
 
 import pytest
 from kit.recorded_drives import BEGAN_NS, TICK_NS, state
 
-from deploy.view.feed import Cursor, Feed
+from deploy.view.feed import Cursor
 from rover_ncp.wire.messages import read_text
-from rover_ncp.wire.protocol import DriverStatus, GateStatus, parse_json
+from rover_ncp.wire.protocol import DriverStatus, parse_json
 
 
 def joined(parts):
@@ -56,42 +55,11 @@ def test_a_new_drive_begins_anew(short, feed):
     assert len(feed.updates(cursor)["ticks"]["t"]) == short.course.ticks
 
 
-def killed(short, feed, tick=20):
-    """Take a drive up to a tick, after which its driver sends no more; return the time of that tick."""
-    until = BEGAN_NS + tick * TICK_NS + TICK_NS // 2
+def test_another_driver_that_is_refused_does_not_end_the_drive(short, feed):
+    until, cursor = BEGAN_NS + 20 * TICK_NS + TICK_NS // 2, Cursor()
     for message in short.messages:
         if message.log_ns <= until:
             feed.take(message)
-    return until
-
-
-def later(messages, by_ns, **leases):
-    """Return messages at a later time; a held lease has the number ``lease``."""
-    for message in messages:
-        moved = replace(message, log_ns=message.log_ns + by_ns, publish_ns=message.publish_ns + by_ns)
-        if message.topic == "rover/gate":
-            gate = parse_json(GateStatus, read_text(message.data))
-            moved = state(gate.model_copy(update=leases if gate.lease else {}), moved.log_ns)
-        yield moved
-
-
-def test_drive_after_a_killed_driver_begins_anew(short, feed):
-    until, cursor = killed(short, feed), Cursor()
-    feed.take(state(GateStatus(lease=1, held="bumper"), until))
-    assert len(feed.updates(cursor)["ticks"]["t"]) == 21
-    for message in named(later(short.messages, 600 * TICK_NS, lease=2), drive="second"):
-        feed.take(message)
-    found = feed.updates(cursor)
-    assert found["reset"] is True
-    assert found["ticks"]["t"] == pytest.approx([0.1 * tick for tick in range(short.course.ticks)])
-    alone = Feed(short.policy, short.course)
-    for message in short.messages:
-        alone.take(message)
-    assert found["html"]["summary"] == alone.updates(Cursor())["html"]["summary"]
-
-
-def test_another_driver_that_is_refused_does_not_end_the_drive(short, feed):
-    until, cursor = killed(short, feed), Cursor()
     feed.updates(cursor)
     feed.take(state(DriverStatus(state="armed", drive="another"), until))
     assert feed.updates(cursor)["status"]["state"] == "driving"

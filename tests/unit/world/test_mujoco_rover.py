@@ -76,18 +76,6 @@ def test_a_wall_stops_the_rover_and_is_seen():
     assert not body.in_contact
 
 
-def test_a_push_shifts_a_driving_rover():
-    body = rover()
-    body.command(0.1, 0.0)
-    advance(body, 3.0)
-    before, turned = body.pose, body.turned
-    body.push(Pose(0.01, -0.02, 0.03))
-    assert body.turned - turned == pytest.approx(0.03)
-    after = [b - a for a, b in zip(before, body.pose, strict=True)]
-    assert after == pytest.approx([0.01, -0.02, 0.03], abs=1e-6)
-    assert body.velocity.v == pytest.approx(0.1, abs=0.01)
-
-
 def test_floor_is_slippery_on_every_second_square():
     board = Patches(size_m=2.0, friction=0.05)
     hill = SkidRobot(slope_rad=0.1, patches=board)

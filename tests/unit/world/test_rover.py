@@ -68,37 +68,6 @@ def test_follows_the_papers_kinematics_in_open_ground(commands, delays):
     assert np.abs(turned).max() < 1e-4
 
 
-@pytest.mark.parametrize(("delay_v", "delay_omega"), [(0, 0), (15, 10)])
-def test_a_command_is_obeyed_after_exactly_its_delay(delay_v, delay_omega):
-    model = default_rover(delay_v_s=delay_v / 100, delay_omega_s=delay_omega / 100)
-    rover = PymunkRover(model, Ground())
-    for _ in range(3):
-        rover.substep()
-    rover.command(0.16, 0.18)
-    moving = []
-    for _ in range(60):
-        rover.substep()
-        moving.append((rover.velocity.v > 0, rover.velocity.omega > 0))
-    assert [v for v, _ in moving].index(True) == delay_v
-    assert [omega for _, omega in moving].index(True) == delay_omega
-
-
-def test_limits_may_change_while_driving():
-    rover = PymunkRover(default_rover(delay_v_s=0.0, delay_omega_s=0.0), Ground())
-    rover.change_limits(accel=0.5, decel=0.1, alpha=2.0, alpha_decel=1.0)
-    rover.command(10.0, -10.0)
-    rover.substep()
-    assert rover.velocity == pytest.approx(Velocity(0.005, -0.02))
-    rover.change_limits(v_max=0.02, omega_max=0.05)
-    for _ in range(30):
-        rover.substep()
-    assert rover.velocity == pytest.approx(Velocity(0.02, -0.05))
-    assert rover.target == Velocity(0.02, -0.05)
-    rover.command(0.0, 0.0)
-    rover.substep()
-    assert rover.velocity == pytest.approx(Velocity(0.019, -0.04))
-
-
 @pytest.mark.parametrize("center", [0.06, -0.04])
 def test_a_turn_on_the_spot_leaves_the_centre_of_rotation_where_it_is(center):
     rover = PymunkRover(

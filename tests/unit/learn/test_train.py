@@ -5,7 +5,6 @@ import fcntl
 import os
 import shlex
 import shutil
-from functools import partial
 
 import pytest
 from kit.paths import DATA, content
@@ -71,19 +70,6 @@ def test_the_first_agent_that_is_accepted_ends_the_training(reference, tmp_path)
     assert found.policy.parameters().tolist() == first.parameters().tolist()
     assert load_policy(tmp_path / "run" / "policy.yaml").provenance["agent"] == 0
     assert not (tmp_path / "run" / "agents" / "01.json").exists()
-
-
-@pytest.mark.long
-def test_dying_before_any_single_write_changes_nothing(reference, tmp_path, dies):
-    expected, deaths = content(reference), 0
-    while dies(deaths, partial(run, out := tmp_path / str(deaths))):
-        deaths += 1
-        (out / ".policy.yaml.x1y2z3").write_text("half a pol")
-        if (out / "agents").is_dir():
-            (out / "agents" / ".00.json.abc").write_text("{")
-        run(out, resume=(out / "settings.yaml").exists())
-        assert content(out) == expected
-    assert deaths > 5
 
 
 def test_an_interrupted_run_keeps_the_blocks_that_have_ended(reference, tmp_path):

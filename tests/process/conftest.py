@@ -14,7 +14,7 @@ def keys(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def rig(tmp_path_factory):
     """A mock and a bridge that drives it; a test leaves the rover standing, and no lease."""
     with LiveRun(tmp_path_factory.mktemp("rig")) as rig:

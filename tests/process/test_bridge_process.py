@@ -72,19 +72,6 @@ def test_rover_drives_stops_in_time_and_stops_again_at_ctrl_c(tmp_path):
     assert "\x1b" not in "".join(lines)
 
 
-def test_a_query_that_does_not_name_a_request_makes_none(tmp_path):
-    with LiveRun(tmp_path) as rig, Driver(rig.robot) as driver:
-        wait_for(lambda: driver.odom is not None)
-        for selector in ("**", "rover/*", "**/base"):
-            replies = list(driver.session.get(selector, timeout=0.5))
-            assert any("is not the key" in reply.err.payload.to_string() for reply in replies if reply.err)
-            assert [reply for reply in replies if reply.ok] == []
-        assert driver.gate.stop_reason == ""
-        (reply,) = driver.session.get("**/stop", payload=b'{"reason": "all"}')
-        assert reply.ok is not None
-        wait_for(lambda: driver.gate.stop_reason == "all")
-
-
 def test_no_robot_is_exit_3_once_the_bridge_listens(fails):
     assert fails(NO_ROBOT) == (3, f"{NO_ROBOT}: connection refused: nothing listens there")
 

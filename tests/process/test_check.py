@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from kit.peer import Peer
 
-from rover_ncp import cli
 from rover_ncp.core.geometry import ORIGIN, Pose, compose
 from rover_ncp.wire.messages import pose_with_covariance, read_odometry
 from rover_ncp.wire.zenoh import client_config
@@ -54,8 +53,3 @@ def test_check_ends_with_its_last_step_or_that_which_a_localiser_fails(rig, run_
             break
     assert (code, last["name"]) == (int(scale != 1.0), name), (localiser.stalled_s, last["detail"])
     assert "in the frame map" in str(fields)
-
-
-def test_check_names_the_namespaces_of_bridges(rig, capsys):
-    assert cli.run(f"check --robot {rig.robot} --namespace bot1 --on-blocks".split()) == 3
-    assert "bridges are announced in: no namespace (--namespace)" in capsys.readouterr().err

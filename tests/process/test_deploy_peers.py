@@ -4,7 +4,7 @@ import time
 
 import pytest
 import zenoh
-from kit.bridge_bench import client, wait_for
+from kit.bridge_bench import Driver, client, wait_for
 from kit.peer import Peer
 
 from deploy.drive.zenoh_link import ZenohLink
@@ -111,3 +111,17 @@ def test_a_driver_that_gets_two_answers_about_the_motors_does_not_start(rig):
         # The bridge's own grant ends unused; the next test's driver would be refused until then.
         wait_for(lambda: link.gate.driver_name == "test", 5.0)
         wait_for(lambda: link.gate.driver_name == "", 5.0)
+
+
+def test_a_query_that_does_not_name_a_request_makes_none(rig):
+    with Driver(rig.robot) as driver:
+        wait_for(lambda: driver.odom is not None)
+        for selector in ("**", "rover/*", "**/base"):
+            replies = list(driver.session.get(selector, timeout=0.5))
+            assert any("is not the key" in reply.err.payload.to_string() for reply in replies if reply.err)
+            assert [reply for reply in replies if reply.ok] == []
+        assert driver.gate.stop_reason == ""
+        (reply,) = driver.session.get("**/stop", payload=b'{"reason": "all"}')
+        assert reply.ok is not None
+        wait_for(lambda: driver.gate.stop_reason == "all")
+        driver.stop(release=True)

@@ -50,13 +50,16 @@ def test_a_turtlebot_is_found_behind_its_router_and_measured(tmp_path):
     mock = ["--ros2", "--model", "turtlebot4", "--listen", "127.0.0.1:0"]
     with Process("mock", mock, tmp_path) as robot:
         router = robot.wait_for_line("listening on ")
-        answers = {"Zenoh router": router, "sees the tags": "-", "halts by itself": "y", "wheels stand": "y"}
+        answers = {"Zenoh router": router, "halts by itself": "y", "wheels stand": "y"}
+        answers["sees the tags"] = "http://127.0.0.1:8102/"
         code, text = answered(tmp_path, answers)
     assert code == 0, text
     assert TURTLEBOT in text
     settings = load_robot_file(tmp_path / "robot.yaml").settings
     assert (settings.base, settings.model) == (f"ros2/tcp/{router}", "turtlebot4")
     assert 0.3 < settings.measured_base_timeout_s < 1.5
+    assert (settings.camera.source, settings.camera.file) == ("http://127.0.0.1:8102/", "camera.yaml")
+    assert (tmp_path / f"{settings.tags}.pdf").exists()
 
 
 def test_a_pioneer_is_asked_for_its_name_and_left_as_it_was(tmp_path):
@@ -66,16 +69,6 @@ def test_a_pioneer_is_asked_for_its_name_and_left_as_it_was(tmp_path):
         assert "p3at-sh" in pioneer_at(base)  # the line is free again
     with pytest.raises(NoRobot):
         pioneer_at(base)
-
-
-def test_a_pioneer_by_its_address_and_a_camera_need_no_more_than_the_defaults(tmp_path):
-    answers = {"Which robot": "tcp/127.0.0.1:8101", "sees the tags": "http://127.0.0.1:8102/"}
-    code, text = answered(tmp_path, answers)
-    assert code == 0, text
-    settings = load_robot_file(tmp_path / "robot.yaml").settings
-    assert (settings.base, settings.camera.source) == ("tcp/127.0.0.1:8101", "http://127.0.0.1:8102/")
-    assert settings.camera.file == "camera.yaml"
-    assert (tmp_path / f"{settings.tags}.pdf").exists()
 
 
 def test_without_a_terminal_it_says_what_is_missing_and_asks_nothing(tmp_path, monkeypatch, capsys):

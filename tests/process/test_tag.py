@@ -49,14 +49,14 @@ def test_drive_starts_from_the_pose_of_tags_and_camera_that_dies_ends_the_locali
         views = []
         watching = Viewer(BridgeAddress(live.robot), lambda message: views.append(message.topic))
         recording = str(tmp_path / "run.mcap")
-        seen = "--pose", "required", "--dry-run", "--duration", "4", "--record", recording
+        seen = "--pose", "required", "--dry-run", "--duration", "2", "--record", recording
         ended = live.deploy(*seen).wait(60.0)
         assert ended.result["pose"]["placed"]
         taken = read_recording(Path(recording))
         for name in (TAG_VIEW, TAG_OUTLINES):
             times_s = [1e-9 * message.log_ns for message in taken.topic(name)]
             assert len(times_s) - 1 == pytest.approx(2.0 * (times_s[-1] - times_s[0]), abs=1.5)
-            assert len(times_s) >= 6
+            assert len(times_s) >= 3
         assert len(decode(spec(TAG_OUTLINES).type, taken.topic(TAG_OUTLINES)[-1].data).points) == len(
             TAGS.tags
         )
@@ -69,16 +69,13 @@ def test_drive_starts_from_the_pose_of_tags_and_camera_that_dies_ends_the_locali
     assert lost.result["error"].startswith(f"camera {address}: ")
 
 
-def test_localiser_of_a_folder_needs_no_robot_and_reports(tmp_path, files):
+def test_localiser_of_a_folder_needs_no_robot_and_reports(tmp_path, files, run_json):
     pictures = tmp_path / "pictures"
     pictures.mkdir()
-
     for index in range(3):
         pose = Pose(0.1 * index, 0.02, 0.05)
         cv2.imwrite(str(pictures / f"{index}.png"), picture_of(pose, CAMERA, TAGS, seed=index))
-    done = Process("tag", ["run", "--camera", str(pictures), *files[0], *files[1], "--json"], tmp_path).wait(
-        60.0
-    )
-    assert done.code == 0
-    assert (done.result["pictures"], done.result["poses"]) == (3, 3)
-    assert done.result["last"]["x"] == pytest.approx(0.2, abs=0.005)
+    options = " ".join([*files[0], *files[1]])
+    code, result = run_json(f"tag run --camera {pictures} {options}")
+    assert (code, result["pictures"], result["poses"]) == (0, 3, 3)
+    assert result["last"]["x"] == pytest.approx(0.2, abs=0.005)

@@ -108,17 +108,6 @@ def lines_of(process):
     return "\n".join(process._lines_that_begin(""))
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 0)])
-def test_a_signal_stops_the_rover_and_leaves_no_process(robot, number, code):
-    up = robot.up()
-    children = children_of(up)
-    with robot.driving():
-        up.send_signal(number)
-        robot.stands()
-        assert up.wait(10.0).code == code
-    assert gone(children)
-
-
 def test_a_closed_terminal_stops_the_rover_and_leaves_no_process(robot):
     ours, theirs = pty.openpty()
     up = subprocess.Popen(
@@ -152,41 +141,10 @@ def test_a_killed_up_leaves_no_process_and_a_rover_that_stands(robot):
     assert gone(children)
 
 
-def test_a_killed_bridge_ends_all_and_is_named(robot):
-    robot.write(page=0)
-    up = robot.up()
-    up.wait_for_line("page ")
-    children = children_of(up)
-    bridge = next(child for child in children if "bridge" in child.cmdline())
-    with robot.driving():
-        bridge.kill()
-        robot.stands()
-        done = up.wait(10.0)
-    assert (done.code, len(children)) == (3, 2)
-    assert "killed by SIGKILL" in done.result["bridge"]
-    assert gone(children)
-
-
-def test_processes_beside_the_bridge_start_again_are_named_and_hinder_no_drive(robot):
-    """The page is killed once. The localiser ends each time, because its camera is not there."""
-    robot.write_camera("/dev/video97", page=0)
-    up = robot.up()
-    assert "/dev/video97" in up.wait_for_line("localiser ended with 2")
-    up.wait_for_line("page      watching")
-    page = next(child for child in children_of(up) if "watch" in child.cmdline())
-    page.kill()
-    assert "starts again" in up.wait_for_line("page      killed by SIGKILL")
-    wait_for(lambda: "(restart 1)" in lines_of(up), 60.0)
-    with robot.driving():
-        pass
-    assert lines_of(up).count("localiser ended") == 1
-    restarts = up.stop().result["restarts"]
-    assert (restarts["page"], restarts["localiser"] >= 1) == (1, True)
-
-
-def test_a_camera_that_is_unplugged_is_said_once_and_poses_come_again_with_it(robot):
+def test_page_and_localiser_start_again_and_a_killed_bridge_ends_all(robot):
+    """The page is killed once. The camera is unplugged while the rover drives, and comes back."""
     listen, poses = ("127.0.0.1", free_port("127.0.0.1")), []
-    robot.write_camera("http://{}:{}/".format(*listen), page=None)
+    robot.write_camera("http://{}:{}/".format(*listen), page=0)
     plugged = partial(MockCamera, *robot.camera_files, listen, 10.0, 1)
 
     def sends_poses(camera):
@@ -197,6 +155,9 @@ def test_a_camera_that_is_unplugged_is_said_once_and_poses_come_again_with_it(ro
         up = robot.up()
         client = ZenohClient(BridgeAddress(robot.bridge), lambda row, data: poses.append(row.name))
         wait_for(lambda: sends_poses(camera), 40.0, "poses")
+        up.wait_for_line("page      watching")
+        next(child for child in children_of(up) if "watch" in child.cmdline()).kill()
+        assert "starts again" in up.wait_for_line("page      killed by SIGKILL")
     with client, robot.driving() as driver:
         for _ in range(40):
             driver.drive(0.5)
@@ -207,18 +168,21 @@ def test_a_camera_that_is_unplugged_is_said_once_and_poses_come_again_with_it(ro
         with plugged() as camera:
             wait_for(lambda: sends_poses(camera), 40.0, "poses of the camera that is back")
             wait_for(lambda: "(restart" in lines_of(up), 20.0)
-    assert lines_of(up).count("localiser ended") == 1
+        assert lines_of(up).count("localiser ended") == 1
+        driver.start()
+        children = children_of(up)
+        next(child for child in children if "bridge" in child.cmdline()).kill()
+        robot.stands()
+        done = up.wait(10.0)
+    assert done.code == 3
+    assert "killed by SIGKILL" in done.result["bridge"]
+    assert (done.result["restarts"]["page"], done.result["restarts"]["localiser"] >= 1) == (1, True)
+    assert gone(children)
 
 
-def test_a_broken_file_starts_nothing(robot):
-    robot.file.write_text("base: tcp/127.0.0.1\nbrige: tcp/127.0.0.1:7449\n")
-    done = robot.up(ready=False).wait(20.0)
-    assert (done.code, done.last_line) == (2, f"{robot.file}: $.brige: unknown key; expected bridge")
-    assert not (robot.folder / "logs").exists()
-
-
-def test_a_second_up_is_refused_and_stop_holds_a_driven_rover_until_released(robot, run_json):
+def test_a_second_up_is_refused_stop_holds_a_driven_rover_and_ctrl_c_ends_all(robot, run_json):
     up = robot.up()
+    children = children_of(up)
     second = robot.up("second", ready=False).wait(20.0)
     assert (second.code, up.running) == (2, True)
     assert f"process {up.pid}" in second.last_line
@@ -229,6 +193,10 @@ def test_a_second_up_is_refused_and_stop_holds_a_driven_rover_until_released(rob
         assert driver.motors().reason == "stopped"
         assert run_json(f"stop --release --robot {robot.file}")[0] == 0
         driver.start()
+        up.send_signal(signal.SIGINT)
+        robot.stands()
+        assert up.wait(10.0).code == 130
+    assert gone(children)
 
 
 def test_a_stop_without_confirmation_is_not_called_one(run_json):
@@ -246,31 +214,3 @@ def test_a_docking_that_a_silent_line_ended_resumes(robot):
         assert "resumes in 5 s (1 of 3)" in up.wait_for_line("bridge    the base sends packets again", 20.0)
     assert "home.yaml: no such file" in up.wait_for_line("docking   ended with 2", 20.0)
     assert up.stop().result["resumed"] == 1
-
-
-def test_a_restarted_router_of_a_ros_2_robot_is_one_line_with_what_to_do(tmp_path):
-    port, model = free_port("127.0.0.1"), ["--ros2", "--model", "turtlebot3-burger"]
-    folders = [tmp_path / name for name in ("mock", "mock2", "up")]
-    for folder in folders:
-        folder.mkdir()
-    file = tmp_path / "robot.yaml"
-    settings = {"base": f"ros2/tcp/127.0.0.1:{port}", "model": "turtlebot3-burger"}
-    settings |= {
-        "bridge": f"tcp/127.0.0.1:{free_port('127.0.0.1')}",
-        "page": None,
-        "measured_base_timeout_s": 0.5,
-    }
-    file.write_text(dump_yaml(settings))
-
-    def mock(folder):
-        found = Process("mock", ["--listen", f"127.0.0.1:{port}", *model], folder)
-        found.wait_for_line("listening on ")
-        return found
-
-    first = mock(folders[0])
-    with Process("up", ["--robot", str(file)], folders[2]) as up:
-        up.wait_for_line("bridge    ready")
-        first.stop()
-        assert "check power, cable and network" in up.wait_for_line("bridge    the base is lost", 20.0)
-        with mock(folders[1]):
-            wait_for(lambda: "start the drive again" in lines_of(up), 20.0)

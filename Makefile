@@ -196,7 +196,7 @@ sanitize: $(STAMP) ## The native library's tests under AddressSanitizer and Unde
 	LD_PRELOAD="$$(c++ -print-file-name=libasan.so) $$(c++ -print-file-name=libubsan.so)" \
 		ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 NATIVE=build/sanitized \
 		$(BIN)/pytest -q tests/unit/test_native.py tests/unit/circuit/test_solver.py tests/unit/learn/test_evaluator.py \
-		tests/unit/search/test_descent.py
+		tests/unit/search/test_gauss_newton.py
 
 .PHONY: test-pure
 test-pure: $(STAMP) ## Circuits and drives without the native library: the same bits.

@@ -33,6 +33,7 @@ OPTIONS = [
     "identify",
     f"check {ROBOT}",
     "mock --ros2 --model turtlebot4 --gyro",
+    "mock --fault explode",
     "course check parking --out x.pdf",
     f"bridge {BASE} --no-base-watchdog",
     f"deploy {ROBOT} --duration nan",

@@ -10,7 +10,6 @@ import time
 import pytest
 from kit.training_processes import is_running
 
-from rover_ncp.core.spawned import starting_processes
 from sim.learn.workers import ProcessPool, WorkerDied
 from sim.park.live import wait_for
 
@@ -42,11 +41,6 @@ def test_process_that_dies_is_reported(child):
         pool.submit(signal.raise_signal, signal.SIGKILL).result()
     assert child.is_alive()
     assert multiprocessing.active_children() == [child]
-
-
-def test_ctrl_c_while_processes_start_is_not_lost():
-    with pytest.raises(KeyboardInterrupt), starting_processes():
-        signal.raise_signal(signal.SIGINT)
 
 
 def test_processes_end_with_their_parent():

@@ -30,14 +30,6 @@ def test_mean_turn_rate_over_a_second_is_within_two_thousandths():
     assert max(turn_error(omega, 0.1) for omega in rates) <= 0.002
 
 
-def test_standing_rover_gets_nothing_but_zero():
-    quantiser = Quantiser()
-    for k in range(40):
-        quantiser.step(Velocity(0.1, 0.05), k * 0.05)
-    for k in range(40, 1000):
-        assert quantiser.step(Velocity(0.0015, -0.0015), k * 0.05) == (0, 0)
-
-
 @given(st.lists(st.tuples(st.floats(-2, 2), st.floats(-5, 5), st.floats(0, 3)), min_size=1))
 def test_each_setpoint_is_next_to_the_gates_value(commands):
     """Invariant: nothing but quantisation changes the gate's value: not a clamp, not a carried remainder."""

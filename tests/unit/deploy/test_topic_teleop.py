@@ -72,9 +72,9 @@ class Run:
 
 
 def test_a_node_drives_while_it_publishes_and_releases_the_lease_afterwards():
-    run = Run(Span(2.0, 4.0, AHEAD)).run(7.0)
+    run = Run(Span(2.0, 4.0, AHEAD)).run(5.5)
     assert run.speeds[max(at for at in run.speeds if at < 3.9)] == pytest.approx(0.1, abs=0.003)
-    assert not run.moved(3.9 + 0.4 + 0.1 / 0.3 + 0.2, 7.0)
+    assert not run.moved(3.9 + 0.4 + 0.1 / 0.3 + 0.2, 5.5)
     released = next(at for at, lease in run.leases if at > 4.0 and lease == 0)
     assert released == pytest.approx(3.9 + 1.0, abs=0.15)
 
@@ -87,15 +87,15 @@ def test_a_node_that_never_pauses_moves_nothing_until_it_sends_a_zero():
 
 
 def test_after_a_stop_a_node_drives_only_after_a_pause():
-    run = Run(Span(1.1, 6.0, AHEAD), Span(7.2, 9.0, AHEAD))
+    run = Run(Span(1.1, 4.0, AHEAD), Span(5.2, 6.5, AHEAD))
     run.at = [
         (2.5, lambda: run.bridge.query("rover/stop", b"{}")),
         (3.0, lambda: run.bridge.query("rover/stop", b'{"release": true}')),
     ]
-    run.run(10.0)
+    run.run(7.0)
     assert run.moved(1.5, 2.5)
-    assert not run.moved(3.3, 7.2)
-    assert run.moved(7.5, 9.0)
+    assert not run.moved(3.3, 5.2)
+    assert run.moved(5.5, 6.5)
 
 
 def test_only_one_node_drives_at_a_time(caplog):
@@ -113,15 +113,14 @@ def test_only_one_node_drives_at_a_time(caplog):
         ({"velocity": AHEAD, "age_s": 0.5}, "0.5 s old"),
         ({"velocity": Velocity(math.nan, 0.0)}, "not finite"),
         ({"velocity": None, "data": b"x" * 60}, "cannot be read"),
-        ({"velocity": None, "data": twist_stamped(AHEAD, 10**9)}, "s old"),
     ],
-    ids=["stale", "not finite", "unreadable", "its clock stands still"],
+    ids=["stale", "not finite", "unreadable"],
 )
 def test_a_command_that_is_not_fresh_finite_and_readable_stops_the_rover(bad, words, caplog):
     caplog.set_level("INFO", "rover_ncp")
-    run = Run(Span(1.5, 3.0, AHEAD), Span(3.0, 8.0, **bad)).run(8.0)
+    run = Run(Span(1.5, 3.0, AHEAD), Span(3.0, 5.0, **bad)).run(5.0)
     assert run.moved(2.0, 3.0)
-    assert not run.moved(3.9, 8.0)
+    assert not run.moved(3.9, 5.0)
     assert caplog.text.count(words) == 1
     assert next(at for at, lease in run.leases if at > 3.0 and lease == 0) < 4.2
 

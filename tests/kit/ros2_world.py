@@ -33,11 +33,6 @@ def twist(velocity):
     return encode(messages.TWIST, linear={"x": velocity.v}, angular={"z": velocity.omega})
 
 
-def beyond_its_second(data):
-    """Return a message that begins with a Header, with 4 s in the nanoseconds of its stamp."""
-    return data[:8] + (4_000_000_000).to_bytes(4, "little") + data[12:]
-
-
 class Line:
     """A session that keeps what is sent."""
 

@@ -1,17 +1,14 @@
 """The ROS 2 base on a virtual clock."""
 
-import math
-
 import numpy as np
 import pytest
-from kit.ros2_world import BURGER, EPOCH_S, World, announced, twist
+from kit.ros2_world import BURGER, World, announced, twist
 
 from bridge.base import Failed, Lost, PassedOn, Ready, Recovered
 from bridge.ros2.discovery import Announced, LoopSeen, TokenSeen
 from rover_ncp.core.geometry import Velocity
-from rover_ncp.wire.cdr import decode, encode
+from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import (
-    BATTERY_STATE,
     DOCKED_TYPES,
     ODOMETRY,
     TWIST,
@@ -24,25 +21,6 @@ from rover_ncp.wire.messages import (
 def test_it_is_ready_when_odometry_arrives_evenly(world, prefix):
     world.run(2.0, frames=(f"{prefix}odom", f"{prefix}base_footprint"))
     assert world.events == [Ready("turtlebot3-burger on tcp/robot:7447", BURGER)]
-
-
-def test_the_pose_begins_at_zero_wherever_the_robot_is():
-    world = World()
-    world.x = 5.0
-    world.run(2.0, y=3.0, theta=math.pi / 2)
-    assert (world.reports[0].x, world.reports[0].y, world.reports[0].theta) == pytest.approx((0, 0, 0))
-    for y in np.linspace(3.0, 4.0, 41):  # a metre along the y-axis, where it headed at first
-        world.run(0.1, y=y, theta=math.pi / 2)
-    assert (world.reports[-1].x, world.reports[-1].y) == pytest.approx((1.0, 0.0))
-
-
-def test_a_twist_stamped_carries_the_robots_time(ready):
-    ready.setpoint_v = 0.1
-    ready.run(0.1)
-    sent = decode(TWIST_STAMPED, ready.line.sent[-1])
-    assert (sent.twist.linear.x, sent.twist.angular.z) == (0.1, 0.0)
-    assert sent.header.frame_id == "base_footprint"
-    assert ready.stamp_s == pytest.approx(EPOCH_S + ready.now, abs=0.06)
 
 
 def test_zeros_are_sent_while_it_is_not_ready(world):
@@ -75,16 +53,6 @@ def test_each_word_of_the_robot_that_it_is_docked_is_passed_on(field, docked):
     assert [event for event in world.events if isinstance(event, PassedOn)] == [
         PassedOn("docked", boolean(docked))
     ] * 2
-
-
-@pytest.mark.parametrize(("status", "charging"), [(0, None), (1, True), (2, False)])
-def test_battery_is_known_for_a_minute(ready, status, charging):
-    ready.hear("battery_state", encode(BATTERY_STATE, voltage=11.5, power_supply_status=status))
-    ready.run(59.0)
-    assert (ready.reports[-1].battery_v, ready.reports[-1].charging) == (pytest.approx(11.5), charging)
-    assert ready.reports[-1].battery_age_s == pytest.approx(59.0, abs=0.2)
-    ready.run(2.0)
-    assert (ready.reports[-1].battery_v, ready.reports[-1].charging) == (0.0, None)
 
 
 # Bad input.

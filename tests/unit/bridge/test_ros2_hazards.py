@@ -7,7 +7,7 @@ from kit.ros2_world import World
 from bridge.base import Ready
 from bridge.ros2.discovery import Announced, TokenSeen
 from rover_ncp.wire.cdr import encode
-from rover_ncp.wire.messages import BATTERY_STATE, BOOL, IMU, hazards
+from rover_ncp.wire.messages import BOOL, hazards
 
 UINT8 = "std_msgs/msg/UInt8"
 LATCHED = {"topic": "stop", "latched": True}
@@ -32,20 +32,6 @@ def unknown(world, seconds=0.1):
 
 def publisher(there, zid="estop", ros_type=BOOL, source=None):
     return TokenSeen(Announced(zid, True, "stop", ros_type, "/estop", source), there)
-
-
-@pytest.mark.parametrize("pressed", [True, False])
-def test_gyro_battery_stop_button_and_hazards_are_passed_on(pressed):
-    world = world_of(stop="stop", hazards="hazard_detection")
-    world.hear("imu", encode(IMU, angular_velocity={"z": 0.2}))
-    world.hear("battery_state", encode(BATTERY_STATE, voltage=11.5, power_supply_status=1))
-    press(world, pressed)
-    world.hear("hazard_detection", hazards((1, 3) if pressed else (0, 5), 0))
-    world.run(0.1)
-    report = world.reports[-1]
-    assert (report.stop_pressed, report.stalled[0], any(report.bumpers)) == (pressed,) * 3
-    assert world.turns[-1].rate == pytest.approx(0.2)
-    assert (report.battery_v, report.charging) == (pytest.approx(11.5), True)
 
 
 def test_a_stop_and_a_contact_that_end_before_the_next_odometry_are_passed_on_once():

@@ -6,10 +6,9 @@ import struct
 
 import numpy as np
 import pytest
-from kit.ros2_world import BURGER, EPOCH_S, World, beyond_its_second, header
+from kit.ros2_world import BURGER, EPOCH_S, World, header
 
 from bridge.base import Notice, PassedOn
-from rover_ncp.core.geometry import ORIGIN
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import (
@@ -17,8 +16,6 @@ from rover_ncp.wire.messages import (
     IMU,
     LASER_SCAN,
     POSE_STAMPED,
-    pose_with_covariance,
-    read_pose,
 )
 
 SIGNALLING_NAN = bytes.fromhex("0100807f")
@@ -88,20 +85,6 @@ def test_room_by_a_scan_counts_from_the_outline(ready, payload, ahead, behind):
     assert room(ready, payload) == pytest.approx((ahead, behind), abs=1e-3, nan_ok=True)
 
 
-@pytest.mark.parametrize(
-    "payload",
-    [b"", encode(LASER_SCAN, ranges=np.ones(1, np.float32)), beyond_its_second(scan())],
-)
-def test_a_scan_that_is_none_is_named_and_none_or_an_old_one_is_no_room(ready, payload):
-    assert math.isnan(room(ready, payload)[0])
-    assert ready.reports[-1].room_unknown.startswith("1 message on scan cannot be used: ")
-    ready.hear("scan", scan())
-    ready.run(0.5)
-    assert ready.reports[-1].clear_ahead_m == math.inf
-    ready.run(1.0)
-    assert math.isnan(ready.reports[-1].clear_ahead_m)
-
-
 def test_a_laser_that_looks_to_the_left_is_turned():
     world, frames = World(load_description("turtlebot4")), ("odom", "base_link")
     world.run(2.0, frames=frames)
@@ -129,16 +112,6 @@ def localising():
     """A robot with a localiser of its own, whose base is ready."""
     topics = BURGER.topics.model_copy(update={"pose": "amcl_pose"})
     return World(BURGER.model_copy(update={"topics": topics})).run(1.0)
-
-
-def test_poses_of_the_robots_own_localiser_are_passed_on(localising):
-    localising.hear("amcl_pose", pose_of(90.0, frame="bot1/map"))
-    found = read_pose(localising.last.data)
-    assert found.pose == pytest.approx((1.0, 0.0, math.pi / 2))
-    assert (found.frame, found.stamp_ns, found.covariance.any()) == ("bot1/map", EPOCH_S * 1e9, False)
-    given = pose_with_covariance(ORIGIN, np.eye(3), 5, "map")
-    localising.hear("amcl_pose", given)
-    assert localising.last == PassedOn("pose", given)
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,7 @@ NAMES = ["link", "odometry", "battery", "stop", "watchdog", "motors", "forward"]
 NAMES += ["slow", "left", "silence"]
 
 
-@pytest.mark.parametrize("robot", ["p3at-sh", "turtlebot4", "husky-a200"])
+@pytest.mark.parametrize("robot", ["p3at-sh", "husky-a200"])
 def test_robot_that_is_well_passes_all_checks_and_stands(robot):
     findings, link, rover = check(robot=robot, model=robot)
     assert [finding for finding in findings if not finding.ok] == []

@@ -45,12 +45,8 @@ def test_random_robot_is_identified_from_its_bytes():
 
 @pytest.mark.parametrize(
     ("signs", "words"),
-    [
-        ((0, 0, 0), "drove 0.000 m where 0.319 m were commanded"),
-        ((-1, 1, -1), "drove -0.2"),
-        ((1, -1, -1), "turned by -0.3"),
-    ],
-    ids=["frozen", "backward", "mirrored"],
+    [((0, 0, 0), "drove 0.000 m where 0.319 m were commanded"), ((1, -1, -1), "turned by -0.3")],
+    ids=["frozen", "mirrored"],
 )
 def test_odometry_that_does_not_show_the_steps_ends_the_drive(signs, words, monkeypatch):
     class FaultyLink(VirtualLink):

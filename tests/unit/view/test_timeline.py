@@ -77,26 +77,6 @@ def test_drive_is_judged_by_the_true_and_the_estimated_pose(tmp_path, truth):
         assert verdict.parked is run.verdict.parked
 
 
-def test_gate_decisions_of_earlier_drives_do_not_count(short):
-    received = short.messages
-    earlier = {"accepted": 4000, "dropped": {"stale": 3}, "stops": {"bumper": 2, "stale": 1}}
-    first, last = received[0].log_ns, received[-1].log_ns
-    gates = [
-        state(GateStatus(**earlier), first - 2),
-        state(GateStatus(**earlier, lease=7), first - 1),
-        *received,
-        state(GateStatus(**earlier | {"accepted": 4100, "dropped": {"stale": 5}}), last + 1),
-    ]
-    others = [message for message in gates if message.topic != "rover/gate" or message not in received]
-    timeline = timeline_of(short, others)
-    assert timeline.gate.model_dump(include={"accepted", "dropped", "stops"}) == {
-        "accepted": 100,
-        "dropped": {"stale": 2},
-        "stops": {},
-    }
-    assert not any("touched" in verdict.reason for verdict in timeline.judge().values())
-
-
 def attached(path, **files):
     """Write a recording that has these files and no message."""
     with RecordingWriter(path) as writer:

@@ -5,13 +5,11 @@ import pytest
 
 from rover_ncp.circuit.policy import course_policy
 from rover_ncp.circuit.policy_file import load_circuit
-from rover_ncp.core.geometry import Pose
 from rover_ncp.course.course import load_course
 from rover_ncp.robot.profile import RoverProfile
 from sim.learn.rollout import rollout
 from sim.world.described import default_rover
-from sim.world.motion_errors import BaseErrors, OdometryErrors, apply_base_errors, dead_reckon
-from sim.world.pymunk_rover import Ground, PymunkRover
+from sim.world.motion_errors import BaseErrors, apply_base_errors
 from sim.world.random_course import random_course
 from sim.world.randomization import (
     Randomization,
@@ -64,27 +62,6 @@ def test_longer_drives_continue_the_same_trials(name):
         if field in {"noise", "age", "lost"}:
             longer = longer[:, : values.shape[1]]
         assert np.array_equal(values, longer), field
-
-
-@pytest.mark.parametrize(("gain", "center"), [(1.4, 0.06), (1.2, -0.06)])
-def test_odometry_of_a_skidding_rover_is_that_of_its_wheels(gain, center):
-    """A rover that turns by ``gain`` and slides, and one without skid: their wheels go the same way."""
-    start = Pose(1.0, -2.0, 3.0)
-    skidding = PymunkRover(default_rover(turn_gain=gain, rotation_center_m=center), Ground(), start)
-    plain = PymunkRover(default_rover(), Ground(), start)
-    errors = OdometryErrors(1.0, 1.0, 0.0, 0.0, 0.0, gain, center)
-    seen = before = start
-    for tick in range(150):
-        for rover in (skidding, plain):
-            rover.command(0.1 * math.cos(0.2 * tick), 0.3 * math.sin(0.1 * tick))
-            for _ in range(10):
-                rover.substep()
-        seen, before = dead_reckon(seen, before, skidding.pose, errors), skidding.pose
-        assert skidding.encoders == pytest.approx(plain.encoders, abs=1e-9)
-    # Substeps are straight: in each the centre moves by half of its offset times the turn squared.
-    moved = 1500 * abs(center) * (0.3 * gain * 0.01) ** 2 / 2
-    assert seen == pytest.approx((*plain.pose[:2], plain.turned), abs=moved)
-    assert math.dist(skidding.pose[:2], plain.pose[:2]) > 0.02
 
 
 @pytest.mark.parametrize(("sensors", "sees"), [("encoders", 0), ("gyro", 1), ("camera", 2)])

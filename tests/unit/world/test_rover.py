@@ -68,28 +68,6 @@ def test_follows_the_papers_kinematics_in_open_ground(commands, delays):
     assert np.abs(turned).max() < 1e-4
 
 
-@pytest.mark.parametrize("center", [0.06, -0.04])
-def test_a_turn_on_the_spot_leaves_the_centre_of_rotation_where_it_is(center):
-    rover = PymunkRover(
-        default_rover(turn_gain=1.3, rotation_center_m=center),
-        Ground(),
-        Pose(1.0, 2.0, 0.5),
-    )
-
-    def centre():
-        x, y, theta = rover.pose
-        return x - center * math.cos(theta), y - center * math.sin(theta)
-
-    before = centre()
-    rover.command(0.0, 0.18)
-    for _ in range(1000):
-        rover.substep()
-    assert rover.velocity.omega == pytest.approx(1.3 * 0.18)
-    assert rover.encoders == pytest.approx(Velocity(0.0, 0.18), abs=1e-9)
-    # Substeps are straight: in each the centre moves by half of its offset times the turn squared.
-    assert math.dist(centre(), before) < 1000 * abs(center) * (1.3 * 0.18 * 0.01) ** 2 / 2
-
-
 @pytest.mark.parametrize("command", [(math.nan, 0.0), (0.0, math.inf)])
 def test_refuses_a_command_that_is_no_number(command):
     rover = PymunkRover(default_rover(), Ground())

@@ -23,7 +23,6 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 
 from paper.__main__ import run_command_line
 from rover_ncp.circuit.circuit import DEFAULTS, MAX_NEURONS, Circuit, ParameterKind, SynapseKind
@@ -35,11 +34,11 @@ from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import require_writable, write_atomic
 
 _VALUES = {
-    "cm": ParameterKind.CAPACITANCE,
-    "gleak": ParameterKind.LEAK,
     "vleak": ParameterKind.LEAK_POTENTIAL,
-    "const": ParameterKind.LEAK_POTENTIAL,
+    "gleak": ParameterKind.LEAK,
+    "cm": ParameterKind.CAPACITANCE,
 }
+"""In the order of a circuit's fields."""
 _SYNAPSES = {"ex": SynapseKind.EXCITATORY, "inh": SynapseKind.INHIBITORY, "gj": SynapseKind.GAP}
 _NEURONS = ("PVD", "PLM", "AVA", "AVD", "PVC", "AVB", "AVM", "ALM", "DVA", "FWD", "REV")
 _PARKING_NEURONS = (*_NEURONS[:9], "LFT", "RGT", "FWD")
@@ -48,17 +47,17 @@ _PARKING_NEURONS = (*_NEURONS[:9], "LFT", "RGT", "FWD")
 def circuit_from_bnn(text: str, name: str, source: str) -> Circuit:
     """Read a circuit; raises ConfigError naming ``source``, and the first line that cannot be read."""
     size = 0
-    values: dict[str, dict[int, float]] = {word: {} for word in _VALUES}
+    values: dict[str, dict[int, float]] = {word: {} for word in (*_VALUES, "const")}
     synapses: list[tuple[SynapseKind, int, int, float, float]] = []
     for number, line in enumerate(text.splitlines(), start=1):
         word, *fields = line.partition("#")[0].split() or [""]
         try:
             if word in _SYNAPSES:
-                origin, destination, weight, *sigma = fields
+                fields += [str(DEFAULTS[ParameterKind.SIGMA])] * (len(fields) == 3)
+                origin, destination, weight, sigma = fields
                 ends = _neuron(origin, size), _neuron(destination, size)
-                last = float(*sigma) if sigma else DEFAULTS[ParameterKind.SIGMA]
-                synapses.append((_SYNAPSES[word], *ends, float(weight), last))
-            elif word in _VALUES:
+                synapses.append((_SYNAPSES[word], *ends, float(weight), float(sigma)))
+            elif word in values:
                 neuron, value = fields
                 values[word][_neuron(neuron, size)] = float(value)
             elif word == "size" and not size:
@@ -71,25 +70,16 @@ def circuit_from_bnn(text: str, name: str, source: str) -> Circuit:
     if not size:
         raise ConfigError(source, ["no size statement"])
 
-    def per_neuron(word: str) -> NDArray[np.float64]:
-        return np.array([values[word].get(i, DEFAULTS[_VALUES[word]]) for i in range(size)])
-
-    kind, origins, destinations, weights, sigmas = zip(*synapses, strict=True) if synapses else ((),) * 5
+    table = np.array(synapses, np.float64).reshape(-1, 5).T
+    kind, origins, destinations = table[:3].astype(np.int64)
+    potential, leak, capacitance = (
+        np.array([values[word].get(i, DEFAULTS[_VALUES[word]]) for i in range(size)]) for word in _VALUES
+    )
     known = _NEURONS if size <= len(_NEURONS) else _PARKING_NEURONS
+    neurons = tuple(known[i] if i < len(known) else f"N{i}" for i in range(size))
+    wires = kind, origins, destinations, table[3], table[4]
     try:
-        return Circuit(
-            name=name,
-            neurons=tuple(known[i] if i < len(known) else f"N{i}" for i in range(size)),
-            kind=np.array(kind, np.int64),
-            source=np.array(origins, np.int64),
-            destination=np.array(destinations, np.int64),
-            weight=np.array(weights, np.float64),
-            sigma=np.array(sigmas, np.float64),
-            leak_potential=per_neuron("vleak"),
-            leak=per_neuron("gleak"),
-            capacitance=per_neuron("cm"),
-            held=values["const"],
-        )
+        return Circuit(name, neurons, *wires, potential, leak, capacitance, held=values["const"])
     except ConfigError as error:
         raise ConfigError(source, error.problems) from error
 

@@ -10,12 +10,12 @@ run with vertical steps, and P > 1.5 Q. ``readings`` has all twelve.
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -55,7 +55,7 @@ class Claim(StrictModel):
     name: str
     words: str
     where: str
-    test: Literal["rate", "algorithm1", "compare", "sign", "parameters", "constants", "varying"]
+    test: str
     arguments: dict[str, Any] = Field(default_factory=dict)
     comparable: bool = True
     """Whether the test decides. Figures of other things than the paper's do not."""
@@ -80,9 +80,9 @@ class ClaimsFile(StrictModel):
         return [claim for claim in self.claims if claim.test == test]
 
 
-@dataclass(frozen=True)
+@dataclass
 class Finding:
-    """Result of a test before Holm's correction."""
+    """Result of a test."""
 
     figure: str = ""
     against: str = ""
@@ -98,54 +98,42 @@ class Finding:
     """Runs that a verdict needs beside the stored ones."""
 
 
-class Judged(NamedTuple):
-    """A claim with its verdict."""
-
-    name: str
-    words: str
-    where: str
-    verdict: Verdict
-    figure: str
-    against: str
-    why: str
-
-
 def load_claims() -> ClaimsFile:
     """Return the claims."""
     return parse_yaml(read_text(CLAIMS), ClaimsFile, str(CLAIMS))
 
 
-def judge_claims(store: ResultStore, claims: Sequence[Claim]) -> list[Judged]:
-    """Return the verdicts on claims. Raises FileError."""
+def judge_claims(store: ResultStore, claims: Sequence[Claim]) -> list[Finding]:
+    """Return what the runs say on claims, each with a verdict. Raises FileError."""
     findings = [_TESTS[claim.test](store, **claim.arguments) for claim in claims]
-    for number, claim in enumerate(claims):
-        if not claim.comparable and findings[number].verdict is not Verdict.NOT_TESTED:
-            findings[number] = replace(findings[number], verdict=Verdict.NOT_COMPARABLE, p=None)
-    places: dict[tuple[str, str | None], dict[int, float]] = {}
-    for number, (claim, finding) in enumerate(zip(claims, findings, strict=True)):
+    places: dict[tuple[str, str], list[Finding]] = {}
+    for claim, finding in zip(claims, findings, strict=True):
+        if not claim.comparable and finding.verdict is not Verdict.NOT_TESTED:
+            finding.verdict, finding.p = Verdict.NOT_COMPARABLE, None
         if finding.p is not None:
-            places.setdefault((claim.where, claim.test), {})[number] = finding.p
+            places.setdefault((claim.where, claim.test), []).append(finding)
     for found in places.values():
-        for number, p in zip(found, holm(list(found.values())), strict=True):
-            findings[number] = replace(findings[number], p=p)
-    return [_judged(claim, finding) for claim, finding in zip(claims, findings, strict=True)]
+        for finding, p in zip(found, holm([finding.p or 0.0 for finding in found]), strict=True):
+            finding.p = p
+    for claim, finding in zip(claims, findings, strict=True):
+        _decide(claim, finding)
+    return findings
 
 
-def _judged(claim: Claim, finding: Finding) -> Judged:
-    verdict, why = finding.verdict, claim.why
+def _decide(claim: Claim, finding: Finding) -> None:
+    """Give a finding its verdict and the reason of one that is open."""
     core_h = f"{finding.missing} runs are missing, about {finding.missing * claim.core_h:.2g} core hours"
-    if verdict is None:
-        assert finding.p is not None
-        verdict = finding.significant if finding.p < LEVEL else Verdict.UNDECIDED
-    if verdict is Verdict.UNDECIDED:
-        why = f"{finding.why}; {core_h}" if finding.p is None else f"p = {finding.p:.2g}, {finding.why}"
-    elif verdict is Verdict.NOT_TESTED:
-        why = core_h
-    elif verdict is not Verdict.NOT_COMPARABLE:
-        why = ""
-    from_paper = finding.against and claim.test in ("rate", "algorithm1")
-    against = f"{claim.where}: {finding.against}" if from_paper else finding.against
-    return Judged(claim.name, claim.words, claim.where, verdict, finding.figure, against, why)
+    if finding.verdict is None:
+        significant = finding.p is not None and finding.p < LEVEL
+        finding.verdict = finding.significant if significant else Verdict.UNDECIDED
+    if finding.verdict is Verdict.UNDECIDED:
+        finding.why = (
+            f"{finding.why}; {core_h}" if finding.p is None else f"p = {finding.p:.2g}, {finding.why}"
+        )
+    else:
+        finding.why = {Verdict.NOT_TESTED: core_h, Verdict.NOT_COMPARABLE: claim.why}.get(finding.verdict, "")
+    if finding.against and claim.test in ("rate", "algorithm1"):
+        finding.against = f"{claim.where}: {finding.against}"
 
 
 def _too_few(*counts: int) -> Finding | None:
@@ -184,7 +172,10 @@ def compare(
     better: bool = False,
 ) -> Finding:
     """Compare the circuit's returns with another agent's: ``better``, or not worse by the task's margin."""
-    ours, theirs = store.returns(task, "circuit", budget), store.returns(task, other, other_budget or budget)
+    ours, theirs = (
+        np.array([run.mean for run in store.results(task, agent, of)])
+        for agent, of in (("circuit", budget), (other, other_budget or budget))
+    )
     if untested := _too_few(len(ours), len(theirs)):
         return untested
     found = welch(ours, theirs)
@@ -273,13 +264,7 @@ def parameters(_: ResultStore, *, task: str, other: str) -> Finding:
 
 
 _TESTS: Mapping[str, Callable[..., Finding]] = {
-    "rate": rate,
-    "algorithm1": algorithm1,
-    "compare": compare,
-    "sign": sign,
-    "constants": constants,
-    "varying": varying,
-    "parameters": parameters,
+    test.__name__: test for test in (rate, algorithm1, compare, sign, constants, varying, parameters)
 }
 
 

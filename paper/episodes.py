@@ -10,6 +10,7 @@ import tempfile
 from ctypes import c_bool, c_double, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -50,22 +51,6 @@ class Episodes(ctypes.Structure):
     )
 
 
-class _Circuits(ctypes.Structure):
-    _fields_ = (
-        *((name, c_void_p) for name in ("fill", "tick", "circuits", "observations", "commands")),
-        *((name, c_int64) for name in ("size", "neurons")),
-        *((name, c_void_p) for name in ("vectors", "potentials")),
-        ("rest", c_double),
-    )
-
-
-class _Networks(ctypes.Structure):
-    _fields_ = (
-        *((name, c_int64) for name in ("gates", "cells", "size")),
-        *((name, c_void_p) for name in ("vectors", "weight", "hidden", "memory", "sums")),
-    )
-
-
 @cache
 def library() -> ctypes.CDLL:
     """Return the library of ``native.c``, compiled once for each content. Raises UsageError."""
@@ -95,16 +80,15 @@ class MujocoPool:
     From Python a step of the inverted pendulum costs more in calls than in physics.
     """
 
-    def __init__(self, file: str, step_s: float) -> None:
+    def __init__(self, environment: str) -> None:
         import gymnasium
         import mujoco
 
         # Without a handler, MuJoCo writes warnings to a file, such as that of an outdated attribute in
         # Gymnasium's half-cheetah. Others report an unstable simulation, which shows in its return too.
         mujoco.set_mju_user_warning(lambda _: None)
-        assets = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
-        self.model = mujoco.MjModel.from_xml_path(str(assets / file))
-        self.model.opt.timestep = step_s
+        world: Any = gymnasium.make(environment, disable_env_checker=True).unwrapped
+        self.model, self.frames = world.model, world.frame_skip
         # Or an unstable simulation would begin again at rest, and its return would look like any other.
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.data = [mujoco.MjData(self.model) for _ in range(LANES)]
@@ -130,16 +114,16 @@ class Lanes:
         """``for_search`` takes the task's faster plant where it has one."""
         plant = task.search_plant if for_search and task.search_plant is not None else task.plant
         states = len(task.start(rng_of(0, ())))
+        pool = MujocoPool(task.environment) if task.mujoco else None
         self.state = np.zeros((LANES, states))
         self.observations, self.commands = np.zeros((inputs, LANES)), np.zeros((outputs, LANES))
-        self.started = np.zeros(1 + 2 * LANES, np.int64)
         self.episodes = Episodes(
             kind=PLANTS.index(plant),
             states=states,
             inputs=inputs,
             outputs=outputs,
-            frames=task.model.frames if task.model else 1,
-            step_s=task.model.step_s if task.model else 0.0,
+            frames=pool.frames if pool else 1,
+            step_s=pool.model.opt.timestep if pool else 0.0,
             bonus=task.bonus,
             horizon=task.horizon,
             warm_up=warm_up,
@@ -148,9 +132,7 @@ class Lanes:
             state=self.state.ctypes.data,
             episode=(c_int64 * LANES)(*[-1] * LANES),
         )
-        self.pool = (
-            MujocoPool(task.model.file, task.model.step_s) if task.model and plant == task.plant else None
-        )
+        self.pool = pool if plant == task.plant else None
         if self.pool is not None:
             self.episodes.mujoco = self.pool.addresses
 
@@ -161,27 +143,21 @@ class Lanes:
         self.episodes.count, self.episodes.waiting = len(starts), 0
         return self.results
 
-    def step(self) -> None:
-        """Take the commands of all lanes, and observe."""
-        library().step_episodes(ctypes.byref(self.episodes), c_void_p(self.started.ctypes.data))
-
 
 class PlantEvaluator:
     """Scores parameter vectors of one agent by episodes of a benchmark. One thread at a time."""
 
     def __init__(
-        self, task: Benchmark, agent: Policy | Net, *, for_search: bool = False, warm_up: int | None = None
+        self, task: Benchmark, agent: Policy | Net, *, for_search: bool = False, warm_up: int = 0
     ) -> None:
-        """``warm_up`` is the task's for a circuit and 0 for a network unless it is given."""
         self.task, self.agent, self.steps = task, agent, 0
         if isinstance(agent, Policy):
-            inputs, outputs, own = len(agent.sensing.inputs), len(agent.motors.outputs), task.warm_up
+            inputs, outputs = len(agent.sensing.inputs), len(agent.motors.outputs)
             self._circuits = make_circuits(agent, LANES)
         else:
-            inputs, outputs, own = agent.inputs, agent.outputs, 0
+            inputs, outputs = agent.inputs, agent.outputs
             sizes = (agent.layout().size, agent.cells, agent.cells, agent.gates * agent.cells)
             self._work = [np.zeros((size, LANES)) for size in sizes]
-        warm_up = own if warm_up is None else warm_up
         self.lanes = Lanes(task, inputs, outputs, for_search=for_search, warm_up=warm_up)
 
     def starts(self, seeds: NDArray[np.uint64]) -> Vector:
@@ -196,23 +172,18 @@ class PlantEvaluator:
         """
         rows, lanes = np.ascontiguousarray(vectors, np.float64), self.lanes
         results = lanes.queue(self.starts(seeds))
+        episodes, given = ctypes.byref(lanes.episodes), c_void_p(rows.ctypes.data)
         if isinstance(self.agent, Policy):
-            tick = bound_tick(self._circuits, lanes.observations, lanes.commands)
-            circuits = _Circuits(
-                ctypes.cast(required().rover_ncp_fill_lanes, c_void_p),
-                ctypes.cast(required().rover_ncp_tick_lanes, c_void_p),
-                *(structure.value for structure in tick.args),
-                rows.shape[1],
-                self.agent.circuit.size,
-                rows.ctypes.data,
-                self._circuits.potentials.ctypes.data,
-                RESTING_MV,
-            )
-            library().run_circuits(ctypes.byref(lanes.episodes), ctypes.byref(circuits))
+            core, tick = required(), bound_tick(self._circuits, lanes.observations, lanes.commands)
+            functions = core.rover_ncp_fill_lanes, core.rover_ncp_tick_lanes
+            sizes = c_int64(rows.shape[1]), c_int64(self.agent.circuit.size)
+            potentials = c_void_p(self._circuits.potentials.ctypes.data)
+            run = library().run_circuits
+            run(episodes, *functions, *tick.args, *sizes, given, potentials, c_double(RESTING_MV))
         else:
-            work = [array.ctypes.data for array in (rows, *self._work)]
-            networks = _Networks(self.agent.gates, self.agent.cells, rows.shape[1], *work)
-            library().run_networks(ctypes.byref(lanes.episodes), ctypes.byref(networks))
+            numbers = map(c_int64, (self.agent.gates, self.agent.cells, rows.shape[1]))
+            work = (c_void_p(array.ctypes.data) for array in self._work)
+            library().run_networks(episodes, *numbers, given, *work)
         self.steps += int(results[:, 2].sum())
         results[~np.isfinite(results[:, :2].sum(axis=1)), :2] = (_LOST, 0.0)
         return results

@@ -102,7 +102,7 @@ def train_actor(task: Benchmark, agent: str, seed: int) -> tuple[Found, dict[str
     )
     settings = {"cells": CELLS, "environments": environments, **options}
     actor = Actor(np.array(seen.mean), np.array(seen.var), hidden, output)
-    return Found(actor.vector(), 0, int(model.num_timesteps)), settings
+    return Found(actor.vector(), int(model.num_timesteps)), settings
 
 
 def score_actor(task: Benchmark, vector: Vector, seeds: NDArray[np.uint64]) -> tuple[Vector, Vector]:

@@ -39,19 +39,10 @@ typedef struct { /* a C-contiguous array */
     int64_t rows, columns;
 } Rows;
 
-typedef struct { /* circuits; rover_ncp's native library has the functions, and reads the structures */
-    void (*fill)(const void *circuits, const Rows *vectors, int64_t first_lane);
-    void (*tick)(const void *circuits, const void *observations, const void *commands);
-    const void *circuits, *observations, *commands;
-    int64_t size, neurons;
-    double *vectors, *potentials; /* (episodes, size), (neurons, LANES) */
-    double rest;
-} Circuits;
-
 typedef struct { /* networks with a perceptron's one sum or an LSTM's four for each cell */
-    int64_t gates, cells, size;
-    double *vectors; /* (episodes, size): of each sum the weights of inputs, of an LSTM's cells, bias; then outputs */
-    double *weight, *hidden, *memory, *sums; /* (size, LANES), (cells, LANES) twice, (gates * cells, LANES) */
+    int64_t gates, cells;
+    double *weight; /* (size, LANES): of each sum the weights of inputs, of an LSTM's cells, bias; then outputs */
+    double *hidden, *memory, *sums; /* (cells, LANES) twice, (gates * cells, LANES) */
 } Networks;
 
 /* Gymnasium's MountainCarContinuous-v0. Its state is float32, except before the first step of an episode; numpy adds
@@ -285,29 +276,34 @@ tick_networks(const Networks *n, int64_t inputs, int64_t outputs, const double *
     }
 }
 
-/* Run all episodes with circuits. */
-void run_circuits(Episodes *e, Circuits *c) {
+/* Run all episodes with circuits: rover_ncp's native library has the functions, and reads the structures. */
+void run_circuits(Episodes *e, void (*fill)(const void *circuits, const Rows *vectors, int64_t first_lane),
+                  void (*tick)(const void *circuits, const void *observations, const void *commands),
+                  const void *circuits, const void *observations, const void *commands, int64_t size, int64_t neurons,
+                  double *vectors, double *potentials, double rest) { /* (episodes, size), (neurons, LANES) */
     int64_t started[1 + 2 * LANES];
     for (step_episodes(e, started); started[0] >= 0; step_episodes(e, started)) {
         for (int64_t s = 0; s < started[0]; s++) {
             const int64_t lane = started[1 + 2 * s], episode = started[2 + 2 * s];
-            const Rows vector = {c->vectors + episode * c->size, 1, c->size};
-            c->fill(c->circuits, &vector, lane);
-            for (int64_t i = 0; i < c->neurons; i++) c->potentials[i * LANES + lane] = c->rest;
+            const Rows vector = {vectors + episode * size, 1, size};
+            fill(circuits, &vector, lane);
+            for (int64_t i = 0; i < neurons; i++) potentials[i * LANES + lane] = rest;
         }
-        c->tick(c->circuits, c->observations, c->commands);
+        tick(circuits, observations, commands);
     }
 }
 
 /* Run all episodes with networks. */
-void run_networks(Episodes *e, Networks *n) {
+void run_networks(Episodes *e, int64_t gates, int64_t cells, int64_t size, double *vectors, double *weight,
+                  double *hidden, double *memory, double *sums) {
+    const Networks n = {gates, cells, weight, hidden, memory, sums};
     int64_t started[1 + 2 * LANES];
     for (step_episodes(e, started); started[0] >= 0; step_episodes(e, started)) {
         for (int64_t s = 0; s < started[0]; s++) {
             const int64_t lane = started[1 + 2 * s], episode = started[2 + 2 * s];
-            for (int64_t i = 0; i < n->size; i++) n->weight[i * LANES + lane] = n->vectors[episode * n->size + i];
-            for (int64_t i = 0; i < n->cells; i++) n->hidden[i * LANES + lane] = n->memory[i * LANES + lane] = 0.0;
+            for (int64_t i = 0; i < size; i++) weight[i * LANES + lane] = vectors[episode * size + i];
+            for (int64_t i = 0; i < cells; i++) hidden[i * LANES + lane] = memory[i * LANES + lane] = 0.0;
         }
-        tick_networks(n, e->inputs, e->outputs, e->observations, e->commands);
+        tick_networks(&n, e->inputs, e->outputs, e->observations, e->commands);
     }
 }

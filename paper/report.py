@@ -9,8 +9,9 @@ import numpy as np
 
 from paper.claims import (
     MIN_RUNS,
+    Claim,
     ClaimsFile,
-    Judged,
+    Finding,
     Verdict,
     by_pair,
     clear_signs,
@@ -25,28 +26,22 @@ from paper.store import BudgetName, Result, ResultStore
 from paper.tasks import GRADIENTS, TASKS
 
 Row = Sequence[object]
-LAYOUTS = {
-    "Table II": ("circuit", "random"),
-    "Table III": ("circuit", *GRADIENTS),
-    "Table IV": ("lstm", "mlp", "circuit", "random"),
-}
-"""Agents of the paper's tables, in their order."""
 _BUDGETS = (BudgetName.PUBLISHED, BudgetName.ALGORITHM1, BudgetName.DEFAULT, BudgetName.GRADIENTS)
 
 
-def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Judged]) -> str:
+def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Finding]) -> str:
     """Return the generated part of the page. Raises FileError."""
+    main, clear = sign_tables(store, file)
     parts = [
         summary_of(judged),
         answers(file, judged),
-        *(f"**{name}**\n\n{paper_table(store, file, name)}" for name in LAYOUTS),
+        *(f"**{name}**\n\n{paper_table(store, file, name)}" for name in file.tables),
         *(
             f"**Algorithm 1: {TASKS[task].title.lower()}**\n\n{settings_grid(store, task)}"
             for task in ("parking", "pendulum")
         ),
-        f"**Definition 1: signs over the whole run, P > 1.5 Q**\n\n{sign_table(store, file)}",
-        f"**Definition 1: circuits whose sign is the same in all twelve readings**\n\n"
-        f"{readings_table(store, file)}",
+        f"**Definition 1: signs over the whole run, P > 1.5 Q**\n\n{main}",
+        f"**Definition 1: circuits whose sign is the same in all twelve readings**\n\n{clear}",
         f"**Time constants of parking, s**\n\n{time_constant_table(store, file)}",
     ]
     if runs := store.results("half-cheetah", "circuit"):
@@ -65,32 +60,33 @@ def long_report(store: ResultStore) -> str:
     return "\n\n".join(f"**{name}**\n\n{table}" for name, table in parts.items())
 
 
-def summary_of(judged: Sequence[Judged]) -> str:
+def summary_of(judged: Sequence[Finding]) -> str:
     """Return how many claims have each verdict."""
     found = Counter(claim.verdict for claim in judged)
     return f"Of {len(judged)} claims: " + ", ".join(f"{each} {found[each]}" for each in Verdict) + "."
 
 
-def answers(file: ClaimsFile, judged: Sequence[Judged]) -> str:
+def answers(file: ClaimsFile, judged: Sequence[Finding]) -> str:
     """Return the page's questions, each with the claims that answer it."""
-    by_name = {claim.name: claim for claim in judged}
+    by_name = {claim.name: (claim, found) for claim, found in zip(file.claims, judged, strict=True)}
     rows: list[Row] = [("claim", "ours", "compared with", "verdict")]
     for number, (question, names) in enumerate(file.questions.items(), start=1):
-        rows += [(f"**{number}. {question}**", "", "", ""), *(_cells(by_name[name]) for name in names)]
+        rows += [(f"**{number}. {question}**", "", "", ""), *(_cells(*by_name[name]) for name in names)]
     return markdown(rows)
 
 
-def _cells(claim: Judged) -> Row:
-    reason = f" ({claim.why})" if claim.why else ""
-    return claim.words, claim.figure, claim.against, f"{claim.verdict}{reason}"
+def _cells(claim: Claim, found: Finding) -> Row:
+    reason = f" ({found.why})" if found.why else ""
+    return claim.words, found.figure, found.against, f"{found.verdict}{reason}"
 
 
 def paper_table(store: ResultStore, file: ClaimsFile, name: str) -> str:
     """Return one of Tables II to IV in the paper's layout, theirs beside ours."""
     tasks = file.tables[name]
+    agents = next(iter(tasks.values()))
     titles = [TASKS[task].title for task in tasks]
     rows: list[Row] = [("agent", *(cell for title in titles for cell in (f"{title}: paper", "ours")))]
-    for agent in LAYOUTS[name]:
+    for agent in agents:
         cells = []
         for task, given in tasks.items():
             mean, std, *rate = given[agent]
@@ -131,30 +127,25 @@ def settings_grid(store: ResultStore, task: str) -> str:
     return markdown(rows)
 
 
-_SEARCHES = (BudgetName.PUBLISHED, BudgetName.DEFAULT)
+def sign_tables(store: ResultStore, file: ClaimsFile) -> tuple[str, str]:
+    """Return the signs of each pair in the parking circuits of both searches.
 
-
-def sign_table(store: ResultStore, file: ClaimsFile) -> str:
-    """Return the signs of each pair in the parking circuits of both searches, by the main reading."""
-    rows: list[Row] = [("pair", "paper", "published search", "default search, ours")]
+    The first table is by the main reading; the second counts the circuits in which all readings agree.
+    """
+    searches = ("published search", "default search, ours")
+    main: list[Row] = [("pair", "paper", *searches)]
+    clear: list[Row] = [("pair", *searches)]
     for claim in file.of("sign"):
         pair = claim.arguments["source"], claim.arguments["destination"]
-        found = [signs(store, budget, *pair) for budget in _SEARCHES]
-        cells = (f"{_counts(Counter(each))} of {len(each)}" for each in found)
-        rows.append((" → ".join(pair), claim.arguments["expected"], *cells))
-    return markdown(rows)
-
-
-def readings_table(store: ResultStore, file: ClaimsFile) -> str:
-    """Return, for each pair, the circuits in which all readings of Definition 1 give one sign."""
-    rows: list[Row] = [("pair", "published search", "default search, ours")]
-    for claim in file.of("sign"):
-        pair, cells = (claim.arguments["source"], claim.arguments["destination"]), []
-        for budget in _SEARCHES:
-            found = [readings(policy, drive, *pair) for policy, drive in drives(store, budget)]
-            cells.append(f"{_counts(Counter(clear_signs(found))) or 'none'} of {len(found)}")
-        rows.append((" → ".join(pair), *cells))
-    return markdown(rows)
+        cells: list[list[str]] = [[], []]
+        for budget in (BudgetName.PUBLISHED, BudgetName.DEFAULT):
+            found = signs(store, budget, *pair)
+            agreed = clear_signs(readings(policy, drive, *pair) for policy, drive in drives(store, budget))
+            for row, each in zip(cells, (found, agreed), strict=True):
+                row.append(f"{_counts(Counter(each)) or 'none'} of {len(found)}")
+        main.append((" → ".join(pair), claim.arguments["expected"], *cells[0]))
+        clear.append((" → ".join(pair), *cells[1]))
+    return markdown(main), markdown(clear)
 
 
 def wires_table(run: Result) -> str:

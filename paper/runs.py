@@ -1,11 +1,9 @@
 """The grid of runs, the training of a run, and its replay."""
 
 import math
-import multiprocessing
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import replace
 from functools import cache
 from importlib import metadata
@@ -18,22 +16,13 @@ import numpy as np
 
 from paper.episodes import PlantEvaluator, library
 from paper.gradients import score_actor, train_actor
-from paper.search import (
-    STRATEGIES,
-    BenchmarkEstimator,
-    Budget,
-    Found,
-    ParkingEvaluator,
-    Point,
-    Progress,
-    climb,
-)
-from paper.store import BudgetName, Packed, Result, ResultStore, RunName, SavedSearch, Score
+from paper.search import Budget, Found, ParkingEvaluator, SavedSearch, mark, run_search
+from paper.store import BudgetName, Packed, Result, ResultStore, RunName, Score
 from paper.tasks import (
     AGENTS,
     GRADIENTS,
+    GRID,
     NETWORKS,
-    PAPERS,
     TASKS,
     Benchmark,
     Net,
@@ -41,19 +30,18 @@ from paper.tasks import (
     Vector,
     build_agent,
     draw_seeds,
-    rng_of,
 )
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import UsageError
-from rover_ncp.core.spawned import end_with_parent
 from rover_ncp.course.course import load_course
 from sim.learn.ensemble import train_block
 from sim.learn.evaluator import Evaluator
 from sim.learn.search.algorithm1 import ALPHA, SIGMA
 from sim.learn.settings import TrainSettings, made_with
+from sim.learn.workers import ProcessPool, available_processes
 
-_SEARCH, _FINAL = 0, 99
-"""Streams of random numbers: of a search, and of the fresh episodes that a run is judged by."""
+_FINAL = 99
+"""Stream of random numbers, beside those of ``search.py``: the fresh episodes that a run is judged by."""
 _EPISODES = 100
 _NETWORK_SETTINGS = (10, 5, "published-network", 20_000)
 """Rollouts, worst rollouts and iterations of the published search of MLP and LSTM."""
@@ -62,40 +50,22 @@ _source = cache(made_with)  # a process loads its code once
 TOLERANCE = 1e-9
 """Difference in a return that another machine may make. A half-cheetah's contacts amplify a last bit, so its
 replay is compared by its verdict."""
-_SEEDS = 10
-_OWN_SEEDS = {
-    ("parking", BudgetName.PUBLISHED): 48,  # as many as were measured with the published code itself
-    ("parking", BudgetName.DEFAULT): 66,  # of which more than 60 park
-    ("parking-distance", BudgetName.PUBLISHED): 12,
-    ("parking-pose-distance", BudgetName.PUBLISHED): 12,
-}
-
-_OTHERS: dict[BudgetName, tuple[tuple[str, ...], Sequence[str]]] = {
-    BudgetName.GRADIENTS: (("pendulum", "mountain-car"), GRADIENTS),  # the paper's Table III
-    BudgetName.DEFAULT: (("parking",), PAPERS[:1]),
-    BudgetName.ALGORITHM1: (("parking", "pendulum", "mountain-car", "cart-pole"), PAPERS[:1]),
-}
-"""Tasks and agents of the budgets that not all tasks have."""
-
-
 PAIRS = tuple(product((1.0, 1.001, 1.01, 1.05), (0.01, 0.05, 0.2)))
 """Alpha and first sigma of Algorithm 1, for which the paper gives no numbers."""
-_PAIR_SEEDS = {"parking": 12, "pendulum": 5}
-"""Runs of each pair."""
 
 
 def grid(budget: BudgetName, seeds: Sequence[int] | None = None) -> Iterator[RunName]:
-    """Yield all runs of a budget, or those of any seeds given."""
-    for task in TASKS.values():
-        agents: Sequence[str] = PAPERS if isinstance(task, Benchmark) else PAPERS[:1]
-        tasks, agents = _OTHERS.get(budget, (tuple(TASKS), agents))
-        settings: Sequence[tuple[float, float] | None] = (None,)
-        count = _OWN_SEEDS.get((task.name, budget), _SEEDS)
-        if budget is BudgetName.ALGORITHM1 and task.name in _PAIR_SEEDS:
-            settings, count = PAIRS, _PAIR_SEEDS[task.name]
-        for agent, setting, seed in product(agents, settings, dict.fromkeys(seeds or range(count))):
-            if task.name in tasks:
-                yield RunName(task=task.name, agent=agent, seed=seed, budget=budget, setting=setting)
+    """Yield all runs of a budget, or those of any seeds given. Quick ones are the published search's."""
+    wanted = BudgetName.PUBLISHED if budget is BudgetName.QUICK else budget
+    for cell in GRID:
+        settings = PAIRS if cell.pairs else (None,)
+        for task, agent, setting, seed in product(
+            cell.tasks if cell.budget == wanted else (),
+            cell.agents,
+            settings,
+            dict.fromkeys(seeds or range(cell.seeds)),
+        ):
+            yield RunName(task=task, agent=agent, seed=seed, budget=budget, setting=setting)
 
 
 def select(
@@ -136,47 +106,13 @@ def budget_for(name: RunName) -> Budget:
     return replace(budget, iterations=_QUICK_ITERATIONS) if name.budget is BudgetName.QUICK else budget
 
 
-def run_search(
-    task: Task, agent: Policy | Net, seed: int, budget: Budget, saved: SavedSearch | None = None
-) -> Found:
-    """Search an agent's parameters from one incumbent. The same arguments give the same bits.
-
-    With ``saved`` it goes on where it was saved last, to the same bits too.
-    """
-    place: BenchmarkEstimator | ParkingEvaluator
-    if isinstance(task, Benchmark):
-        place = BenchmarkEstimator(task, agent, seed, budget)
-    else:
-        assert isinstance(agent, Policy)
-        place = ParkingEvaluator(task, agent)
-    defaults = agent.parameters() if isinstance(agent, Policy) else np.zeros(agent.layout().size)
-    strategy = STRATEGIES[budget.strategy](agent.layout(), **budget.numbers)
-    progress = Progress.begin(strategy, defaults, rng_of(seed, (_SEARCH,)))
-    points: dict[int, Point] = {}
-    if saved is not None and (last := saved.load()):
-        progress, place.steps, points = *last[:2], {_mark(point[0]): point for point in last[2]}
-    for now in climb(strategy, progress, budget.iterations, place.estimate, place.max_ahead):
-        if now.value != progress.value:
-            points[_mark(now.done)] = now.done, place.steps, now.value
-        progress = now
-        if saved is not None:
-            saved.save(progress, place.steps, points.values())
-    return Found(progress.incumbent, progress.evaluations, place.steps, tuple(points.values()))
-
-
-def _mark(iterations: int) -> int:
-    """Round up to two digits; a curve keeps the last change before each such number."""
-    scale = int(10 ** max(len(str(iterations)) - 2, 0))
-    return -(-iterations // scale) * scale
-
-
 def train_default(task: Task, policy: Policy, number: int) -> tuple[Found, dict[str, Any]]:
     """Train an agent as ``rover-ncp train`` does; return what it found, and the settings."""
     settings = TrainSettings(iterations=task.settings.iterations)
     [agent] = train_block(settings, policy, Evaluator(policy, load_course("parking")), [number])
-    points = {_mark(done): (done, done * task.horizon, value) for done, value in agent.improvements}
+    points = {mark(done): (done, done * task.horizon, value) for done, value in agent.improvements}
     steps = settings.iterations * task.horizon
-    found = Found(np.array(agent.vector), settings.iterations + 1, steps, tuple(points.values()))
+    found = Found(np.array(agent.vector), steps, tuple(points.values()))
     return found, settings.model_dump(include={"search", "seed", "iterations"})
 
 
@@ -186,7 +122,7 @@ def train_run(name: RunName, unfinished: Path | None = None) -> Result:
     A search saves its progress in the file ``unfinished`` and goes on from there. Raises UsageError, and
     FileError if another version began it.
     """
-    task, began, cpu = TASKS[name.task], time.monotonic(), time.process_time()
+    task, cpu = TASKS[name.task], time.process_time()
     made = _made_with(task, name.agent)  # before the search: files may change while it lasts
     agent: Policy | Net | None = None
     saved: SavedSearch | None = None
@@ -204,9 +140,7 @@ def train_run(name: RunName, unfinished: Path | None = None) -> Result:
         name=name,
         settings=settings,
         made_with=made,
-        wall_s=time.monotonic() - began,
         cpu_s=saved.cpu_s if saved else time.process_time() - cpu,
-        evaluations=found.evaluations,
         steps=found.steps,
         curve=found.curve,
         parameters=Packed.of(found.vector),
@@ -217,7 +151,7 @@ def train_run(name: RunName, unfinished: Path | None = None) -> Result:
 def _made_with(task: Task, agent: str) -> dict[str, str]:
     libraries = ["stable-baselines3", "torch"] if agent in GRADIENTS else []
     if isinstance(task, Benchmark):
-        libraries += ["gymnasium", "mujoco"] if task.model else ["gymnasium"]
+        libraries += ["gymnasium", "mujoco"] if task.mujoco else ["gymnasium"]
     return _source() | {library: metadata.version(library) for library in libraries}
 
 
@@ -274,15 +208,9 @@ def make_runs(
     if {name.agent for name in names} & set(GRADIENTS) and not find_spec("stable_baselines3"):
         raise UsageError("ppo and a2c need stable-baselines3: make paper-gradients installs it")
     library()
-    count = min(processes or os.cpu_count() or 1, len(names))
-    # Spawned, never forked: cffi does not survive a fork.
-    with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), end_with_parent) as workers:
-        try:
-            runs = [workers.submit(train_run, name, store.unfinished(name)) for name in names]
-            for run in as_completed(runs):
-                result = run.result()
-                store.save(result)
-                store.unfinished(result.name).unlink(missing_ok=True)
-                on_result(result)
-        finally:  # or an error and Ctrl-C would wait for all runs, and lose them
-            workers.shutdown(wait=False, cancel_futures=True)
+    with ProcessPool(min(processes or available_processes(), len(names))) as pool:
+        for run in as_completed([pool.submit(train_run, name, store.unfinished(name)) for name in names]):
+            result = run.result()
+            store.save(result)
+            store.unfinished(result.name).unlink(missing_ok=True)
+            on_result(result)

@@ -1,4 +1,4 @@
-"""The paper's searches, the loop that they share, and the estimate of their candidates.
+"""The paper's searches, the loop that they share, the estimate of their candidates, and their saved state.
 
 The published code has a search for each task. On parking, which has no chance, it never estimates the
 incumbent anew; MLP and LSTM have one of their own. That of cart-pole is in an older commit of the published
@@ -6,18 +6,22 @@ code (529dae8), where an estimate counts as an iteration. ``tests/kit/paper_refe
 literally; this loop makes the same decisions in less time.
 """
 
+import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from paper.episodes import PlantEvaluator
-from paper.tasks import Benchmark, Net, Task, Vector, draw_seeds
+from paper.tasks import Benchmark, Net, Task, Vector, draw_seeds, rng_of
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.circuit.policy import ParameterLayout, Policy
+from rover_ncp.core.errors import FileError
+from rover_ncp.core.files import read_text, write_atomic
 from rover_ncp.course.course import load_course
 from sim.learn.evaluator import Evaluator
 from sim.learn.search import Batch
@@ -25,8 +29,10 @@ from sim.learn.search.algorithm1 import Algorithm1
 from sim.learn.search.published import FAILURES_TO_WIDEN, RULES, KindRule, Published
 from sim.learn.search.random_search import Scale, Strategy
 
-_ROLLOUTS = 1
-"""Stream of random numbers, beside that of the search (``runs.py``)."""
+_SEARCH, _ROLLOUTS = 0, 1
+"""Streams of random numbers: of a search, and of the episodes that estimate its candidates."""
+_SAVE_STEPS = 1_500_000
+"""Steps of the environment between two states that are saved."""
 _STOPS = (1, 3, 5, 7, 9)
 """Rollouts after which a candidate may be stopped."""
 _MIN_AHEAD, _MAX_AHEAD = 3, 48
@@ -107,10 +113,9 @@ Point = tuple[int, int, float]
 
 
 class Found(NamedTuple):
-    """Result of a search: parameters (P,), evaluations, environment steps, and the learning curve."""
+    """Result of a search: parameters (P,), environment steps, and the learning curve."""
 
     vector: Vector
-    evaluations: int
     steps: int
     curve: tuple[Point, ...] = ()
 
@@ -242,3 +247,78 @@ def climb(
                 scale = strategy.after(False, used)
         ahead = min(2 * ahead if value == before else _MIN_AHEAD, max_ahead)
         yield Progress(incumbent, scale, rng.bit_generator.state, value, evaluations, done, ahead)
+
+
+class SavedSearch:
+    """The file of an unfinished search, written about once a minute on the half-cheetah.
+
+    A search goes on only with the settings and the source that began it.
+    """
+
+    def __init__(self, path: Path, origin: Mapping[str, Any], clock: Callable[[], float]) -> None:
+        """``clock`` returns the process's CPU time, s."""
+        self.path, self._origin, self._clock = path, json.loads(json.dumps(origin)), clock
+        self._began_s, self._saved_steps = clock(), 0
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU time of this process since now, and of those before it."""
+        return self._clock() - self._began_s
+
+    def load(self) -> tuple[Progress, int, list[Point]] | None:
+        """Return progress, environment steps and curve. Raises FileError if another source saved them."""
+        if not self.path.is_file():
+            return None
+        text = json.loads(read_text(self.path))
+        if text["origin"] != self._origin:
+            raise FileError(
+                f"{self.path}: another version or other settings began this run ({text['origin']}): go on "
+                "with those, or delete the file to begin anew"
+            )
+        self._began_s, self._saved_steps = self._began_s - text["cpu_s"], text["steps"]
+        incumbent, scale, *others = text["progress"]
+        curve = [tuple(point) for point in text["curve"]]
+        return Progress(np.array(incumbent), Scale(*scale), *others), text["steps"], curve
+
+    def save(self, progress: Progress, steps: int, points: Iterable[Point]) -> None:
+        """Write the file if the environment has made many steps since the last time. Raises FileError."""
+        if steps >= self._saved_steps + _SAVE_STEPS:
+            state = progress._replace(incumbent=progress.incumbent.tolist())
+            text = {"origin": self._origin, "cpu_s": self.cpu_s, "progress": state, "steps": steps}
+            write_atomic(self.path, json.dumps(text | {"curve": list(points)}))
+            self._saved_steps = steps
+
+
+def run_search(
+    task: Task, agent: Policy | Net, seed: int, budget: Budget, saved: SavedSearch | None = None
+) -> Found:
+    """Search an agent's parameters from one incumbent. The same arguments give the same bits.
+
+    With ``saved`` it goes on where it was saved last, to the same bits too.
+    """
+    place: BenchmarkEstimator | ParkingEvaluator
+    if isinstance(task, Benchmark):
+        place = BenchmarkEstimator(task, agent, seed, budget)
+    else:
+        assert isinstance(agent, Policy)
+        place = ParkingEvaluator(task, agent)
+    defaults = agent.parameters() if isinstance(agent, Policy) else np.zeros(agent.layout().size)
+    strategy = STRATEGIES[budget.strategy](agent.layout(), **budget.numbers)
+    progress = Progress.begin(strategy, defaults, rng_of(seed, (_SEARCH,)))
+    points: dict[int, Point] = {}
+    if saved is not None and (last := saved.load()):
+        progress, place.steps, curve = last
+        points = {mark(point[0]): point for point in curve}
+    for now in climb(strategy, progress, budget.iterations, place.estimate, place.max_ahead):
+        if now.value != progress.value:
+            points[mark(now.done)] = now.done, place.steps, now.value
+        progress = now
+        if saved is not None:
+            saved.save(progress, place.steps, points.values())
+    return Found(progress.incumbent, place.steps, tuple(points.values()))
+
+
+def mark(iterations: int) -> int:
+    """Round up to two digits; a curve keeps the last change before each such number."""
+    scale: int = 10 ** max(len(str(iterations)) - 2, 0)
+    return -(-iterations // scale) * scale

@@ -1,4 +1,4 @@
-"""Runs as they are stored, and the state of a search that has not ended.
+"""Runs as they are stored.
 
 A results folder has one JSON-lines file for each budget and task, ``BUDGET/TASK.jsonl``, with a line
 for each run, and a file ``BUDGET/TASK-AGENT-SEED.part`` for each search that has not ended.
@@ -6,7 +6,7 @@ for each run, and a file ``BUDGET/TASK-AGENT-SEED.part`` for each search that ha
 
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Self
@@ -14,14 +14,11 @@ from typing import Any, Self
 import numpy as np
 from pydantic import ConfigDict, ValidationError, model_validator
 
-from paper.search import Point, Progress
+from paper.search import Point
 from paper.tasks import TASKS, Vector
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FileError
-from rover_ncp.core.files import read_text, write_atomic
-from sim.learn.search.random_search import Scale
-
-_SAVE_STEPS = 1_500_000
+from rover_ncp.core.files import read_text
 
 
 class BudgetName(StrEnum):
@@ -94,9 +91,7 @@ class Result(Score):
     name: RunName
     settings: dict[str, Any]
     made_with: dict[str, str]
-    wall_s: float
     cpu_s: float
-    evaluations: int
     steps: int
     """Of the environment, in all episodes."""
     curve: tuple[Point, ...]
@@ -138,10 +133,6 @@ class ResultStore:
         runs = self._runs(self.path(task, budget)).values()
         return sorted((run for run in runs if run.name.agent == agent), key=lambda run: run.name.seed)
 
-    def returns(self, task: str, agent: str, budget: str = BudgetName.PUBLISHED) -> Vector:
-        """Return the mean returns (n,) of these runs. Raises FileError."""
-        return np.array([run.mean for run in self.results(task, agent, budget)])
-
     def every(self) -> Iterator[Result]:
         """Yield all runs, file by file. Raises FileError."""
         for budget in BudgetName:
@@ -181,46 +172,3 @@ def _load(path: Path) -> dict[RunName, Result]:
             raise FileError(f"{path}: line {number} is the run {result.name}, which belongs to another file")
         found[result.name] = result
     return found
-
-
-class SavedSearch:
-    """The file of an unfinished search, written about once a minute on the half-cheetah.
-
-    A search goes on only with the settings and the source that began it.
-    """
-
-    def __init__(self, path: Path, origin: Mapping[str, Any], clock: Callable[[], float]) -> None:
-        """``clock`` returns the process's CPU time, s."""
-        self.path, self._origin = path, json.loads(json.dumps(origin))
-        self._clock, self._began_s, self._saved_steps = clock, clock(), 0
-        self._earlier_s = 0.0
-
-    @property
-    def cpu_s(self) -> float:
-        """CPU time of this process since now, and of those before it."""
-        return self._earlier_s + self._clock() - self._began_s
-
-    def load(self) -> tuple[Progress, int, list[Point]] | None:
-        """Return progress, environment steps and curve. Raises FileError if another source saved them."""
-        if not self.path.is_file():
-            return None
-        text = json.loads(read_text(self.path))
-        if text["origin"] != self._origin:
-            raise FileError(
-                f"{self.path}: another version or other settings began this run ({text['origin']}): go on "
-                "with those, or delete the file to begin anew"
-            )
-        self._earlier_s, self._saved_steps = text["cpu_s"], text["steps"]
-        incumbent, scale, *others = text["progress"]
-        points = [tuple(point) for point in text["curve"]]
-        return Progress(np.array(incumbent), Scale(*scale), *others), text["steps"], points
-
-    def save(self, progress: Progress, steps: int, points: Iterable[Point]) -> None:
-        """Write the file if the environment has made many steps since the last time. Raises FileError."""
-        if steps < self._saved_steps + _SAVE_STEPS:
-            return
-        state = progress._replace(incumbent=progress.incumbent.tolist())
-        text = {"origin": self._origin, "cpu_s": self.cpu_s, "progress": state, "steps": steps}
-        text["curve"] = list(points)
-        write_atomic(self.path, json.dumps(text))
-        self._saved_steps = steps

@@ -63,14 +63,6 @@ class Settings(NamedTuple):
     worst: int
 
 
-class MujocoModel(NamedTuple):
-    """One of Gymnasium's model files, its step, and how many steps make one of the environment."""
-
-    file: str
-    step_s: float
-    frames: int
-
-
 class Task(StrictModel):
     """One row of the paper's tables."""
 
@@ -111,7 +103,6 @@ class Benchmark(Task):
     plant: Plant
     search_plant: Plant | None = None
     """A faster plant for the search; reported results are those of ``plant``."""
-    model: MujocoModel | None = None
     sensing: Sensing
     motors: Motors
     bonus: float = 0.0
@@ -129,18 +120,36 @@ class Benchmark(Task):
         into, out_of = np.zeros((2, len(sensing.inputs))), np.zeros((len(motors.outputs), 2))
         return Policy(circuit, sensing, motors, input_layer=into, output_layer=out_of)
 
+    @property
+    def mujoco(self) -> bool:
+        """Whether its environment is one of MuJoCo's."""
+        return self.plant in ("pendulum", "half-cheetah")
+
     def start(self, rng: np.random.Generator) -> Vector:
         """Draw the first state as the environment's reset does."""
         return _STARTS[self.name](rng)
 
 
+class Cell(StrictModel):
+    """Runs of the grid: each agent on each task, with so many seeds."""
+
+    budget: str
+    tasks: tuple[str, ...]
+    agents: tuple[str, ...]
+    seeds: int
+    pairs: bool = False
+    """With each pair of alpha and first sigma of Algorithm 1."""
+
+
 class _File(StrictModel):
     benchmarks: tuple[Benchmark, ...]
     parking: tuple[Task, ...]
+    grid: tuple[Cell, ...]
 
 
 _FILE = load_yaml(Path(__file__).with_suffix(".yaml"), _File)
 TASKS: Mapping[str, Task] = {task.name: task for task in (*_FILE.benchmarks, *_FILE.parking)}
+GRID = _FILE.grid
 
 
 @dataclass(frozen=True)
@@ -204,17 +213,11 @@ def random_circuit(seed: int, neurons: Sequence[str], synapses: int) -> Circuit:
         target = targets[int(generator.integers(len(targets)))]
         weight = float(generator.uniform(0.0, 2.0))
         rows.setdefault((kind, source, target), weight)
-    kinds, origins, destinations = (np.array(column, np.int64) for column in zip(*rows, strict=True))
-    count = len(neurons)
-    return Circuit(
-        name=f"random-{seed}",
-        neurons=tuple(neurons),
-        kind=kinds,
-        source=origins,
-        destination=destinations,
-        weight=np.array(list(rows.values())),
-        sigma=np.full(synapses, DEFAULTS[ParameterKind.SIGMA]),
-        leak_potential=np.full(count, DEFAULTS[ParameterKind.LEAK_POTENTIAL]),
-        leak=np.full(count, DEFAULTS[ParameterKind.LEAK]),
-        capacitance=np.full(count, DEFAULTS[ParameterKind.CAPACITANCE]),
+    kinds, origins, destinations = np.array(list(rows)).T
+    weights, sigmas = np.array(list(rows.values())), np.full(synapses, DEFAULTS[ParameterKind.SIGMA])
+    potential, leak, capacitance = (
+        np.full(len(neurons), DEFAULTS[kind])
+        for kind in (ParameterKind.LEAK_POTENTIAL, ParameterKind.LEAK, ParameterKind.CAPACITANCE)
     )
+    wires = kinds, origins, destinations, weights, sigmas
+    return Circuit(f"random-{seed}", tuple(neurons), *wires, potential, leak, capacitance)

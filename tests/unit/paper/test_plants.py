@@ -1,5 +1,7 @@
 """Plants against Gymnasium's environments, step by step."""
 
+import ctypes
+
 import gymnasium
 import numpy as np
 import pytest
@@ -25,7 +27,14 @@ class Plant:
         self.lanes.episodes.episode[0] = -1
         self.lanes.episodes.running = 0
         self.results = self.lanes.queue(np.array([start], float))
-        self.lanes.step()
+        self.advance()
+
+    def advance(self):
+        """Take the commands of all lanes, and observe."""
+        started = np.zeros(1 + 2 * episodes.LANES, np.int64)
+        episodes.library().step_episodes(
+            ctypes.byref(self.lanes.episodes), ctypes.c_void_p(started.ctypes.data)
+        )
 
     def observe(self):
         return self.lanes.observations[:, 0].tolist()
@@ -34,7 +43,7 @@ class Plant:
         """Return reward, bonus, and whether the episode has ended."""
         self.lanes.commands[:, 0] = commands
         self.results[:] = 0.0
-        self.lanes.step()
+        self.advance()
         return (*self.results[0, :2].tolist(), self.lanes.episodes.episode[0] < 0)
 
 

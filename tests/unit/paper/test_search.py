@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from kit import paper_reference as reference
 
-from paper import store as store_module
+from paper import search as search_module
 from paper.episodes import PlantEvaluator
-from paper.runs import budget_for, run_search
-from paper.search import STRATEGIES, BenchmarkEstimator, Progress, climb
-from paper.store import RunName, SavedSearch
+from paper.runs import budget_for
+from paper.search import STRATEGIES, BenchmarkEstimator, Progress, SavedSearch, climb, run_search
+from paper.store import RunName
 from paper.tasks import TASKS, build_agent, draw_seeds
 from rover_ncp.circuit.circuit import ParameterKind
 from rover_ncp.core.errors import FileError
@@ -140,7 +140,7 @@ class Killed(SavedSearch):
 
 
 def test_search_that_was_killed_goes_on_to_the_same_bits(tmp_path, monkeypatch):
-    monkeypatch.setattr(store_module, "_SAVE_STEPS", 0)
+    monkeypatch.setattr(search_module, "_SAVE_STEPS", 0)
     task, limits = TASKS["cart-pole"], budget("cart-pole", 150, rollouts=4, worst=2)
     agent, path = build_agent(task, "circuit", 1), tmp_path / "run"
     whole = run_search(task, agent, 1, limits)

@@ -3,7 +3,7 @@
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -11,26 +11,18 @@ from paper.store import BudgetName
 from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
 from rover_ncp.core.files import require_writable
 
-if TYPE_CHECKING:
-    from paper.store import Result
-
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
 RESULTS = Path(__file__).parent / "results"
-Tasks = Annotated[list[str] | None, typer.Option(help="Only this task; may be repeated.", show_default="all")]
-Agents = Annotated[
-    list[str] | None, typer.Option(help="Only this agent; may be repeated.", show_default="all")
-]
-Seeds = Annotated[
-    list[int] | None, typer.Option(min=0, help="Only this seed; may be repeated.", show_default="all")
-]
+Names = Annotated[list[str] | None, typer.Option(help="Only this; repeatable.", show_default="all")]
+Seeds = Annotated[list[int] | None, typer.Option(min=0, help="Only this; repeatable.", show_default="all")]
 Results = Annotated[Path, typer.Option(help="Folder of the runs.", show_default="paper/results")]
 
 
 @app.command()
 def run(
     *,
-    task: Tasks = None,
-    agent: Agents = None,
+    task: Names = None,
+    agent: Names = None,
     seed: Seeds = None,
     budget: Annotated[
         BudgetName,
@@ -42,13 +34,7 @@ def run(
     results: Results = RESULTS,
     again: Annotated[bool, typer.Option("--again", help="Repeat runs that exist already.")] = False,
     processes: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            max=1000,
-            help="Runs at the same time; results do not depend on it.",
-            show_default="one for each core",
-        ),
+        int | None, typer.Option(min=1, max=1000, help="Runs at once.", show_default="one for each core")
     ] = None,
 ) -> None:
     """Make the runs that do not exist yet.
@@ -65,24 +51,20 @@ def run(
     for path in {store.path(name.task, budget) for name in left}:
         require_writable(path, overwrite=True)
 
-    def on_result(result: "Result") -> None:
-        outcome = "" if result.success else ", no success"
-        print(
-            f"{result.name}: {result.mean:.4g} ± {result.std:.3g}{outcome} ({result.cpu_s:.0f} s of a core)",
-            flush=True,
-        )
-
     if left:
         print(f"{len(left)} runs to make; a line for each when it ends", flush=True)
-        make_runs(left, store, processes, on_result)
+    for result in make_runs(left, store, processes):
+        outcome = "" if result.success else ", no success"
+        score = f"{result.mean:.4g} ± {result.std:.3g}{outcome}"
+        print(f"{result.name}: {score} ({result.cpu_s:.0f} s of a core)", flush=True)
     print(f"{len(left)} runs made, {len(names) - len(left)} found")
 
 
 @app.command()
 def replay(
     *,
-    task: Tasks = None,
-    agent: Agents = None,
+    task: Names = None,
+    agent: Names = None,
     seed: Seeds = None,
     budget: Annotated[
         BudgetName | None, typer.Option(help="Only runs of this budget.", show_default="all")
@@ -98,20 +80,21 @@ def replay(
     from paper.store import ResultStore
 
     wanted = {"task": task, "agent": agent, "seed": seed, "budget": budget and [budget]}
-    replayed = exact = differ = 0
-    for result in ResultStore(results).every():
-        name = result.name
-        if not all(values is None or getattr(name, field) in values for field, values in wanted.items()):
-            continue
+    chosen = [
+        result
+        for result in ResultStore(results).every()
+        if all(values is None or getattr(result.name, field) in values for field, values in wanted.items())
+    ]
+    if not chosen:
+        raise UsageError(f"{results}: has no such runs to replay")
+    exact = differ = 0
+    for result in chosen:
         found = score_again(result)
-        replayed += 1
         exact += found == result.score
         if not agrees(result, found):
             differ += 1
-            print(f"{name}: stored {result.mean!r}, replayed {found.mean!r}", flush=True)
-    if not replayed:
-        raise UsageError(f"{results}: has no such runs to replay")
-    print(f"{replayed} runs replayed, {exact} to the last bit, {differ} differ")
+            print(f"{result.name}: stored {result.mean!r}, replayed {found.mean!r}", flush=True)
+    print(f"{len(chosen)} runs replayed, {exact} to the last bit, {differ} differ")
     raise typer.Exit(1 if differ else 0)
 
 

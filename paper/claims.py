@@ -8,7 +8,6 @@ whether the whole run counts or only the drive, and the threshold. Claims are ju
 run with vertical steps, and P > 1.5 Q. ``readings`` has all twelve.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -28,7 +27,7 @@ from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.config import StrictModel, parse_yaml
 from rover_ncp.core.files import read_text
 from rover_ncp.course.course import load_course
-from rover_ncp.neurons.interpretation import STILL_MV, Sign, sign_of, slopes, time_constant_ranges
+from rover_ncp.neurons.interpretation import STILL_MV, Sign, sign_of, time_constant_ranges
 from sim.learn.rollout import Rollout, rollout
 from sim.learn.search.algorithm1 import ALPHA, SIGMA
 
@@ -270,6 +269,8 @@ _TESTS: Mapping[str, Callable[..., Finding]] = {
 
 THRESHOLDS = (1.0, 1.5, 2.0)
 """One count must exceed the other by this factor; the paper's words allow several readings."""
+MAIN = (True, True, 1.5)
+"""The reading that judges claims."""
 _MOVING = 1e-4
 """Distance in m, or turn in rad, in a tick of 0.1 s above which the rover drives."""
 
@@ -286,10 +287,7 @@ def drives(store: ResultStore, budget: BudgetName) -> tuple[tuple[Policy, Rollou
 
 def signs(store: ResultStore, budget: BudgetName, source: str, destination: str) -> list[Sign]:
     """Return the sign of a pair in each parking circuit of a search, by the reading that judges claims."""
-    return [
-        slopes(*(drive.potentials[:, policy.circuit.index(neuron)] for neuron in (source, destination))).sign
-        for policy, drive in drives(store, budget)
-    ]
+    return [readings(*circuit, source, destination)[MAIN] for circuit in drives(store, budget)]
 
 
 def counts(a: Vector, b: Vector, *, vertical: bool) -> tuple[int, int]:
@@ -302,22 +300,29 @@ def counts(a: Vector, b: Vector, *, vertical: bool) -> tuple[int, int]:
     return int(np.sum(steps > 0.0)), int(np.sum(steps < 0.0))
 
 
-def readings(policy: Policy, drive: Rollout, source: str, destination: str) -> Counter[Sign]:
-    """Return the signs that the twelve readings of Definition 1 give a pair of neurons."""
+def readings(
+    policy: Policy, drive: Rollout, source: str, destination: str
+) -> dict[tuple[bool, bool, float], Sign]:
+    """Return the signs that the twelve readings of Definition 1 give a pair of neurons.
+
+    A reading: whether the whole run counts, whether vertical steps do, and the threshold.
+    """
     steps = np.diff(drive.potentials, axis=0)
     a, b = (steps[:, policy.circuit.index(neuron)] for neuron in (source, destination))
     moved = np.abs(np.diff(drive.poses, axis=0))[1:].max(axis=1) > _MOVING
-    found: Counter[Sign] = Counter()
-    for part, vertical in product((moved, np.ones_like(moved)), (True, False)):
-        positive, negative = counts(a[part], b[part], vertical=vertical)
-        found.update(sign_of(positive, negative, threshold) for threshold in THRESHOLDS)
+    found: dict[tuple[bool, bool, float], Sign] = {}
+    for whole, vertical in product((False, True), (True, False)):
+        count = counts(a[moved | whole], b[moved | whole], vertical=vertical)
+        found |= {(whole, vertical, threshold): sign_of(*count, threshold) for threshold in THRESHOLDS}
     return found
 
 
-def clear_signs(found: Iterable[Counter[Sign]]) -> list[Sign]:
-    """Return the sign of each circuit's ``readings`` where all of them give the same one."""
-    signs = [next(iter(each)) for each in found if len(each) == 1]
-    return [sign for sign in signs if sign is not Sign.NONE]
+def clear_signs(store: ResultStore, budget: BudgetName, source: str, destination: str) -> list[Sign]:
+    """Return the sign of a pair in each parking circuit of a search where all readings give the same one."""
+    found = [
+        {*readings(policy, drive, source, destination).values()} for policy, drive in drives(store, budget)
+    ]
+    return [sign for signs in found for sign in signs if len(signs) == 1 and sign is not Sign.NONE]
 
 
 def time_constants(store: ResultStore) -> dict[str, tuple[float, float]]:

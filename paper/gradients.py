@@ -5,7 +5,7 @@ numpy score it without torch. On mountain car exploration depends on the state (
 lasts for some steps: without that, training never gets a reward.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -47,37 +47,12 @@ class WithBonus(gymnasium.Wrapper[Any, Any, Any, Any]):
         return seen, float(reward) + bonus, terminated, truncated, {"bonus": bonus}
 
 
-class Actor(NamedTuple):
-    """Result of a training: means and variances of observations, weights of cells and of the output."""
-
-    center: Vector
-    variance: Vector
-    hidden: Vector
-    """(CELLS, observations + 1), the last column the biases."""
-    output: Vector
-    """(actions, CELLS + 1)."""
-
-    def vector(self) -> Vector:
-        """Return all numbers as one vector."""
-        return np.concatenate([part.ravel() for part in self])
-
-    @classmethod
-    def of(cls, vector: Vector, observations: int, actions: int) -> "Actor":
-        """Return the actor of a vector. Raises ValueError for one of another length."""
-        shapes = ((observations,), (observations,), (CELLS, observations + 1), (actions, CELLS + 1))
-        parts = np.split(vector, np.cumsum([int(np.prod(shape)) for shape in shapes[:-1]]))
-        return cls(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
-
-    def act(self, seen: Vector) -> Vector:
-        """Return the action for an observation."""
-        normal = np.clip((seen - self.center) / np.sqrt(self.variance + _VARIANCE_EPSILON), -_CLIP, _CLIP)
-        cells = np.tanh(self.hidden[:, :-1] @ normal + self.hidden[:, -1])
-        action: Vector = self.output[:, :-1] @ cells + self.output[:, -1]
-        return action
-
-
 def train_actor(task: Benchmark, agent: str, seed: int) -> tuple[Found, dict[str, Any]]:
-    """Train by ``ppo`` or ``a2c``; return the actor's vector with the steps taken, and the settings."""
+    """Train by ``ppo`` or ``a2c``; return what it found, and the settings.
+
+    An actor's vector: means and variances of observations, then the weights of all cells and of all outputs,
+    each with its bias last.
+    """
     import torch
     from stable_baselines3 import A2C, PPO
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
@@ -101,25 +76,27 @@ def train_actor(task: Benchmark, agent: str, seed: int) -> tuple[Found, dict[str
         for layer in layers
     )
     settings = {"cells": CELLS, "environments": environments, **options}
-    actor = Actor(np.array(seen.mean), np.array(seen.var), hidden, output)
-    return Found(actor.vector(), int(model.num_timesteps)), settings
+    vector = np.concatenate([np.ravel(part) for part in (seen.mean, seen.var, hidden, output)])
+    return Found(vector, int(model.num_timesteps)), settings
 
 
 def score_actor(task: Benchmark, vector: Vector, seeds: NDArray[np.uint64]) -> tuple[Vector, Vector]:
     """Return an actor's returns with bonus, and Gymnasium's, (n,) each, in episodes of seeds (n,)."""
     world = WithBonus(task)
-    observed: Any = world.observation_space
     acted: Any = world.action_space
-    actor = Actor.of(vector, *observed.shape, *acted.shape)
+    inputs = int(np.prod(world.observation_space.shape or ()))
+    center, variance, hidden, output = np.split(vector, np.cumsum([inputs, inputs, CELLS * (inputs + 1)]))
+    hidden, output = hidden.reshape(CELLS, -1), output.reshape(-1, CELLS + 1)
     returns = np.zeros((len(seeds), 2))
     for number, seed in enumerate(seeds):
         seen, _ = world.reset(seed=int(seed))
         over = False
         while not over:
-            action = np.clip(actor.act(np.asarray(seen, np.float64)), acted.low, acted.high).astype(
-                np.float64
-            )
-            seen, reward, terminated, truncated, info = world.step(action)
+            deviation = np.asarray(seen, np.float64) - center
+            normal = np.clip(deviation / np.sqrt(variance + _VARIANCE_EPSILON), -_CLIP, _CLIP)
+            cells = np.tanh(hidden[:, :-1] @ normal + hidden[:, -1])
+            action = np.clip(output[:, :-1] @ cells + output[:, -1], acted.low, acted.high)
+            seen, reward, terminated, truncated, info = world.step(action.astype(np.float64))
             over = terminated or truncated
             returns[number] += reward, reward - info["bonus"]
     return returns[:, 0], returns[:, 1]

@@ -2,8 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -16,17 +15,15 @@ from paper.claims import (
     by_pair,
     clear_signs,
     drives,
-    readings,
     signs,
     time_constants,
 )
 from paper.runs import grid
 from paper.statistics import mean_interval, mean_text, summary
 from paper.store import BudgetName, Result, ResultStore
-from paper.tasks import GRADIENTS, TASKS
+from paper.tasks import GRADIENTS, GRID, TASKS
 
 Row = Sequence[object]
-_BUDGETS = (BudgetName.PUBLISHED, BudgetName.ALGORITHM1, BudgetName.DEFAULT, BudgetName.GRADIENTS)
 
 
 def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Finding]) -> str:
@@ -132,19 +129,18 @@ def sign_tables(store: ResultStore, file: ClaimsFile) -> tuple[str, str]:
 
     The first table is by the main reading; the second counts the circuits in which all readings agree.
     """
-    searches = ("published search", "default search, ours")
-    main: list[Row] = [("pair", "paper", *searches)]
-    clear: list[Row] = [("pair", *searches)]
+    titles = ("published search", "default search, ours")
+    main: list[Row] = [("pair", "paper", *titles)]
+    clear: list[Row] = [("pair", *titles)]
+    searches = [(budget, len(drives(store, budget))) for budget in (BudgetName.PUBLISHED, BudgetName.DEFAULT)]
     for claim in file.of("sign"):
         pair = claim.arguments["source"], claim.arguments["destination"]
-        cells: list[list[str]] = [[], []]
-        for budget in (BudgetName.PUBLISHED, BudgetName.DEFAULT):
-            found = signs(store, budget, *pair)
-            agreed = clear_signs(readings(policy, drive, *pair) for policy, drive in drives(store, budget))
-            for row, each in zip(cells, (found, agreed), strict=True):
-                row.append(f"{_counts(Counter(each)) or 'none'} of {len(found)}")
-        main.append((" → ".join(pair), claim.arguments["expected"], *cells[0]))
-        clear.append((" → ".join(pair), *cells[1]))
+        found, agreed = (
+            [f"{_counts(count(store, budget, *pair)) or 'none'} of {number}" for budget, number in searches]
+            for count in (signs, clear_signs)
+        )
+        main.append((" → ".join(pair), claim.arguments["expected"], *found))
+        clear.append((" → ".join(pair), *agreed))
     return markdown(main), markdown(clear)
 
 
@@ -194,16 +190,16 @@ def runs_table(store: ResultStore) -> str:
     rows: list[Row] = [
         ("search", "task", "agent", "runs", "return", "10⁶ steps", "core s a run", "of commit")
     ]
-    for budget in _BUDGETS:
+    for budget in dict.fromkeys(BudgetName(cell.budget) for cell in GRID):
         for task, agent in dict.fromkeys((name.task, name.agent) for name in grid(budget)):
             runs = store.results(task, agent, budget)
             if not runs:
                 rows.append((budget, task, agent, 0, *[""] * 4))
                 continue
-            commits = Counter(_short(run.made_with.get("commit", "unknown")) for run in runs)
+            commits = _counts(_short(run.made_with.get("commit", "unknown")) for run in runs)
             steps = f"{np.median([run.steps for run in runs]) / 1e6:.3g}"
             core_s = f"{np.mean([run.cpu_s for run in runs]):.0f}"
-            rows.append((budget, task, agent, len(runs), _score(runs), steps, core_s, _counts(commits)))
+            rows.append((budget, task, agent, len(runs), _score(runs), steps, core_s, commits))
     return markdown(rows)
 
 
@@ -221,8 +217,8 @@ def _short(commit: str) -> str:
     return commit[:8] + ("-dirty" if commit.endswith("-dirty") else "")
 
 
-def _counts(found: Any) -> str:
-    return ", ".join(f"{count} {key}" for key, count in sorted(found.items(), key=lambda item: -item[1]))
+def _counts(items: Iterable[str]) -> str:
+    return ", ".join(f"{count} {item}" for item, count in Counter(items).most_common())
 
 
 def markdown(rows: Sequence[Row]) -> str:

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import as_completed
 from dataclasses import replace
 from functools import cache
@@ -197,10 +197,8 @@ def agrees(result: Result, replayed: Score) -> bool:
     return replayed.success == result.success and (close or result.name.task == "half-cheetah")
 
 
-def make_runs(
-    names: Sequence[RunName], store: ResultStore, processes: int | None, on_result: Callable[[Result], None]
-) -> None:
-    """Make runs, as many at once as there are processes; save each as it ends.
+def make_runs(names: Sequence[RunName], store: ResultStore, processes: int | None) -> Iterator[Result]:
+    """Make runs, as many at once as there are processes; save each as it ends, and yield it.
 
     After an interruption a search goes on from where it was saved last. Raises UsageError before the first
     run begins.
@@ -208,9 +206,9 @@ def make_runs(
     if {name.agent for name in names} & set(GRADIENTS) and not find_spec("stable_baselines3"):
         raise UsageError("ppo and a2c need stable-baselines3: make paper-gradients installs it")
     library()
-    with ProcessPool(min(processes or available_processes(), len(names))) as pool:
+    with ProcessPool(min(processes or available_processes(), len(names) or 1)) as pool:
         for run in as_completed([pool.submit(train_run, name, store.unfinished(name)) for name in names]):
-            result = run.result()
+            result: Result = run.result()
             store.save(result)
             store.unfinished(result.name).unlink(missing_ok=True)
-            on_result(result)
+            yield result

@@ -1,5 +1,6 @@
 """Verdicts on the paper's claims, and the report."""
 
+from collections import Counter
 from types import SimpleNamespace
 
 import numpy as np
@@ -103,7 +104,7 @@ def test_definition_1_is_read_with_and_without_the_rest_at_three_thresholds():
     drive = SimpleNamespace(potentials=np.column_stack([source, target]), poses=poses)
     policy = SimpleNamespace(circuit=SimpleNamespace(index=["AVA", "RGT"].index))
     found = readings(policy, drive, "AVA", "RGT")
-    assert found == {Sign.POSITIVE: 6, Sign.ANTAGONISTIC: 2, Sign.PHASE_SWITCHING: 4}
+    assert Counter(found.values()) == {Sign.POSITIVE: 6, Sign.ANTAGONISTIC: 2, Sign.PHASE_SWITCHING: 4}
 
 
 @pytest.mark.parametrize(

@@ -52,8 +52,8 @@ REPEATED_M, REPEATED_RAD = 0.03, 0.05
 JUDGED_POSES, REJECTED_POSES = 20, 10
 """Among so many external poses, so many rejections are a fault, too."""
 GAINS = 0.15, 4.0
-"""External poses that need another turn gain contradict odometry, such as those of a mirrored frame. It falls
-by half for a moment where poses are late by a second."""
+"""External poses that need a turn gain beyond these, by two standard deviations, contradict odometry, such as
+those of a mirrored frame. Poses late by 0.5 s need one when a rover without a gyro begins to turn."""
 ODOMETRY, GYRO_READINGS, POSES = "odometry samples", "gyro readings", "external poses"
 
 
@@ -319,10 +319,11 @@ class Estimator:
                 self._fail(f"{rejected} of the last {len(self._judged)} {POSES} rejected", "external-pose")
 
     def _check_turn_gain(self) -> None:
-        gain = float(self._history.at(self._history.t)[0][GAIN]) / self._settings.turn_gain
-        if not GAINS[0] <= gain <= GAINS[1]:
+        x, P = self._history.at(self._history.t)
+        gain, std = (float(each) / self._settings.turn_gain for each in (x[GAIN], math.sqrt(P[GAIN, GAIN])))
+        if not GAINS[0] - 2.0 * std <= gain <= GAINS[1] + 2.0 * std:
             words = f"by the external poses the rover turns {gain:.1f} times what odometry says"
-            self._fail(f"{words}: is their frame turned or mirrored?", "external-pose")
+            self._fail(f"{words}: is their frame turned or mirrored, or are they late?", "external-pose")
 
     def _reject(self, what: str, outcome: Acceptance, limit: int, rule: str) -> None:
         """Count a rejection; so many in a row are the fault ``rule``."""

@@ -1,6 +1,7 @@
 """External poses of localisers that are wrong in a way that single poses do not show."""
 
 import numpy as np
+import pytest
 from kit.base_odometry import DT, POSE_COVARIANCE, moved, started, straight, way_m
 
 from deploy.estimator.inputs import Acceptance
@@ -58,5 +59,20 @@ def test_poses_of_a_mirrored_frame_are_a_fault():
 
     end = drive_on(estimator, 10.0, see, Velocity(0.0, 0.2))
     assert estimator.fault_rule == "external-pose"
-    assert "is their frame turned or mirrored?" in estimator.fault
+    assert "is their frame turned or mirrored" in estimator.fault
     assert end.theta < 1.0
+
+
+@pytest.mark.parametrize(("late_s", "stops"), [(0.5, False), (1.0, True)])
+def test_a_few_late_poses_do_not_stop_a_rover_that_begins_to_turn(late_s, stops):
+    """They look like a rover that does not turn. Without a gyro nothing else shows the turn."""
+    noise, estimator, seen = np.random.default_rng(1), straight(1.0), []
+
+    def see(pose):
+        seen.append(np.array(pose))
+        late = seen[max(0, len(seen) - 1 - round(late_s / DT))]
+        return Pose(*(late + noise.normal(0.0, 0.002, 3)))
+
+    drive_on(estimator, 10.0, see, Velocity(0.0, 0.4))
+    assert bool(estimator.fault) is stops
+    assert not stops or "are they late" in estimator.fault

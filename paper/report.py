@@ -15,6 +15,7 @@ from paper.claims import (
     by_pair,
     clear_signs,
     drives,
+    load_claims,
     signs,
     time_constants,
 )
@@ -28,18 +29,10 @@ Row = Sequence[object]
 
 def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Finding]) -> str:
     """Return the generated part of the page. Raises FileError."""
-    main, clear = sign_tables(store, file)
     parts = [
         summary_of(judged),
         answers(file, judged),
         *(f"**{name}**\n\n{paper_table(store, file, name)}" for name in file.tables),
-        *(
-            f"**Algorithm 1: {TASKS[task].title.lower()}**\n\n{settings_grid(store, task)}"
-            for task in ("parking", "pendulum")
-        ),
-        f"**Definition 1: signs over the whole run, P > 1.5 Q**\n\n{main}",
-        f"**Definition 1: circuits whose sign is the same in all twelve readings**\n\n{clear}",
-        f"**Time constants of parking, s**\n\n{time_constant_table(store, file)}",
     ]
     if runs := store.results("half-cheetah", "circuit"):
         best = max(runs, key=lambda run: run.mean)
@@ -52,8 +45,18 @@ def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Finding]
 
 
 def long_report(store: ResultStore) -> str:
-    """Return the settings and the stored runs. Raises FileError."""
-    parts = {"Settings and thresholds": settings_table(), "The stored runs": runs_table(store)}
+    """Return the settings, the stored runs and the tables behind the claims. Raises FileError."""
+    file = load_claims()
+    main, clear = sign_tables(store, file)
+    parts = {
+        "Settings and thresholds": settings_table(),
+        "The stored runs": runs_table(store),
+        "Algorithm 1: parking": settings_grid(store, "parking"),
+        "Algorithm 1: inverted pendulum": settings_grid(store, "pendulum"),
+        "Definition 1: signs over the whole run, P > 1.5 Q": main,
+        "Definition 1: circuits whose sign is the same in all twelve readings": clear,
+        "Time constants of parking, s": time_constant_table(store, file),
+    }
     return "\n\n".join(f"**{name}**\n\n{table}" for name, table in parts.items())
 
 

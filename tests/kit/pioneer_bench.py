@@ -1,10 +1,9 @@
 """A mock Pioneer on a virtual clock, and a client for it."""
 
 import math
-import struct
 
 from bridge.pioneer.framing import Command, Decoder, Packet, encode_command, encode_frame
-from bridge.pioneer.packets import SIP_KINDS, ConfigPac, Sip
+from bridge.pioneer.packets import SIP_KINDS, Sip
 from rover_ncp.course.course import Obstacle
 from rover_ncp.robot.description import load_description
 from sim.base.client_commands import STRING
@@ -13,7 +12,7 @@ from sim.base.firmware import ClientState, Firmware
 from sim.world.described import described_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 
-Argument = int | bytes | tuple[int, int, int] | None
+Argument = int | bytes | None
 
 
 class Pioneer:
@@ -25,12 +24,11 @@ class Pioneer:
         *faults: str,
         wall_x: float | None = None,
         seed: int = 0,
-        config: ConfigPac | None = None,
     ) -> None:
         walls = [Obstacle(x=wall_x, y=0.0, length=0.2, width=4.0)] if wall_x is not None else []
         self.rover = PymunkRover(described_rover(load_description(model)), Ground(walls))
         injected = Faults([parse_fault(text) for text in faults], seed)
-        self.firmware = Firmware(model, self.rover, injected, config=config)
+        self.firmware = Firmware(model, self.rover, injected)
         self.now = 0.0
         self.packets: list[Packet] = []
         self._decoder = Decoder()
@@ -49,8 +47,6 @@ class Pioneer:
     def tell(self, command: int, argument: Argument = None) -> list[Packet]:
         if isinstance(argument, bytes):
             return self.say(encode_frame(command, bytes([STRING, len(argument)]) + argument))
-        if isinstance(argument, tuple):
-            return self.say(encode_frame(command, struct.pack("<x3i", *argument)))
         return self.say(encode_command(command, argument))
 
     def run(self, seconds: float, fed: bool = True) -> None:
@@ -72,12 +68,11 @@ class Pioneer:
         self.tell(Command.VEL, v_mm_s)
         self.run(seconds, fed)
 
-    def open(self, motors: bool = True) -> "Pioneer":
+    def open(self) -> "Pioneer":
         for sync in (Command.PULSE, Command.OPEN, Command.CLOSE, Command.OPEN):
             self.tell(sync)
         assert self.firmware.client is ClientState.OPEN
-        if motors:
-            self.tell(Command.ENABLE, 1)
+        self.tell(Command.ENABLE, 1)
         return self
 
     def sips(self) -> list[Sip]:
@@ -90,9 +85,6 @@ class Pioneer:
         while not self.sips():
             self.run(0.1)
         return self.sips()[-1]
-
-    def of_kind(self, kind: int) -> list[Packet]:
-        return [packet for packet in self.packets if packet.kind == kind]
 
     @property
     def speed(self) -> float:

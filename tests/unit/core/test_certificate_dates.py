@@ -1,6 +1,5 @@
 """Certificates of a Zenoh configuration: their validity is read, and judged by the clock."""
 
-import json
 import re
 import sys
 from datetime import UTC, datetime, timedelta
@@ -34,15 +33,6 @@ def test_certificate_is_accepted_while_valid_and_else_refused_with_the_clock(fil
     require_valid(config, role, file, NOW)
     with pytest.raises(FileError, match=f"{role}_certificate {words}"):
         require_valid(config, role, file, now)
-
-
-def test_certificate_in_a_file_is_read_too(files, tmp_path):
-    (tmp_path / "ca.pem").write_text(files["ca.pem"])
-    config = zenoh.Config()
-    config.insert_json5("transport/link/tls/root_ca_certificate", json.dumps(str(tmp_path / "ca.pem")))
-    require_valid(config, "listen", None, NOW)
-    with pytest.raises(FileError, match="root_ca_certificate is expired"):
-        require_valid(config, "listen", None, NOW + timedelta(days=3000))
 
 
 def test_without_the_library_tls_alone_judges_an_expired_certificate(files, monkeypatch):

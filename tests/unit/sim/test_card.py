@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from rover_ncp.circuit.policy_file import load_policy, save_policy
-from rover_ncp.cli import run
 from sim.evaluate import card
 
 ROBOTS = {"nominal": {"trials": 1, "randomize": "none"}, "some": {"randomize": "mild"}}
@@ -37,13 +36,3 @@ def test_each_row_is_measured_again_by_its_command_and_the_page_names_file_and_t
         assert f"| {row['condition']} | " in page
         again = run_json(row["command"].removeprefix("rover-ncp "))[1]
         assert {name: again[name] for name in row["found"]} == row["found"]
-
-
-def test_a_policy_of_one_course_drives_no_other_and_its_file_may_say_nothing(run_json, capsys):
-    odd = {"settings": "none", "made_with": ["a|b"]}
-    save_policy("own.yaml", replace(load_policy("parking"), provenance=odd))
-    assert [row["condition"] for row in run_json("eval own.yaml --card")[1]["rows"]] == [*ROBOTS]
-    assert "| training | the file does not say |" in Path("own.card.md").read_text()
-    for options, words in {"": "exists already", "--overwrite --trials 9": "--trials: does not go"}.items():
-        assert run(["eval", "own.yaml", "--card", *options.split()]) == 2
-        assert words in capsys.readouterr().err

@@ -15,7 +15,6 @@ from sim.world.randomization import (
     Randomization,
     draw_trials,
     load_randomization,
-    nominal_trials,
     trial_model,
 )
 
@@ -99,15 +98,6 @@ def test_a_trial_is_the_same_in_any_company():
             assert np.array_equal(a[3:5], b)
     assert not np.array_equal(together.start, drawn("harsh", 6, seed=2).start)
     assert len({tuple(row) for row in together.start}) == 6
-
-
-def test_none_is_the_model():
-    for trials in (nominal_trials(MODEL, TICKS), drawn("none", 3)):
-        assert trials.exact
-        assert not trials.start.any()
-        assert not trials.lost.any()
-        assert (trials.gain == 1).all()
-        assert trial_model(MODEL, trials, 0) == MODEL
 
 
 DEAD_BAND = {"dead_band_v": 0.05, "dead_band_omega": 0.1}

@@ -139,3 +139,9 @@ def test_random_courses_are_their_seeds_and_numbers():
         assert 0.2 < np.abs(np.diff(drive.poses[:, :2], axis=0)).sum() < 5
         assert not drive.motion[-90:].any()
         assert not drive.motion[:5].any()
+
+
+def test_stiction_narrows_the_dead_band_of_a_moving_base():
+    base = BaseErrors(1.0, 1.0, 0.0, 0.0, stiction=0.4)._replace(**DEAD_BAND)
+    assert apply_base_errors(0.04, 0.08, base, (0.1, 0.0)) == (0.04, 0.0)
+    assert apply_base_errors(0.04, 0.08, base, (0.0, -0.2)) == (0.0, 0.08)

@@ -108,14 +108,12 @@ def report(
 
     Without --long it prints the first part of docs/paper.md.
     """
-    from paper.claims import judge_claims, load_claims
     from paper.report import long_report, short_report
     from paper.store import ResultStore
 
     if not results.is_dir():
         raise FileError(f"{results}: no such folder")
-    store, file = ResultStore(results), load_claims()
-    print(long_report(store) if long else short_report(store, file, judge_claims(store, file.claims)))
+    print((long_report if long else short_report)(ResultStore(results)))
 
 
 def run_command_line(app: typer.Typer, name: str) -> None:

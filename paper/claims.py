@@ -24,14 +24,12 @@ from paper.statistics import LEVEL, even_odds, fisher, holm, mean_text, welch, w
 from paper.store import BudgetName, Result, ResultStore
 from paper.tasks import TASKS, Net, Vector
 from rover_ncp.circuit.policy import Policy
-from rover_ncp.core.config import StrictModel, parse_yaml
-from rover_ncp.core.files import read_text
+from rover_ncp.core.config import StrictModel, load_yaml
 from rover_ncp.course.course import load_course
 from rover_ncp.neurons.interpretation import STILL_MV, Sign, sign_of, time_constant_ranges
 from sim.learn.rollout import Rollout, rollout
 from sim.learn.search.algorithm1 import ALPHA, SIGMA
 
-CLAIMS = Path(__file__).parent / "claims.yaml"
 MIN_RUNS = 5
 """Fewer runs of an agent give no verdict."""
 RATE_MARGIN = 0.2
@@ -74,9 +72,8 @@ class ClaimsFile(StrictModel):
     literature: tuple[tuple[str, str], ...]
     """Results of PPO on the half-cheetah that others have published, and their sources."""
 
-    def of(self, test: str) -> list[Claim]:
-        """Return the claims that a test decides on."""
-        return [claim for claim in self.claims if claim.test == test]
+
+FILE = load_yaml(Path(__file__).with_suffix(".yaml"), ClaimsFile)
 
 
 @dataclass
@@ -97,12 +94,7 @@ class Finding:
     """Runs that a verdict needs beside the stored ones."""
 
 
-def load_claims() -> ClaimsFile:
-    """Return the claims."""
-    return parse_yaml(read_text(CLAIMS), ClaimsFile, str(CLAIMS))
-
-
-def judge_claims(store: ResultStore, claims: Sequence[Claim]) -> list[Finding]:
+def judge_claims(store: ResultStore, claims: Sequence[Claim] = FILE.claims) -> list[Finding]:
     """Return what the runs say on claims, each with a verdict. Raises FileError."""
     findings = [_TESTS[claim.test](store, **claim.arguments) for claim in claims]
     places: dict[tuple[str, str], list[Finding]] = {}

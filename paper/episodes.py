@@ -107,14 +107,25 @@ class MujocoPool:
         )
 
 
-class Lanes:
-    """The plants of a task, and the arrays that ``Episodes`` points to."""
+class PlantEvaluator:
+    """Scores parameter vectors of one agent by episodes of a benchmark. One thread at a time."""
 
-    def __init__(self, task: Benchmark, inputs: int, outputs: int, *, for_search: bool, warm_up: int) -> None:
+    def __init__(
+        self, task: Benchmark, agent: Policy | Net, *, for_search: bool = False, warm_up: int = 0
+    ) -> None:
         """``for_search`` takes the task's faster plant where it has one."""
+        self.task, self.agent, self.steps = task, agent, 0
+        if isinstance(agent, Policy):
+            inputs, outputs = len(agent.sensing.inputs), len(agent.motors.outputs)
+            self._circuits = make_circuits(agent, LANES)
+        else:
+            inputs, outputs = agent.inputs, agent.outputs
+            sizes = (agent.layout().size, agent.cells, agent.cells, agent.gates * agent.cells)
+            self._work = [np.zeros((size, LANES)) for size in sizes]
         plant = task.search_plant if for_search and task.search_plant is not None else task.plant
-        states = len(task.start(rng_of(0, ())))
         pool = MujocoPool(task.environment) if task.mujoco else None
+        self.pool = pool if plant == task.plant else None
+        states = len(task.start(rng_of(0, ())))
         self.state = np.zeros((LANES, states))
         self.observations, self.commands = np.zeros((inputs, LANES)), np.zeros((outputs, LANES))
         self.episodes = Episodes(
@@ -132,37 +143,19 @@ class Lanes:
             state=self.state.ctypes.data,
             episode=(c_int64 * LANES)(*[-1] * LANES),
         )
-        self.pool = pool if plant == task.plant else None
         if self.pool is not None:
             self.episodes.mujoco = self.pool.addresses
-
-    def queue(self, starts: Vector) -> Vector:
-        """Let episodes wait that begin in states (E, S); return the array (E, 3) of their results."""
-        self.starts, self.results = np.ascontiguousarray(starts), np.zeros((len(starts), 3))
-        self.episodes.starts, self.episodes.results = self.starts.ctypes.data, self.results.ctypes.data
-        self.episodes.count, self.episodes.waiting = len(starts), 0
-        return self.results
-
-
-class PlantEvaluator:
-    """Scores parameter vectors of one agent by episodes of a benchmark. One thread at a time."""
-
-    def __init__(
-        self, task: Benchmark, agent: Policy | Net, *, for_search: bool = False, warm_up: int = 0
-    ) -> None:
-        self.task, self.agent, self.steps = task, agent, 0
-        if isinstance(agent, Policy):
-            inputs, outputs = len(agent.sensing.inputs), len(agent.motors.outputs)
-            self._circuits = make_circuits(agent, LANES)
-        else:
-            inputs, outputs = agent.inputs, agent.outputs
-            sizes = (agent.layout().size, agent.cells, agent.cells, agent.gates * agent.cells)
-            self._work = [np.zeros((size, LANES)) for size in sizes]
-        self.lanes = Lanes(task, inputs, outputs, for_search=for_search, warm_up=warm_up)
 
     def starts(self, seeds: NDArray[np.uint64]) -> Vector:
         """Return the first states (n, S) that the environment's ``reset(seed)`` gives for seeds (n,)."""
         return np.array([self.task.start(rng_of(int(seed), ())) for seed in seeds])
+
+    def queue(self, starts: Vector) -> Vector:
+        """Let episodes wait that begin in states (E, S); return the array (E, 3) of their results."""
+        self.queued, self.results = np.ascontiguousarray(starts), np.zeros((len(starts), 3))
+        self.episodes.starts, self.episodes.results = self.queued.ctypes.data, self.results.ctypes.data
+        self.episodes.count, self.episodes.waiting = len(starts), 0
+        return self.results
 
     def run(self, vectors: ArrayLike, seeds: NDArray[np.uint64]) -> Vector:
         """Run one episode for each vector (n, P) and seed (n,).
@@ -170,11 +163,11 @@ class PlantEvaluator:
         Returns (n, 3): Gymnasium's return, the sum of bonuses, and steps, which ``self.steps`` counts. An
         unstable simulation returns -1e6.
         """
-        rows, lanes = np.ascontiguousarray(vectors, np.float64), self.lanes
-        results = lanes.queue(self.starts(seeds))
-        episodes, given = ctypes.byref(lanes.episodes), c_void_p(rows.ctypes.data)
+        rows = np.ascontiguousarray(vectors, np.float64)
+        results = self.queue(self.starts(seeds))
+        episodes, given = ctypes.byref(self.episodes), c_void_p(rows.ctypes.data)
         if isinstance(self.agent, Policy):
-            core, tick = required(), bound_tick(self._circuits, lanes.observations, lanes.commands)
+            core, tick = required(), bound_tick(self._circuits, self.observations, self.commands)
             functions = core.rover_ncp_fill_lanes, core.rover_ncp_tick_lanes
             sizes = c_int64(rows.shape[1]), c_int64(self.agent.circuit.size)
             potentials = c_void_p(self._circuits.potentials.ctypes.data)

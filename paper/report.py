@@ -3,51 +3,51 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from itertools import product
 
 import numpy as np
 
 from paper.claims import (
+    FILE,
     MIN_RUNS,
-    Claim,
-    ClaimsFile,
     Finding,
     Verdict,
     by_pair,
     clear_signs,
     drives,
-    load_claims,
+    judge_claims,
     signs,
     time_constants,
 )
-from paper.runs import grid
-from paper.statistics import mean_interval, mean_text, summary
+from paper.statistics import mean_interval, mean_text
 from paper.store import BudgetName, Result, ResultStore
 from paper.tasks import GRADIENTS, GRID, TASKS
 
 Row = Sequence[object]
 
 
-def short_report(store: ResultStore, file: ClaimsFile, judged: Sequence[Finding]) -> str:
+def short_report(store: ResultStore) -> str:
     """Return the generated part of the page. Raises FileError."""
+    judged = judge_claims(store)
+    verdicts = Counter(finding.verdict for finding in judged)
     parts = [
-        summary_of(judged),
-        answers(file, judged),
-        *(f"**{name}**\n\n{paper_table(store, file, name)}" for name in file.tables),
+        f"Of {len(judged)} claims: {', '.join(f'{each} {verdicts[each]}' for each in Verdict)}.",
+        answers(judged),
+        *(f"**{name}**\n\n{paper_table(store, name)}" for name in FILE.tables),
     ]
     if runs := store.results("half-cheetah", "circuit"):
         best = max(runs, key=lambda run: run.mean)
         parts.append(
             f"**Half-cheetah: which neuron drives which joints, best circuit**\n\n{wires_table(best)}"
         )
-    ppo = "; ".join(f"{value} ({source})" for value, source in file.literature)
+    ppo = "; ".join(f"{value} ({source})" for value, source in FILE.literature)
     parts += [f"**Half-cheetah by PPO**, from the literature: {ppo}.", commits(store)]
     return "\n\n".join(parts)
 
 
 def long_report(store: ResultStore) -> str:
     """Return the settings, the stored runs and the tables behind the claims. Raises FileError."""
-    file = load_claims()
-    main, clear = sign_tables(store, file)
+    main, clear = sign_tables(store)
     parts = {
         "Settings and thresholds": settings_table(),
         "The stored runs": runs_table(store),
@@ -55,34 +55,26 @@ def long_report(store: ResultStore) -> str:
         "Algorithm 1: inverted pendulum": settings_grid(store, "pendulum"),
         "Definition 1: signs over the whole run, P > 1.5 Q": main,
         "Definition 1: circuits whose sign is the same in all twelve readings": clear,
-        "Time constants of parking, s": time_constant_table(store, file),
+        "Time constants of parking, s": time_constant_table(store),
     }
     return "\n\n".join(f"**{name}**\n\n{table}" for name, table in parts.items())
 
 
-def summary_of(judged: Sequence[Finding]) -> str:
-    """Return how many claims have each verdict."""
-    found = Counter(claim.verdict for claim in judged)
-    return f"Of {len(judged)} claims: " + ", ".join(f"{each} {found[each]}" for each in Verdict) + "."
-
-
-def answers(file: ClaimsFile, judged: Sequence[Finding]) -> str:
+def answers(judged: Sequence[Finding]) -> str:
     """Return the page's questions, each with the claims that answer it."""
-    by_name = {claim.name: (claim, found) for claim, found in zip(file.claims, judged, strict=True)}
+    found = {claim.name: (claim, finding) for claim, finding in zip(FILE.claims, judged, strict=True)}
     rows: list[Row] = [("claim", "ours", "compared with", "verdict")]
-    for number, (question, names) in enumerate(file.questions.items(), start=1):
-        rows += [(f"**{number}. {question}**", "", "", ""), *(_cells(*by_name[name]) for name in names)]
+    for number, (question, names) in enumerate(FILE.questions.items(), start=1):
+        rows.append((f"**{number}. {question}**", "", "", ""))
+        for claim, finding in (found[name] for name in names):
+            reason = f" ({finding.why})" if finding.why else ""
+            rows.append((claim.words, finding.figure, finding.against, f"{finding.verdict}{reason}"))
     return markdown(rows)
 
 
-def _cells(claim: Claim, found: Finding) -> Row:
-    reason = f" ({found.why})" if found.why else ""
-    return claim.words, found.figure, found.against, f"{found.verdict}{reason}"
-
-
-def paper_table(store: ResultStore, file: ClaimsFile, name: str) -> str:
+def paper_table(store: ResultStore, name: str) -> str:
     """Return one of Tables II to IV in the paper's layout, theirs beside ours."""
-    tasks = file.tables[name]
+    tasks = FILE.tables[name]
     agents = next(iter(tasks.values()))
     titles = [TASKS[task].title for task in tasks]
     rows: list[Row] = [("agent", *(cell for title in titles for cell in (f"{title}: paper", "ours")))]
@@ -101,8 +93,8 @@ def _score(runs: Sequence[Result]) -> str:
     if not runs:
         return "not tested"
     means = np.array([run.mean for run in runs])
-    mean, std, count = summary(means)
-    value = mean_text(mean, std if count > 1 else None)
+    count, mean = len(runs), float(means.mean())
+    value = mean_text(mean, float(means.std(ddof=1)) if count > 1 else None)
     share = f"{value} ({sum(run.success for run in runs) / count:.0%}"
     if count >= MIN_RUNS:
         return f"{share})"
@@ -127,7 +119,7 @@ def settings_grid(store: ResultStore, task: str) -> str:
     return markdown(rows)
 
 
-def sign_tables(store: ResultStore, file: ClaimsFile) -> tuple[str, str]:
+def sign_tables(store: ResultStore) -> tuple[str, str]:
     """Return the signs of each pair in the parking circuits of both searches.
 
     The first table is by the main reading; the second counts the circuits in which all readings agree.
@@ -136,7 +128,9 @@ def sign_tables(store: ResultStore, file: ClaimsFile) -> tuple[str, str]:
     main: list[Row] = [("pair", "paper", *titles)]
     clear: list[Row] = [("pair", *titles)]
     searches = [(budget, len(drives(store, budget))) for budget in (BudgetName.PUBLISHED, BudgetName.DEFAULT)]
-    for claim in file.of("sign"):
+    for claim in FILE.claims:
+        if claim.test != "sign":
+            continue
         pair = claim.arguments["source"], claim.arguments["destination"]
         found, agreed = (
             [f"{_counts(count(store, budget, *pair)) or 'none'} of {number}" for budget, number in searches]
@@ -177,10 +171,10 @@ def commits(store: ResultStore) -> str:
     return f"**Commits of the runs**: {most}{rest}."
 
 
-def time_constant_table(store: ResultStore, file: ClaimsFile) -> str:
+def time_constant_table(store: ResultStore) -> str:
     """Return the time constants of the best parking circuit beside the paper's."""
     ours = time_constants(store)
-    [claim] = [claim for claim in file.claims if claim.name == "time-constants"]
+    [claim] = [claim for claim in FILE.claims if claim.name == "time-constants"]
     rows: list[Row] = [("neuron", "ours", "paper")]
     for neuron, (low, high) in claim.arguments["ranges"].items():
         found = "{:.3g} .. {:.3g}".format(*ours[neuron]) if ours else "not tested"
@@ -190,19 +184,17 @@ def time_constant_table(store: ResultStore, file: ClaimsFile) -> str:
 
 def runs_table(store: ResultStore) -> str:
     """Return the stored runs of each search, task and agent."""
-    rows: list[Row] = [
-        ("search", "task", "agent", "runs", "return", "10⁶ steps", "core s a run", "of commit")
-    ]
-    for budget in dict.fromkeys(BudgetName(cell.budget) for cell in GRID):
-        for task, agent in dict.fromkeys((name.task, name.agent) for name in grid(budget)):
-            runs = store.results(task, agent, budget)
-            if not runs:
-                rows.append((budget, task, agent, 0, *[""] * 4))
-                continue
-            commits = _counts(_short(run.made_with.get("commit", "unknown")) for run in runs)
-            steps = f"{np.median([run.steps for run in runs]) / 1e6:.3g}"
-            core_s = f"{np.mean([run.cpu_s for run in runs]):.0f}"
-            rows.append((budget, task, agent, len(runs), _score(runs), steps, core_s, commits))
+    columns = ("search", "task", "agent", "runs", "return", "10⁶ steps", "core s a run", "of commit")
+    rows: list[Row] = [columns]
+    for cell in GRID:
+        for task, agent in product(cell.tasks, cell.agents):
+            row: Row = (cell.budget, task, agent, 0, *[""] * 4)
+            if runs := store.results(task, agent, cell.budget):
+                commits = _counts(_short(run.made_with.get("commit", "unknown")) for run in runs)
+                steps = f"{np.median([run.steps for run in runs]) / 1e6:.3g}"
+                core_s = f"{np.mean([run.cpu_s for run in runs]):.0f}"
+                row = (*row[:3], len(runs), _score(runs), steps, core_s, commits)
+            rows.append(row)
     return markdown(rows)
 
 

@@ -54,37 +54,27 @@ PAIRS = tuple(product((1.0, 1.001, 1.01, 1.05), (0.01, 0.05, 0.2)))
 """Alpha and first sigma of Algorithm 1, for which the paper gives no numbers."""
 
 
-def grid(budget: BudgetName, seeds: Sequence[int] | None = None) -> Iterator[RunName]:
-    """Yield all runs of a budget, or those of any seeds given. Quick ones are the published search's."""
-    wanted = BudgetName.PUBLISHED if budget is BudgetName.QUICK else budget
-    for cell in GRID:
-        settings = PAIRS if cell.pairs else (None,)
-        for task, agent, setting, seed in product(
-            cell.tasks if cell.budget == wanted else (),
-            cell.agents,
-            settings,
-            dict.fromkeys(seeds or range(cell.seeds)),
-        ):
-            yield RunName(task=task, agent=agent, seed=seed, budget=budget, setting=setting)
-
-
 def select(
     tasks: Sequence[str] | None,
     agents: Sequence[str] | None,
     seeds: Sequence[int] | None,
     budget: BudgetName = BudgetName.PUBLISHED,
 ) -> list[RunName]:
-    """Return the selected runs of a budget, circuits and low seeds first.
+    """Return the grid's runs of a budget, or those of any seeds given, circuits and low seeds first.
 
-    Raises UsageError for an unknown task or agent, and where nothing is left.
+    Quick runs are those of the published search. Raises UsageError for an unknown task or agent, and where
+    nothing is left.
     """
     for what, given, known in (("task", tasks, tuple(TASKS)), ("agent", agents, AGENTS)):
         for name in set(given or ()) - set(known):
             raise UsageError(f"no {what} {name!r}; expected one of {', '.join(known)}")
+    wanted = BudgetName.PUBLISHED if budget is BudgetName.QUICK else budget
     names = [
-        name
-        for name in grid(budget, seeds)
-        if name.agent in (agents or AGENTS) and name.task in (tasks or TASKS)
+        RunName(task=task, agent=agent, seed=seed, budget=budget, setting=pair)
+        for cell in GRID
+        for task, agent, pair in product(cell.tasks, cell.agents, PAIRS if cell.pairs else (None,))
+        for seed in dict.fromkeys(seeds or range(cell.seeds))
+        if cell.budget == wanted and agent in (agents or AGENTS) and task in (tasks or TASKS)
     ]
     if not names:
         raise UsageError(f"the budget {budget} has no such runs; python -m paper report --long lists them")

@@ -135,18 +135,13 @@ class Progress(NamedTuple):
     ahead: int = 1
     """How many candidates the next batch has."""
 
-    @classmethod
-    def begin(cls, strategy: "Strategy", defaults: Vector, rng: np.random.Generator) -> "Progress":
-        """Return the progress before the first evaluation."""
-        return cls(strategy.first(defaults, rng), strategy.start, rng.bit_generator.state)
-
 
 class BenchmarkEstimator(PlantEvaluator):
     """The paper's estimate on a benchmark: the mean of the worst k of N rollouts."""
 
     def __init__(self, task: Benchmark, agent: Policy | Net, seed: int, budget: Budget) -> None:
         super().__init__(task, agent, for_search=True, warm_up=budget.warm_up)
-        self.max_ahead = _MAX_AHEAD if self.lanes.pool is None else 1  # MuJoCo's lanes save no time
+        self.max_ahead = _MAX_AHEAD if self.pool is None else 1  # MuJoCo's lanes save no time
         self._seed, self._rollouts, self._worst = seed, budget.rollouts, budget.worst
 
     def estimate(self, vectors: Vector, number: int, to_beat: float) -> Vector:
@@ -304,7 +299,8 @@ def run_search(
         place = ParkingEvaluator(task, agent)
     defaults = agent.parameters() if isinstance(agent, Policy) else np.zeros(agent.layout().size)
     strategy = STRATEGIES[budget.strategy](agent.layout(), **budget.numbers)
-    progress = Progress.begin(strategy, defaults, rng_of(seed, (_SEARCH,)))
+    rng = rng_of(seed, (_SEARCH,))
+    progress = Progress(strategy.first(defaults, rng), strategy.start, rng.bit_generator.state)
     points: dict[int, Point] = {}
     if saved is not None and (last := saved.load()):
         progress, place.steps, curve = last

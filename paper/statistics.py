@@ -29,11 +29,6 @@ class Estimate(NamedTuple):
         return f"{mean_text(self.value)} [{mean_text(self.low)}, {mean_text(self.high)}]"
 
 
-def summary(values: FloatArray) -> tuple[float, float, int]:
-    """Return mean, standard deviation and number of one or more values (n,)."""
-    return float(np.mean(values)), float(np.std(values, ddof=min(len(values) - 1, 1))), len(values)
-
-
 def mean_interval(values: FloatArray) -> Estimate:
     """Return the mean of two or more values (n,)."""
     found = stats.ttest_1samp(values, 0.0)

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from paper import claims
 from paper.__main__ import app
-from paper.claims import Claim, Verdict, judge_claims, load_claims, readings
+from paper.claims import FILE, Claim, Verdict, judge_claims, readings
 from paper.runs import PAIRS
 from paper.store import Packed, ResultStore
 from paper.tasks import TASKS, build_agent
@@ -128,9 +128,8 @@ def test_sign_is_decided_by_the_sign_test_over_published_circuits(
 
 
 def test_every_claim_answers_one_question():
-    file = load_claims()
-    answering = [name for names in file.questions.values() for name in names]
-    assert sorted(answering) == sorted(claim.name for claim in file.claims)
+    answering = [name for names in FILE.questions.values() for name in names]
+    assert sorted(answering) == sorted(claim.name for claim in FILE.claims)
 
 
 def test_command_reports_runs(store, tmp_path):

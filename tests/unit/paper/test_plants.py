@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from paper import episodes
-from paper.episodes import Lanes, PlantEvaluator
+from paper.episodes import PlantEvaluator
 from paper.tasks import TASKS, build_agent, draw_seeds
 from rover_ncp.core.errors import UsageError
 
@@ -17,9 +17,7 @@ class Plant:
 
     def __init__(self, name, *, for_search=False):
         task = TASKS[name].model_copy(update={"horizon": 10**9})
-        policy = task.policy(task.circuit())
-        size = len(policy.sensing.inputs), len(policy.motors.outputs)
-        self.lanes = Lanes(task, *size, for_search=for_search, warm_up=0)
+        self.lanes = PlantEvaluator(task, task.policy(task.circuit()), for_search=for_search)
         self.state = self.lanes.state[0]
         self.pool = self.lanes.pool
 

@@ -39,8 +39,8 @@ def fast(strategy, agent, returns, iterations):
     def estimate(vectors, number, to_beat):
         return np.array(returns(number, vectors))
 
-    rule = STRATEGIES[strategy](agent.layout())
-    start = Progress.begin(rule, first, np.random.default_rng(5))
+    rule, rng = STRATEGIES[strategy](agent.layout()), np.random.default_rng(5)
+    start = Progress(rule.first(first, rng), rule.start, rng.bit_generator.state)
     for now in climb(rule, start, iterations, estimate):
         states[now.done] = now.incumbent, now.value
     return states

@@ -9,6 +9,7 @@ import pytest
 from kit.ros2_world import BURGER, EPOCH_S, World, header
 
 from bridge.base import Notice, PassedOn
+from bridge.ros2.gyro import GyroTurns
 from rover_ncp.robot.description import load_description
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.messages import (
@@ -148,3 +149,17 @@ def test_a_topic_that_sends_nothing_to_be_used_is_named_once_with_reason_and_cou
     assert len(notices) == 1
     assert re.fullmatch(rf"\d+ messages on {topic} cannot be used: {reason}", notices[0])
     assert any(f"on {topic} cannot be used: {reason}" in words for words in ready.base.health().unheard)
+
+
+def test_readings_of_a_gyro_count_for_the_time_between_them_but_not_for_that_of_a_pause():
+    turns = GyroTurns()
+
+    def mean(*readings):
+        for at_s, rate in readings:
+            turns.take(imu(rate, EPOCH_S + at_s), at_s)
+        return turns.since_last(at_s + 0.01)
+
+    found = mean((1.0, 9.0), (1.04, 1.0), (1.1, 3.0))
+    assert (found.rate, found.age_s) == pytest.approx((2.2, 0.01), abs=1e-6)
+    assert mean((1.12, 0.5), (3.0, -0.5)).rate == pytest.approx(-0.5, abs=1e-6)
+    assert mean((3.04, 0.7)).rate == pytest.approx(0.7, abs=1e-6)

@@ -60,6 +60,7 @@ TABLE = [
     ("train --circuit smell.yaml", "policy forward: unknown signals: smell (expected some of x, "),
     (f"bridge {BASE} --zenoh-config zenoh.json5", "zenoh.json5: not a Zenoh configuration: "),
     ("eval course --profile profile.yaml", "less than 5, got 99; $.delay: unknown key"),
+    ("tag run --camera . --camera-file unmeasured.yaml --map tags.yaml", "unmeasured.yaml: mount: all zero"),
     # names and addresses
     ("evla", "Did you mean 'eval'"),
     ("eval missing", "missing: no such file, and none of the shipped policies"),
@@ -88,7 +89,9 @@ def folder(tmp_path_factory):
         (folder / "last" / name).mkdir(parents=True)
     row = "- {{t: {}, x: {}, y: 0, theta: 0}}\n"
     head = "name: a\nstart_signal_s: 0\nhorizon_s: 3600\ncheckpoints:\n"
-    short, forward = SHORT.read_text(), (ROOT / "docs/examples/policy.yaml").read_text()
+    examples = ROOT / "docs/examples"
+    short, forward = SHORT.read_text(), (examples / "policy.yaml").read_text()
+    camera = (examples / "camera.yaml").read_text()
     written = {
         "deep.yaml": "a: " + "[" * 100_000 + "]" * 100_000,
         "far.yaml": head + row.format(1, "1.0e+300"),
@@ -100,6 +103,8 @@ def folder(tmp_path_factory):
         "smell.yaml": re.sub("(inputs: .|name: )x([],])", r"\1smell\2", forward),
         "robots.yaml": "base: tcp/127.0.0.1\nbrige: tcp/127.0.0.1:7449\n",
         "profile.yaml": "name: x\ngain_v: 99\ndelay: 1\n",
+        "unmeasured.yaml": camera.replace("x: 0.2", "x: 0").replace("z: 0.3", "z: 0"),
+        "tags.yaml": (examples / "tags.yaml").read_text(),
         "zenoh.json5": '{ mode: "client", no_such_key: 1 }',
         "connect.json5": '{ connect: { endpoints: ["tcp/0.0.0.0:0"] } }',
         **dict.fromkeys(("written/forward.yaml", "written/explanation.html", "written/tags.yaml"), "by hand"),

@@ -210,7 +210,6 @@ class Session:
     # Actions.
 
     def _listen(self) -> None:
-        self._setpoints.clear()
         self._out.clear()
         self.decoder.drop()
         self._began_s = self._now
@@ -229,7 +228,7 @@ class Session:
             self._dispatch(Input.GAVE_UP)
         elif self._silent_tries > states.POLITE_TRIES:
             if rates:
-                self._change_baud(rates[(self._silent_tries - states.POLITE_TRIES - 1) % len(rates)])
+                self._change_baud(rates[self._silent_tries % len(rates)])
             # The answer to SYNC2 may have been lost: then a session waits for OPEN and echoes nothing.
             self._send(Command.CLOSE)
 
@@ -343,7 +342,6 @@ class Session:
         self._events.append(self._report)
 
     def _lose(self) -> None:
-        self._setpoints.clear()
         self._send_zeros()
         self._events.append(Lost(f"no odometry from the base for {states.LOSS_S} s"))
 
@@ -360,11 +358,9 @@ class Session:
         self._events.append(Lost("the base was reset"))
 
     def _lose_line(self) -> None:
-        self._setpoints.clear()
         self._events.append(Lost(self._reason))
 
     def _leave(self) -> None:
-        self._setpoints.clear()
         self._send_zeros()
         self._send(Command.ENABLE, 0)
         self._send(Command.CLOSE)

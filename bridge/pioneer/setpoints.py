@@ -119,11 +119,6 @@ class Setpoints:
         self._clear_motion()
         self._send_speeds(0, 0, now)
 
-    def clear(self) -> None:
-        """Clear the command in force and the request for the motors; sends nothing."""
-        self._wanted = False
-        self._clear_motion()
-
     def tick(self, report: BaseReport | None, now: float) -> None:
         """Send what is due. ``report`` is the newest."""
         if report is not None and now - self._motors_s >= VERIFY_S:

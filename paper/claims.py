@@ -247,7 +247,7 @@ def varying(store: ResultStore, *, ratio: float) -> Finding:
 
 def parameters(_: ResultStore, *, task: str, other: str) -> Finding:
     """Ask whether the circuit has fewer parameters than a network of as many cells."""
-    circuit = TASKS[task].policy(TASKS[task].circuit())
+    circuit = TASKS[task].policy()
     net = Net(other, len(circuit.sensing.inputs), len(circuit.motors.outputs), cells=11)
     ours, theirs = circuit.layout().size, net.layout().size
     verdict = Verdict.HOLDS if ours < theirs else Verdict.DIFFERS
@@ -272,7 +272,7 @@ def drives(store: ResultStore, budget: BudgetName) -> tuple[tuple[Policy, Rollou
     """Return a search's parking circuits that succeed, the best first, each with its drive."""
     results = [result for result in store.results("parking", "circuit", budget) if result.success]
     results.sort(key=lambda result: -result.mean)
-    untrained = TASKS["parking"].policy(TASKS["parking"].circuit())
+    untrained = TASKS["parking"].policy()
     policies = [untrained.with_parameters(result.parameters.array()) for result in results]
     return tuple((policy, rollout(policy, load_course("parking"))) for policy in policies)
 

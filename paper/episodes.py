@@ -122,9 +122,9 @@ class PlantEvaluator:
             inputs, outputs = agent.inputs, agent.outputs
             sizes = (agent.layout().size, agent.cells, agent.cells, agent.gates * agent.cells)
             self._work = [np.zeros((size, LANES)) for size in sizes]
-        plant = task.search_plant if for_search and task.search_plant is not None else task.plant
+        plant = (for_search and task.search_plant) or task.name
         pool = MujocoPool(task.environment) if task.mujoco else None
-        self.pool = pool if plant == task.plant else None
+        self.pool = pool if plant == task.name else None
         states = len(task.start(rng_of(0, ())))
         self.state = np.zeros((LANES, states))
         self.observations, self.commands = np.zeros((inputs, LANES)), np.zeros((outputs, LANES))

@@ -58,7 +58,7 @@ def train_actor(task: Benchmark, agent: str, seed: int) -> tuple[Found, dict[str
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
     torch.set_num_threads(1)
-    steps, environments, options = (_CAR if task.plant == "mountain-car" else _PENDULUM)[agent]
+    steps, environments, options = (_CAR if task.name == "mountain-car" else _PENDULUM)[agent]
     worlds = DummyVecEnv([lambda: WithBonus(task)] * environments)
     world = VecNormalize(worlds, gamma=options.get("gamma", 0.99))
     algorithm = {"ppo": PPO, "a2c": A2C}[agent]

@@ -144,7 +144,7 @@ def sign_tables(store: ResultStore) -> tuple[str, str]:
 def wires_table(run: Result) -> str:
     """Return the layers of a half-cheetah's circuit: what moves each joint, and what drives each sensor."""
     task = TASKS["half-cheetah"]
-    policy = task.policy(task.circuit()).with_parameters(run.parameters.array())
+    policy = task.policy().with_parameters(run.parameters.array())
     assert policy.output_layer is not None
     assert policy.input_layer is not None
     neurons = [channel.positive for channel in policy.motors.channels]
@@ -203,7 +203,7 @@ def settings_table() -> str:
     columns = ("task", "horizon", "iterations", "rollouts", "worst", "parameters", "success")
     rows: list[Row] = [(*columns, "margin of equality")]
     for task in TASKS.values():
-        numbers = (task.horizon, *task.settings, task.policy(task.circuit()).layout().size)
+        numbers = (task.horizon, *task.settings, task.policy().layout().size)
         rows.append((task.name, *numbers, f"{task.success:g} ({task.threshold_from})", f"{task.margin:g}"))
     return markdown(rows)
 

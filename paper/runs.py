@@ -16,7 +16,7 @@ import numpy as np
 
 from paper.episodes import PlantEvaluator, library
 from paper.gradients import score_actor, train_actor
-from paper.search import Budget, Found, ParkingEvaluator, SavedSearch, mark, run_search
+from paper.search import Budget, Found, SavedSearch, mark, run_search
 from paper.store import BudgetName, Packed, Result, ResultStore, RunName, Score
 from paper.tasks import (
     AGENTS,
@@ -36,6 +36,7 @@ from rover_ncp.core.errors import UsageError
 from rover_ncp.course.course import load_course
 from sim.learn.ensemble import train_block
 from sim.learn.evaluator import Evaluator
+from sim.learn.rollout import rollout
 from sim.learn.search.algorithm1 import ALPHA, SIGMA
 from sim.learn.settings import TrainSettings, made_with
 from sim.learn.workers import ProcessPool, available_processes
@@ -119,7 +120,7 @@ def train_run(name: RunName, unfinished: Path | None = None) -> Result:
     if isinstance(task, Benchmark) and name.agent in GRADIENTS:
         found, settings = train_actor(task, name.agent, name.seed)
     elif name.budget is BudgetName.DEFAULT:
-        agent = task.policy(task.circuit())
+        agent = task.policy()
         found, settings = train_default(task, agent, name.seed)
     else:
         agent, budget = build_agent(task, name.agent, name.seed), budget_for(name)
@@ -153,9 +154,9 @@ def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int, war
     """
     if not isinstance(task, Benchmark):
         assert isinstance(agent, Policy)
-        total, parked = ParkingEvaluator(task, agent).outcome(vector)
-        success = parked and total >= task.success
-        return Score(episodes=1, mean=total, std=0.0, plain_mean=total, success=success)
+        drive = rollout(agent.with_parameters(vector), load_course("parking"))
+        success = drive.verdict.parked and drive.total >= task.success
+        return Score(episodes=1, mean=drive.total, std=0.0, plain_mean=drive.total, success=success)
     seeds = draw_seeds(seed, (_FINAL,), _EPISODES)
     if agent is None:
         returns, plain = score_actor(task, vector, seeds)

@@ -177,13 +177,7 @@ class ParkingEvaluator:
 
     def __init__(self, task: Task, policy: Policy) -> None:
         self.task, self.steps = task, 0
-        self._engine = Evaluator(policy, load_course("parking"))
-        self._stream = self._engine.stream(1)
-
-    def outcome(self, vector: Vector) -> tuple[float, bool]:
-        """Return the return of parameters (P,) and whether they park."""
-        found = self._engine.outcomes(vector)
-        return float(found.total[0, 0]), bool(found.parked[0, 0])
+        self._stream = Evaluator(policy, load_course("parking")).stream(1)
 
     def estimate(self, vectors: Vector, number: int, to_beat: float) -> Vector:
         """Return the returns (k,) of vectors (k, P), exact only above ``to_beat``.

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +21,9 @@ from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout, Policy, pa
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.sensing import Sensing
 from rover_ncp.core.config import StrictModel, load_yaml
-from rover_ncp.core.errors import UsageError
 
 Vector = NDArray[np.float64]
-Plant = Literal["mountain-car", "cart-pole", "written-pendulum", "pendulum", "half-cheetah"]
-PLANTS: tuple[Plant, ...] = get_args(Plant)
+PLANTS = ("mountain-car", "cart-pole", "written-pendulum", "pendulum", "half-cheetah")
 """In the order of ``native.c``."""
 GRADIENTS = ("ppo", "a2c")
 """Agents of which only an actor is kept; only torch can train them."""
@@ -91,18 +89,17 @@ class Task(StrictModel):
         """Return the untuned circuit."""
         return load_circuit(self.wiring)
 
-    def policy(self, circuit: Circuit) -> Policy:
-        """Put the task's sensing and motors around a circuit."""
-        return parking_policy(circuit)
+    def policy(self, circuit: Circuit | None = None) -> Policy:
+        """Put the task's sensing and motors around a circuit, the untuned one unless it is given."""
+        return parking_policy(circuit or self.circuit())
 
 
 class Benchmark(Task):
     """One of Gymnasium's tasks, run in lanes."""
 
     environment: str
-    plant: Plant
-    search_plant: Plant | None = None
-    """A faster plant for the search; reported results are those of ``plant``."""
+    search_plant: str | None = None
+    """A faster plant for the search; reported results are those of the task's own."""
     sensing: Sensing
     motors: Motors
     bonus: float = 0.0
@@ -112,9 +109,9 @@ class Benchmark(Task):
     published_search: str = "published-benchmarks"
     warm_up: int = 1
 
-    def policy(self, circuit: Circuit) -> Policy:
+    def policy(self, circuit: Circuit | None = None) -> Policy:
         """Put the task's sensing and motors around a circuit, with layers of zeros where it has layers."""
-        sensing, motors = self.sensing, self.motors
+        circuit, sensing, motors = circuit or self.circuit(), self.sensing, self.motors
         if sensing.ranges is None:
             return Policy(circuit, sensing, motors)
         into, out_of = np.zeros((2, len(sensing.inputs))), np.zeros((len(motors.outputs), 2))
@@ -123,7 +120,7 @@ class Benchmark(Task):
     @property
     def mujoco(self) -> bool:
         """Whether its environment is one of MuJoCo's."""
-        return self.plant in ("pendulum", "half-cheetah")
+        return self.name in ("pendulum", "half-cheetah")
 
     def start(self, rng: np.random.Generator) -> Vector:
         """Draw the first state as the environment's reset does."""
@@ -182,16 +179,11 @@ class Net:
 
 
 def build_agent(task: Task, agent: str, seed: int) -> Policy | Net:
-    """Return an untuned agent. Raises UsageError."""
-    own = task.circuit()
-    policy = task.policy(own)
-    if agent == "circuit":
-        return policy
-    if agent == "random":
-        return task.policy(random_circuit(seed, own.neurons, own.synapse_count))
+    """Return an untuned agent that a search can train."""
+    policy, own = task.policy(), task.circuit()
     if agent in NETWORKS:
         return Net(agent, len(policy.sensing.inputs), len(policy.motors.outputs))
-    raise UsageError(f"no agent {agent!r} to search for; there are {', '.join(PAPERS)}")
+    return policy if agent == "circuit" else task.policy(random_circuit(seed, own.neurons, own.synapse_count))
 
 
 def random_circuit(seed: int, neurons: Sequence[str], synapses: int) -> Circuit:
@@ -199,12 +191,9 @@ def random_circuit(seed: int, neurons: Sequence[str], synapses: int) -> Circuit:
 
     As in the supplement: synapses of random kind, from any neuron to any but a sensory one, with weights
     uniform in 0..2 S and all else at its default. The published generator drops a synapse that it has drawn
-    before, and so ends with 23 to 28; this one draws another. Raises UsageError for more than there are.
+    before, and so ends with 23 to 28; this one draws another.
     """
     targets = [number for number, name in enumerate(neurons) if name not in SENSORY]
-    possible = len(SynapseKind) * len(neurons) * len(targets)
-    if not 0 <= synapses <= possible:
-        raise UsageError(f"a random circuit of these neurons has 0..{possible} synapses, not {synapses}")
     generator = rng_of(seed, ())
     rows: dict[tuple[SynapseKind, int, int], float] = {}
     while len(rows) < synapses:

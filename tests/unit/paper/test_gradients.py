@@ -12,9 +12,7 @@ def test_environment_starts_and_pays_as_the_searches_do():
     task = TASKS["pendulum"]
     seeds = draw_seeds(3, (1,), 2)
     world = WithBonus(task)
-    for seed, start in zip(
-        seeds, PlantEvaluator(task, task.policy(task.circuit())).starts(seeds), strict=True
-    ):
+    for seed, start in zip(seeds, PlantEvaluator(task, task.policy()).starts(seeds), strict=True):
         seen, _ = world.reset(seed=int(seed))
         assert seen.tolist() == start.tolist()
     rewards, places, over = [], [], False

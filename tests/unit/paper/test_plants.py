@@ -17,7 +17,7 @@ class Plant:
 
     def __init__(self, name, *, for_search=False):
         task = TASKS[name].model_copy(update={"horizon": 10**9})
-        self.lanes = PlantEvaluator(task, task.policy(task.circuit()), for_search=for_search)
+        self.lanes = PlantEvaluator(task, task.policy(), for_search=for_search)
         self.state = self.lanes.state[0]
         self.pool = self.lanes.pool
 

@@ -1,10 +1,8 @@
 import numpy as np
-import pytest
 
 from paper.tasks import SENSORY, random_circuit
 from rover_ncp.circuit.circuit import SynapseKind
 from rover_ncp.circuit.policy_file import load_circuit
-from rover_ncp.core.errors import UsageError
 
 NEURONS = load_circuit("tap_withdrawal").neurons
 
@@ -19,9 +17,3 @@ def test_random_circuits_have_the_size_asked_for_and_differ():
     assert len({tuple(circuit.label(s) for s in range(28)) for circuit in circuits}) == 10
     assert {kind for circuit in circuits for kind in circuit.kind} == set(SynapseKind)
     assert np.array_equal(random_circuit(3, NEURONS, 28).weight, circuits[3].weight)
-
-
-def test_more_synapses_than_there_can_be_are_rejected():
-    assert random_circuit(0, ("PVD", "AVA"), 6).synapse_count == 6
-    with pytest.raises(UsageError, match=r"0\.\.6 synapses, not 7"):
-        random_circuit(0, ("PVD", "AVA"), 7)

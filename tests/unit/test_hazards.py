@@ -38,10 +38,11 @@ from sim.world.pymunk_rover import PymunkRover
 
 CASES = ["never came", "stops later", "stale", "one glitch", "latched"]
 CASES += ["contradicts another input", "sent by another peer"]
-ROBOT = described("turtlebot4", topics={"stop": {"topic": "stop", "periodic_s": 0.2}})
-WITH_POSE = described(
-    "turtlebot4", topics={"stop": {"topic": "stop", "periodic_s": 0.2}, "pose": "amcl_pose"}
-)
+STOP = {"stop": {"topic": "stop", "periodic_s": 0.2}}
+GYRO = {"rate_hz": 25}
+"""A quarter of the robot's own rate, because most of a drive's time goes into messages."""
+ROBOT = described("turtlebot4", topics=STOP, gyro=GYRO)
+WITH_POSE = described("turtlebot4", topics=STOP | {"pose": "amcl_pose"}, gyro=GYRO)
 LIMITS = {"sonar_stop_m": 0.3}
 STOP_S = 0.5
 """Most time from a hazard to the stop command: the first requirement of docs/safety.md."""

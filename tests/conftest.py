@@ -36,7 +36,7 @@ settings.load_profile("quick")
 settings.register_profile("mutants", deadline=None, database=None, phases=[Phase.explicit, Phase.generate])
 
 # Files that wait longest for real processes begin first, so that they do not run alone at the end.
-LONGEST = ["test_bridge_process.py", "test_learn_cluster.py"]
+LONGEST = ["test_up.py", "test_learn_cluster.py"]
 
 
 @pytest.fixture(autouse=True)

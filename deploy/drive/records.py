@@ -4,7 +4,7 @@ JSON on two topics that exist in recordings only. They do not repeat the measure
 samples that the controller used, with the moment of measurement that it gave them.
 """
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,6 @@ from pydantic import Field
 
 from deploy.drive.config import DriveConfig
 from deploy.drive.measurements import SampleRef
-from deploy.estimator.estimator import Estimate
 from deploy.place.outcome import Evidence
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
@@ -22,6 +21,9 @@ from rover_ncp.course.course import Course
 from rover_ncp.recording import recorded
 from rover_ncp.recording.recording import Recording
 from rover_ncp.robot.lasting_error import UNDECLARED, LastingError
+
+if TYPE_CHECKING:
+    from deploy.estimator.estimator import Estimate  # loads scipy, which a page does not need
 
 POLICY_FILE, COURSE_FILE, CONFIG_FILE = "policy.yaml", "course.yaml", "deploy.yaml"
 STAGING_FILE = "staging.yaml"
@@ -69,7 +71,7 @@ class TickRecord(StrictModel):
     evidence: Evidence | None = None
 
 
-def numbers(estimate: Estimate) -> tuple[float, float, float, float, float]:
+def numbers(estimate: "Estimate") -> tuple[float, float, float, float, float]:
     """Return an estimate as its record keeps it."""
     return (*estimate.pose, *estimate.velocity)
 

@@ -16,7 +16,7 @@ import rclpy
 import zenoh
 import zenoh.ext
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from wires import input_lines, message_class, profile
+from wires import input_open, message_class, profile
 
 NODE = "relay"
 SCAN_S = 0.1
@@ -141,7 +141,7 @@ class Relay:
 
     def run(self):
         due = 0.0
-        while input_lines() is not None:
+        while input_open():
             rclpy.spin_once(self.node, timeout_sec=0.05)
             if time.monotonic() >= due:
                 due = time.monotonic() + SCAN_S

@@ -22,8 +22,7 @@ ROS2DDS_BRIDGE = shutil.which("zenoh-bridge-ros2dds")
 STARTED_S = 30.0
 TOPICS = 4
 MODEL = str(Path(__file__).with_name("robot.yaml"))
-"""The description of the robot."""
-"""Odometry, gyro, battery and commands of `robot.py`."""
+"""The description of `robot.py`."""
 # Each worker of xdist has 30 domains. Those above 101 have ports that Linux gives to others.
 _FIRST = 1 + 30 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
 _domains = itertools.cycle(range(_FIRST, _FIRST + 30))
@@ -87,20 +86,6 @@ class RosProcess(ClosedAtExit):
             f"{start} {self.name}",
         )
 
-    def tell(self, line):
-        self._child.stdin.write(f"{line}\n".encode())
-        self._child.stdin.flush()
-
-    def wait(self, seconds=30.0):
-        """Wait for its end; return its lines. Raises ProcessError if it failed."""
-        self._child.wait(seconds)
-        return self.read()
-
-    def kill(self):
-        """End it as a crash does."""
-        self._child.kill()
-        self._child.wait()
-
     def stop(self):
         """End it: our scripts when their input ends, programs by SIGTERM."""
         with suppress(BrokenPipeError):
@@ -110,7 +95,8 @@ class RosProcess(ClosedAtExit):
         try:
             self._child.wait(5.0)
         except subprocess.TimeoutExpired:
-            self.kill()
+            self._child.kill()
+            self._child.wait()
 
     close = stop
 
@@ -153,29 +139,22 @@ class RosRun(RunWithRos):
         self._router = None
 
     def start_mock(self):
-        self.start_robot_side()
-        return self.base
-
-    def start_robot_side(self):
-        """Start the robot and its Zenoh router."""
+        """Start the robot and its Zenoh router; return the router's address."""
         if self.way == "rclpy":
             self.base = free_address()
             self.start_relay(self.base)
         else:  # any router does what rmw_zenohd does for nodes of one machine
             self._router, locator = open_router()
             self.base = locator.removeprefix("tcp/")
-        self.body = self.start_robot()
+        address = ["--router", self.base]
+        self.body = self.ros("robot", "robot.py", *self._robot_arguments, *address)
+        self.body.wait_for_line("{")
         if self.relay is not None:
             # A route has the type that is seen first: else it could be that of our bridge.
             wait_for(
                 lambda: len(self.relay.announced()) >= TOPICS, STARTED_S, "the robot's topics in the relay"
             )
-
-    def start_robot(self, *arguments, name="robot"):
-        address = ["--router", self.base, "--name", name]
-        robot = self.ros(name, "robot.py", *self._robot_arguments, *address, *arguments)
-        robot.wait_for_line("{")
-        return robot
+        return self.base
 
     def close(self):
         super().close()

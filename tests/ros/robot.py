@@ -1,7 +1,7 @@
 """A robot with differential drive as a ROS 2 node: real rclpy on DDS, or a foreign rmw_zenoh in Python.
 
 It has odometry with covariance, a gyro, a battery, limits of acceleration, a delay, and a timeout of its own.
-Each 0.1 s it prints its true state as JSON. A line of its input such as ``clock 0.5`` sets its clock forward.
+Each 0.1 s it prints its true state as JSON. It ends with its input.
 """
 
 import argparse
@@ -10,7 +10,7 @@ import math
 import time
 from collections import deque
 
-from wires import WIRES, header, input_lines
+from wires import WIRES, header, input_open
 
 STEP_S, PRINT_S = 0.01, 0.1
 ODOMETRY, IMU, BATTERY = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu", "sensor_msgs/msg/BatteryState"
@@ -23,11 +23,10 @@ class Body:
     def __init__(self, accel, alpha, delay_s, timeout_s):
         self.accel, self.alpha, self.delay_s, self.timeout_s = accel, alpha, delay_s, timeout_s
         self.x = self.y = self.theta = self.v = self.omega = 0.0
-        self.wanted, self.fed_s, self.now, self.commands = (0.0, 0.0), -math.inf, time.monotonic(), 0
+        self.wanted, self.fed_s, self.now = (0.0, 0.0), -math.inf, time.monotonic()
         self.queue = deque()
 
     def command(self, v, omega):
-        self.commands += 1
         self.queue.append((time.monotonic() + self.delay_s, v, omega))
 
     def advance(self, now):
@@ -46,7 +45,7 @@ class Body:
 
     @property
     def truth(self):
-        return {name: getattr(self, name) for name in ("x", "y", "theta", "v", "omega", "commands")}
+        return {name: getattr(self, name) for name in ("x", "y", "theta", "v", "omega")}
 
 
 class Robot:
@@ -56,9 +55,8 @@ class Robot:
         self.arguments, self.clock_s = arguments, arguments.clock
         self.since_s = time.time() - time.monotonic()
         self.body = Body(arguments.accel, arguments.alpha, 0.08, arguments.timeout)
-        self.body.x, self.body.y, self.body.theta = arguments.start
         self.turned = self.body.theta, self.body.now
-        self.wire = WIRES[arguments.by](arguments.name, arguments.namespace, arguments.router)
+        self.wire = WIRES[arguments.by]("robot", arguments.namespace, arguments.router)
         reliable = not arguments.best_effort
         self.publishers = {
             name: self.wire.publisher(topic, ros_type, reliable and name != "imu")
@@ -78,8 +76,7 @@ class Robot:
     def run(self):
         now = time.monotonic()
         due = dict.fromkeys((*self.publishers, "print"), now)
-        while (lines := input_lines()) is not None:
-            self.change(lines)
+        while input_open():
             self.wire.spin(max(0.0, min(due.values()) - time.monotonic()))
             self.body.advance(now := time.monotonic())
             periods = {
@@ -97,10 +94,6 @@ class Robot:
                 else:
                     self.publishers[name](getattr(self, name)())
         self.wire.close()
-
-    def change(self, lines):
-        for line in lines:
-            self.clock_s += float(line.removeprefix("clock "))
 
     def header(self, frame):
         # The moment of the state: what takes long to publish is no newer for it.
@@ -139,7 +132,6 @@ def main():
     add = parser.add_argument
     add("--by", choices=WIRES, default="rclpy")
     add("--router", default="", help="HOST:PORT of the Zenoh router, for rmw_zenoh")
-    add("--name", default="robot")
     add("--namespace", default="")
     add("--odom", default="odom")
     add("--imu", default="imu")
@@ -153,7 +145,6 @@ def main():
     add("--accel", type=float, default=0.9)
     add("--alpha", type=float, default=7.7)
     add("--volts", type=float, default=14.4)
-    add("--start", nargs=3, type=float, default=(0.0, 0.0, 0.0))
     Robot(parser.parse_args()).run()
 
 

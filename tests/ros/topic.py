@@ -4,8 +4,15 @@ import argparse
 import json
 import time
 
-from messages import values
-from wires import WIRES, header, input_lines
+from wires import WIRES, header, input_open
+
+
+def values(message):
+    """Return a message of simple fields and messages as plain values; lists are left out."""
+    if hasattr(message, "get_fields_and_field_types"):
+        fields = message.get_fields_and_field_types()
+        return {name: values(getattr(message, name)) for name in fields}
+    return message if isinstance(message, (str, bool, int, float)) else None
 
 
 def main():
@@ -27,7 +34,7 @@ def main():
     elif given.what == "echo":
         show = lambda message: print(json.dumps(values(message)), flush=True)  # noqa: E731
         wire.subscribe(given.topic, given.type, show)
-    while input_lines() is not None:
+    while input_open():
         if publish is not None:
             if "header" in given.fields:
                 given.fields["header"] = header(time.time(), given.fields["header"]["frame_id"])

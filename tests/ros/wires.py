@@ -7,7 +7,6 @@ dicts of their fields; what is left out has the type's default.
 import importlib
 import json
 import math
-import os
 import queue
 import select
 import sys
@@ -23,12 +22,9 @@ def header(stamp_s, frame):
     return {"stamp": {"sec": seconds, "nanosec": int((stamp_s - seconds) * 1e9)}, "frame_id": frame}
 
 
-def input_lines():
-    """Return the lines of the standard input since the last call; None when it has ended."""
-    if not select.select([sys.stdin], [], [], 0)[0]:
-        return []
-    text = os.read(0, 4096).decode()
-    return text.splitlines() if text else None
+def input_open():
+    """Return whether the standard input has not ended yet."""
+    return not select.select([sys.stdin], [], [], 0)[0]
 
 
 def message_class(ros_type):

@@ -3,7 +3,6 @@
 import io
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import PdfPages
@@ -12,21 +11,13 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from deploy.tag.board import PAGES, board_map
+from deploy.tag.pattern import CELLS, pattern
 from rover_ncp.core.errors import UsageError
 
-CELLS = 8
-"""Cells along the edge of a tag's black square; the white border around it is one cell more on each side."""
 INCH_M = 0.0254
 MARGIN_M = 0.012
 """Border of a page that printers leave white."""
 RULER_M = 0.1
-
-
-def pattern(tag: int) -> NDArray[np.uint8]:
-    """Return a tag's 8 × 8 cells, 0 black and 255 white, the way AprilTag 3 counts its corners."""
-    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    # OpenCV's tags of this family stand on their heads.
-    return np.rot90(cv2.aruco.generateImageMarker(family, tag, CELLS), 2).astype(np.uint8)
 
 
 def tag_pages(ids: Sequence[int], size: float, page: str) -> bytes:

@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.tag.locate import Locator
-from deploy.tag.sheet import CELLS, pattern
+from deploy.tag.pattern import CELLS, pattern
 from deploy.tag.tag_map import CameraFile, Floats, Tag, TagMap
 from rover_ncp.core.geometry import Pose
 

@@ -153,20 +153,10 @@ def rate(
     return Finding(figure, f"{hits} of {of}", verdict, f"n = {len(runs)} and {of}", found.p)
 
 
-def compare(
-    store: ResultStore,
-    *,
-    task: str,
-    other: str,
-    budget: str = "published",
-    other_budget: str | None = None,
-    better: bool = False,
-) -> Finding:
+def compare(store: ResultStore, *, task: str, other: str, better: bool = False) -> Finding:
     """Compare the circuit's returns with another agent's: ``better``, or not worse by the task's margin."""
-    ours, theirs = (
-        np.array([run.mean for run in store.results(task, agent, of)])
-        for agent, of in (("circuit", budget), (other, other_budget or budget))
-    )
+    runs = (store.results(task, agent) for agent in ("circuit", other))
+    ours, theirs = (np.array([run.mean for run in each]) for each in runs)
     if untested := _too_few(len(ours), len(theirs)):
         return untested
     found = welch(ours, theirs)

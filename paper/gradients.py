@@ -14,21 +14,11 @@ from numpy.typing import NDArray
 from paper.search import Found
 from paper.tasks import Benchmark, Vector, draw_seeds
 
-Training = tuple[int, int, dict[str, Any]]
-"""Steps in all, environments side by side, and options that differ from the library's defaults."""
-
 CELLS = 11
 _TRAINING = 2
 """Stream of random numbers, beside those of ``search.py`` and ``runs.py``."""
 # stable_baselines3.common.vec_env.VecNormalize
 _VARIANCE_EPSILON, _CLIP = 1e-8, 10.0
-_BY_STATE = {"use_sde": True, "sde_sample_freq": 16}
-_PENDULUM: dict[str, Training] = {
-    "ppo": (60_000, 8, {"n_steps": 128, "batch_size": 128, "learning_rate": 1e-3}),
-    "a2c": (100_000, 8, {"n_steps": 16, "gae_lambda": 0.95, "learning_rate": 3e-3}),
-}
-_CAR_PPO = {"n_steps": 128, "batch_size": 256, "gamma": 0.999, "learning_rate": 1e-3}
-_CAR: dict[str, Training] = {"ppo": (60_000, 8, _CAR_PPO | _BY_STATE), "a2c": (60_000, 4, _BY_STATE)}
 
 
 class WithBonus(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -58,7 +48,7 @@ def train_actor(task: Benchmark, agent: str, seed: int) -> tuple[Found, dict[str
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
     torch.set_num_threads(1)
-    steps, environments, options = (_CAR if task.name == "mountain-car" else _PENDULUM)[agent]
+    steps, environments, options = task.gradients[agent]
     worlds = DummyVecEnv([lambda: WithBonus(task)] * environments)
     world = VecNormalize(worlds, gamma=options.get("gamma", 0.99))
     algorithm = {"ppo": PPO, "a2c": A2C}[agent]

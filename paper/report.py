@@ -21,7 +21,7 @@ from paper.claims import (
 )
 from paper.statistics import mean_interval, mean_text
 from paper.store import BudgetName, Result, ResultStore
-from paper.tasks import GRADIENTS, GRID, TASKS
+from paper.tasks import GRID, TASKS
 
 Row = Sequence[object]
 
@@ -83,8 +83,7 @@ def paper_table(store: ResultStore, name: str) -> str:
         for task, given in tasks.items():
             mean, std, *rate = given[agent]
             share = f" ({rate[0]:.0%})" if rate else ""
-            budget = BudgetName.GRADIENTS if agent in GRADIENTS else BudgetName.PUBLISHED
-            cells += [mean_text(mean, std) + share, _score(store.results(task, agent, budget))]
+            cells += [mean_text(mean, std) + share, _score(store.results(task, agent))]
         rows.append((agent, *cells))
     return markdown(rows)
 

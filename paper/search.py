@@ -17,8 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from paper.episodes import PlantEvaluator
-from paper.tasks import Benchmark, Net, Task, Vector, draw_seeds, rng_of
-from rover_ncp.circuit.circuit import ParameterKind
+from paper.tasks import TASKS, Benchmark, Net, Task, Vector, draw_seeds, rng_of
 from rover_ncp.circuit.policy import ParameterLayout, Policy
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text, write_atomic
@@ -26,7 +25,7 @@ from rover_ncp.course.course import load_course
 from sim.learn.evaluator import Evaluator
 from sim.learn.search import Batch
 from sim.learn.search.algorithm1 import Algorithm1
-from sim.learn.search.published import FAILURES_TO_WIDEN, RULES, KindRule, Published
+from sim.learn.search.published import FAILURES_TO_WIDEN, RULES, Published
 from sim.learn.search.random_search import Scale, Strategy
 
 _SEARCH, _ROLLOUTS = 0, 1
@@ -36,20 +35,7 @@ _SAVE_STEPS = 1_500_000
 _STOPS = (1, 3, 5, 7, 9)
 """Rollouts after which a candidate may be stopped."""
 _MIN_AHEAD, _MAX_AHEAD = 3, 48
-_CAR_RULES: Mapping[ParameterKind, KindRule] = {
-    **RULES,
-    ParameterKind.WEIGHT: KindRule(6, 16, 0.01, 0.8),
-    ParameterKind.SIGMA: KindRule(5, 12, 0.01, 0.08),
-    ParameterKind.LEAK_POTENTIAL: KindRule(4, 8, 0.1, 3.0, first=5),
-    ParameterKind.LEAK: KindRule(4, 8, 0.05, 0.8),
-    ParameterKind.CAPACITANCE: KindRule(4, 7, 0.01, 0.3),
-}
-_CART_RULES: Mapping[ParameterKind, KindRule] = {
-    **RULES,
-    ParameterKind.WEIGHT: KindRule(5, 12, 0.03, 0.3, first=4),
-    ParameterKind.LEAK_POTENTIAL: KindRule(3, 8, 0.1, 2.0, first=2),
-    ParameterKind.LEAK: KindRule(2, 6, 0.02, 0.2),
-}
+_CAR_RULES, _CART_RULES = ({**RULES, **TASKS[task].rules} for task in ("mountain-car", "cart-pole"))
 _FALLS_BACK = {16: 12}
 """Cap of a car's weights from which it falls back instead of growing, and to which."""
 _MIN_AMPLITUDE, _MAX_AMPLITUDE = 0.01, 1.0

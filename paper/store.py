@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import ConfigDict, ValidationError, model_validator
 
 from paper.search import Point
-from paper.tasks import TASKS, Vector
+from paper.tasks import GRADIENTS, TASKS, Vector
 from rover_ncp.core.config import StrictModel
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text
@@ -128,9 +128,11 @@ class ResultStore:
         """Return a run. Raises FileError."""
         return self._runs(self.path(name.task, name.budget)).get(name)
 
-    def results(self, task: str, agent: str, budget: str = BudgetName.PUBLISHED) -> list[Result]:
-        """Return the finished runs of an agent, by seed. Raises FileError."""
-        runs = self._runs(self.path(task, budget)).values()
+    def results(self, task: str, agent: str, budget: str | None = None) -> list[Result]:
+        """Return the finished runs of an agent, by seed, without a budget those of the paper's search or of
+        gradients. Raises FileError."""
+        own = BudgetName.GRADIENTS if agent in GRADIENTS else BudgetName.PUBLISHED
+        runs = self._runs(self.path(task, budget or own)).values()
         return sorted((run for run in runs if run.name.agent == agent), key=lambda run: run.name.seed)
 
     def every(self) -> Iterator[Result]:
@@ -157,18 +159,13 @@ class ResultStore:
 
     def _runs(self, path: Path) -> dict[RunName, Result]:
         if path not in self._read:
-            self._read[path] = _load(path) if path.is_file() else {}
+            found = self._read[path] = {}
+            for number, line in enumerate(read_text(path).splitlines() if path.is_file() else (), start=1):
+                try:
+                    result = Result.model_validate(json.loads(line))
+                except (ValueError, ValidationError) as error:
+                    raise FileError(f"{path}: line {number} is damaged or no run; delete the line") from error
+                if self.path(result.name.task, result.name.budget) != path or path.stem not in TASKS:
+                    raise FileError(f"{path}: line {number} is {result.name}, which belongs to another file")
+                found[result.name] = result
         return self._read[path]
-
-
-def _load(path: Path) -> dict[RunName, Result]:
-    found = {}
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
-        try:
-            result = Result.model_validate(json.loads(line))
-        except (ValueError, ValidationError) as error:
-            raise FileError(f"{path}: line {number} is damaged or is no run; delete the line") from error
-        if (result.name.budget, result.name.task) != (path.parent.name, path.stem) or path.stem not in TASKS:
-            raise FileError(f"{path}: line {number} is the run {result.name}, which belongs to another file")
-        found[result.name] = result
-    return found

@@ -10,10 +10,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from rover_ncp.circuit.circuit import BOUNDS, DEFAULTS, Circuit, ParameterKind, SynapseKind
 from rover_ncp.circuit.motors import Motors
@@ -21,6 +22,7 @@ from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout, Policy, pa
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.sensing import Sensing
 from rover_ncp.core.config import StrictModel, load_yaml
+from sim.learn.search.published import KindRule
 
 Vector = NDArray[np.float64]
 PLANTS = ("mountain-car", "cart-pole", "written-pendulum", "pendulum", "half-cheetah")
@@ -61,6 +63,14 @@ class Settings(NamedTuple):
     worst: int
 
 
+class Training(NamedTuple):
+    """Steps in all, environments side by side, and options that differ from the library's defaults."""
+
+    steps: int
+    environments: int
+    options: dict[str, Any]
+
+
 class Task(StrictModel):
     """One row of the paper's tables."""
 
@@ -78,6 +88,8 @@ class Task(StrictModel):
     """Name of the tap-withdrawal circuit with the task's motor neurons."""
     published_search: str = "published-parking"
     """A name of ``STRATEGIES`` (``search.py``)."""
+    rules: dict[ParameterKind, KindRule] = Field(default_factory=dict)
+    """Rules of that search which are not parking's."""
     warm_up: int = 0
     """Ticks of a circuit before the first step of an episode, in the task's published code."""
     distance_of: int | None = None
@@ -102,6 +114,8 @@ class Benchmark(Task):
     """A faster plant for the search; reported results are those of the task's own."""
     sensing: Sensing
     motors: Motors
+    gradients: dict[str, Training] = Field(default_factory=dict)
+    """Trainings of PPO and A2C."""
     bonus: float = 0.0
     """Added to every rewarded step, times 1 - |x| of the cart."""
     most: float = math.inf

@@ -60,7 +60,7 @@ def test_comparison_is_better_on_par_or_open(store):
     assert verdict(store, "compare", other="mlp", better=True, **pendulum).verdict is Verdict.UNDECIDED
     assert verdict(store, "compare", other="mlp", **pendulum).verdict is Verdict.HOLDS
     assert verdict(store, "compare", other="lstm", **pendulum).verdict is Verdict.DIFFERS
-    nearly = verdict(store, "compare", other="ppo", other_budget="gradients", **pendulum)
+    nearly = verdict(store, "compare", other="ppo", **pendulum)
     assert nearly.verdict is Verdict.HOLDS  # surely worse, and surely by less than the margin
     assert verdict(store, "compare", other="a2c", **pendulum).verdict is Verdict.NOT_TESTED
 

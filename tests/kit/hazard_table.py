@@ -12,7 +12,7 @@ from kit.virtual_drive import short_course
 from rover_ncp.core.errors import FileError
 
 WIDE = {"position_m": 2.0, "heading_rad": 3.0, "still_s": 0.1, "still_m": 1.0, "still_rad": 1.0}
-COURSE = short_course(0.5, 0.0, **WIDE).model_copy(update={"horizon_s": 4.5})
+COURSE = short_course(0.5, 0.0, **WIDE).model_copy(update={"horizon_s": 6.0})
 """Wherever the rover stops on it, its estimates alone are those of a parked rover."""
 TABLE = yaml.safe_load((DATA / "hazards.yaml").read_text())
 

@@ -47,7 +47,8 @@ def run(
     from paper.store import ResultStore
 
     store, names = ResultStore(results), select(task, agent, seed, budget)
-    left = [name for name in names if again or store.find(name) is None]
+    made = set() if again else {result.name for result in store.every()}
+    left = [name for name in names if name not in made]
     for path in {store.path(name.task, budget) for name in left}:
         require_writable(path, overwrite=True)
 

@@ -64,12 +64,9 @@ def library() -> ctypes.CDLL:
                 subprocess.run(
                     [*COMPILE, "-o", made, SOURCE, "-lm"], check=True, capture_output=True, text=True
                 )
-            except FileNotFoundError as error:
-                raise UsageError(
-                    f"{SOURCE}: needs a C compiler, and cc is not installed: install gcc"
-                ) from error
-            except subprocess.CalledProcessError as error:
-                raise UsageError(f"{SOURCE}: cc cannot compile it: {error.stderr}") from error
+            except (OSError, subprocess.CalledProcessError) as error:
+                why = getattr(error, "stderr", "") or error
+                raise UsageError(f"{SOURCE}: needs a C compiler as cc, install gcc: {why}") from error
             made.replace(path)
     return ctypes.CDLL(str(path))
 

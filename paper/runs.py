@@ -97,9 +97,9 @@ def budget_for(name: RunName) -> Budget:
     return replace(budget, iterations=_QUICK_ITERATIONS) if name.budget is BudgetName.QUICK else budget
 
 
-def train_default(task: Task, policy: Policy, number: int) -> tuple[Found, dict[str, Any]]:
+def train_default(task: Task, number: int) -> tuple[Found, dict[str, Any]]:
     """Train an agent as ``rover-ncp train`` does; return what it found, and the settings."""
-    settings = TrainSettings(iterations=task.settings.iterations)
+    settings, policy = TrainSettings(iterations=task.settings.iterations), task.policy()
     [agent] = train_block(settings, policy, Evaluator(policy, load_course("parking")), [number])
     points = {mark(done): (done, done * task.horizon, value) for done, value in agent.improvements}
     steps = settings.iterations * task.horizon
@@ -115,15 +115,15 @@ def train_run(name: RunName, unfinished: Path | None = None) -> Result:
     """
     task, cpu = TASKS[name.task], time.process_time()
     made = _made_with(task, name.agent)  # before the search: files may change while it lasts
-    agent: Policy | Net | None = None
+    agent = _untrained(name)
     saved: SavedSearch | None = None
-    if isinstance(task, Benchmark) and name.agent in GRADIENTS:
+    if agent is None:
+        assert isinstance(task, Benchmark)
         found, settings = train_actor(task, name.agent, name.seed)
     elif name.budget is BudgetName.DEFAULT:
-        agent = task.policy()
-        found, settings = train_default(task, agent, name.seed)
+        found, settings = train_default(task, name.seed)
     else:
-        agent, budget = build_agent(task, name.agent, name.seed), budget_for(name)
+        budget = budget_for(name)
         settings = vars(budget)
         saved = SavedSearch(unfinished, {**settings, **made}, time.process_time) if unfinished else None
         found = run_search(task, agent, name.seed, budget, saved)
@@ -176,9 +176,12 @@ def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int, war
 
 def replay(result: Result) -> Score:
     """Return the score of a stored run's parameters now."""
-    name, task = result.name, TASKS[result.name.task]
-    agent = None if name.agent in GRADIENTS else build_agent(task, name.agent, name.seed)
-    return score(task, agent, result.parameters.array(), name.seed, result.settings.get("warm_up", 0))
+    task, agent = TASKS[result.name.task], _untrained(result.name)
+    return score(task, agent, result.parameters.array(), result.name.seed, result.settings.get("warm_up", 0))
+
+
+def _untrained(name: RunName) -> Policy | Net | None:
+    return None if name.agent in GRADIENTS else build_agent(TASKS[name.task], name.agent, name.seed)
 
 
 def agrees(result: Result, replayed: Score) -> bool:

@@ -124,10 +124,6 @@ class ResultStore:
         """Return the file of a search that has not ended."""
         return self.folder / name.budget / f"{str(name).partition(' ')[2].replace(' ', '-')}.part"
 
-    def find(self, name: RunName) -> Result | None:
-        """Return a run. Raises FileError."""
-        return self._runs(self.path(name.task, name.budget)).get(name)
-
     def results(self, task: str, agent: str, budget: str | None = None) -> list[Result]:
         """Return the finished runs of an agent, by seed, without a budget those of the paper's search or of
         gradients. Raises FileError."""

@@ -27,7 +27,7 @@ import typer
 from paper.__main__ import run_command_line
 from rover_ncp.circuit.circuit import DEFAULTS, MAX_NEURONS, Circuit, ParameterKind, SynapseKind
 from rover_ncp.circuit.policy import Policy, parking_policy
-from rover_ncp.circuit.policy_file import circuit_to_yaml, policy_to_yaml
+from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit, policy_to_yaml
 from rover_ncp.core.config import name_from, read_filled
 from rover_ncp.core.console import Overwrite
 from rover_ncp.core.errors import ConfigError
@@ -40,8 +40,6 @@ _VALUES = {
 }
 """In the order of a circuit's fields."""
 _SYNAPSES = {"ex": SynapseKind.EXCITATORY, "inh": SynapseKind.INHIBITORY, "gj": SynapseKind.GAP}
-_NEURONS = ("PVD", "PLM", "AVA", "AVD", "PVC", "AVB", "AVM", "ALM", "DVA", "FWD", "REV")
-_PARKING_NEURONS = (*_NEURONS[:9], "LFT", "RGT", "FWD")
 
 
 def circuit_from_bnn(text: str, name: str, source: str) -> Circuit:
@@ -75,7 +73,7 @@ def circuit_from_bnn(text: str, name: str, source: str) -> Circuit:
     potential, leak, capacitance = (
         np.array([values[word].get(i, DEFAULTS[_VALUES[word]]) for i in range(size)]) for word in _VALUES
     )
-    known = _NEURONS if size <= len(_NEURONS) else _PARKING_NEURONS
+    known = load_circuit("tap_withdrawal" if size <= 11 else "parking").neurons
     neurons = tuple(known[i] if i < len(known) else f"N{i}" for i in range(size))
     wires = kind, origins, destinations, table[3], table[4]
     try:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +49,6 @@ class Verdict(StrEnum):
 class Claim(StrictModel):
     """A claim of the paper and the test that decides on it."""
 
-    name: str
     words: str
     where: str
     test: str
@@ -63,10 +62,9 @@ class Claim(StrictModel):
 
 
 class ClaimsFile(StrictModel):
-    """``claims.yaml``: the page's questions, the claims that answer them, and the paper's tables."""
+    """``claims.yaml``: the page's questions with the claims that answer them, and the paper's tables."""
 
-    questions: dict[str, tuple[str, ...]]
-    claims: tuple[Claim, ...]
+    questions: dict[str, tuple[Claim, ...]]
     tables: dict[str, dict[str, dict[str, tuple[float, ...]]]]
     """Mean, standard deviation and success rate, where there is one, by table, task and agent."""
     literature: tuple[tuple[str, str], ...]
@@ -74,6 +72,7 @@ class ClaimsFile(StrictModel):
 
 
 FILE = load_yaml(Path(__file__).with_suffix(".yaml"), ClaimsFile)
+CLAIMS = tuple(chain.from_iterable(FILE.questions.values()))
 
 
 @dataclass
@@ -94,7 +93,7 @@ class Finding:
     """Runs that a verdict needs beside the stored ones."""
 
 
-def judge_claims(store: ResultStore, claims: Sequence[Claim] = FILE.claims) -> list[Finding]:
+def judge_claims(store: ResultStore, claims: Sequence[Claim] = CLAIMS) -> list[Finding]:
     """Return what the runs say on claims, each with a verdict. Raises FileError."""
     findings = [_TESTS[claim.test](store, **claim.arguments) for claim in claims]
     places: dict[tuple[str, str], list[Finding]] = {}

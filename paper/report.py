@@ -8,6 +8,7 @@ from itertools import product
 import numpy as np
 
 from paper.claims import (
+    CLAIMS,
     FILE,
     MIN_RUNS,
     Finding,
@@ -62,13 +63,13 @@ def long_report(store: ResultStore) -> str:
 
 def answers(judged: Sequence[Finding]) -> str:
     """Return the page's questions, each with the claims that answer it."""
-    found = {claim.name: (claim, finding) for claim, finding in zip(FILE.claims, judged, strict=True)}
     rows: list[Row] = [("claim", "ours", "compared with", "verdict")]
-    for number, (question, names) in enumerate(FILE.questions.items(), start=1):
+    findings = iter(judged)
+    for number, (question, claims) in enumerate(FILE.questions.items(), start=1):
         rows.append((f"**{number}. {question}**", "", "", ""))
-        for claim, finding in (found[name] for name in names):
-            reason = f" ({finding.why})" if finding.why else ""
-            rows.append((claim.words, finding.figure, finding.against, f"{finding.verdict}{reason}"))
+        for claim, found in zip(claims, findings, strict=False):
+            reason = f" ({found.why})" if found.why else ""
+            rows.append((claim.words, found.figure, found.against, f"{found.verdict}{reason}"))
     return markdown(rows)
 
 
@@ -127,7 +128,7 @@ def sign_tables(store: ResultStore) -> tuple[str, str]:
     main: list[Row] = [("pair", "paper", *titles)]
     clear: list[Row] = [("pair", *titles)]
     searches = [(budget, len(drives(store, budget))) for budget in (BudgetName.PUBLISHED, BudgetName.DEFAULT)]
-    for claim in FILE.claims:
+    for claim in CLAIMS:
         if claim.test != "sign":
             continue
         pair = claim.arguments["source"], claim.arguments["destination"]
@@ -173,7 +174,7 @@ def commits(store: ResultStore) -> str:
 def time_constant_table(store: ResultStore) -> str:
     """Return the time constants of the best parking circuit beside the paper's."""
     ours = time_constants(store)
-    [claim] = [claim for claim in FILE.claims if claim.name == "time-constants"]
+    [claim] = [claim for claim in CLAIMS if claim.test == "constants"]
     rows: list[Row] = [("neuron", "ours", "paper")]
     for neuron, (low, high) in claim.arguments["ranges"].items():
         found = "{:.3g} .. {:.3g}".format(*ours[neuron]) if ours else "not tested"

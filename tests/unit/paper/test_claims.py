@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from paper import claims
 from paper.__main__ import app
-from paper.claims import FILE, Claim, Verdict, judge_claims, readings
+from paper.claims import Claim, Verdict, judge_claims, readings
 from paper.runs import PAIRS
 from paper.store import Packed, ResultStore
 from paper.tasks import TASKS, build_agent
@@ -28,7 +28,7 @@ def fill(store, task, agent, means, **changes):
 
 
 def verdict(store, test, *, others=(), why="", **arguments):
-    claim = Claim(name="a", words="", where="here", test=test, arguments=arguments, why=why)
+    claim = Claim(words="", where="here", test=test, arguments=arguments, why=why)
     return judge_claims(store, [claim, *others])[0]
 
 
@@ -69,7 +69,7 @@ def test_p_is_corrected_for_the_claims_of_one_place(store):
     fill(store, "parking", "circuit", [-0.05] * 3 + [-3.0] * 3)
     arguments = {"task": "parking", "hits": 12, "of": 12}
     assert verdict(store, "rate", **arguments).verdict is Verdict.DIFFERS
-    others = [Claim(name=f"b{n}", words="", where="here", test="rate", arguments=arguments) for n in range(9)]
+    others = [Claim(words="", where="here", test="rate", arguments=arguments) for _ in range(9)]
     assert verdict(store, "rate", others=others, **arguments).verdict is Verdict.UNDECIDED
     apart = [other.model_copy(update={"comparable": False}) for other in others]
     assert verdict(store, "rate", others=apart, **arguments).verdict is Verdict.DIFFERS
@@ -125,11 +125,6 @@ def test_sign_is_decided_by_the_sign_test_over_published_circuits(
     judged = verdict(store, "sign", source="AVA", destination="RGT", expected="positive")
     assert judged.verdict is expected
     assert judged.against == "default search: 60 of 60"
-
-
-def test_every_claim_answers_one_question():
-    answering = [name for names in FILE.questions.values() for name in names]
-    assert sorted(answering) == sorted(claim.name for claim in FILE.claims)
 
 
 def test_command_reports_runs(store, tmp_path):

@@ -26,11 +26,14 @@ def test_json_is_one_object_with_the_result(tmp_path, capsys):
     assert load_policy(fields["policy"]).provenance["return"] == fields["best_return"]
 
 
-def test_runs_without_a_folder_are_numbered(tmp_path, monkeypatch, run_json):
+@pytest.mark.parametrize(
+    "command", [QUICK, f"{TRAIN} --randomize mild --rollouts 2 --random-courses 0 --iterations 1"]
+)
+def test_runs_without_a_folder_are_numbered(command, tmp_path, monkeypatch, run_json):
     monkeypatch.chdir(tmp_path)
     Path("runs/train-1").mkdir(parents=True)
-    code, fields = run_json(QUICK)
-    assert (code, fields["out"]) == (0, "runs/train-2")
+    code, fields = run_json(command)
+    assert (code, fields["policy"]) == (0, "runs/train-2/policy.yaml")
 
 
 def test_resume_needs_no_options_and_refuses_others(tmp_path, capsys):

@@ -4,14 +4,10 @@ from kit.recorded_drives import state, write_drive
 
 from deploy.view.recorded_drive import read_drive
 from deploy.view.timeline import Timeline
-from rover_ncp.core.errors import ConfigError, FileError
 from rover_ncp.neurons.findings import analyse
-from rover_ncp.recording.recording import Recorded, RecordingWriter, read_recording
-from rover_ncp.wire import messages
 from rover_ncp.wire.protocol import DriverStatus, GateStatus
 
 SHORT = "tests/data/short_course.yaml"
-STRING = "std_msgs/msg/String"
 
 
 def timeline_of(short, messages):
@@ -75,30 +71,6 @@ def test_drive_is_judged_by_the_true_and_the_estimated_pose(tmp_path, truth):
     for verdict in verdicts.values():
         assert verdict.error_m == pytest.approx(run.verdict.error_m)
         assert verdict.parked is run.verdict.parked
-
-
-def attached(path, **files):
-    """Write a recording that has these files and no message."""
-    with RecordingWriter(path) as writer:
-        for name, content in files.items():
-            writer.attach(f"{name}.yaml", content)
-    return path
-
-
-def test_incomplete_recordings_are_rejected(tmp_path):
-    with pytest.raises(FileError, match=r"no attachment policy\.yaml"):
-        read_drive(attached(tmp_path / "empty.mcap"))
-    write_drive(tmp_path / "run.mcap", course=SHORT)
-    whole = read_recording(tmp_path / "run.mcap")
-    files = {name: whole.attachment(f"{name}.yaml") for name in ("policy", "course")}
-    with pytest.raises(FileError, match="no tick"):
-        read_drive(attached(tmp_path / "still.mcap", **files))
-    with pytest.raises(ConfigError, match=r"broken\.mcap, policy\.yaml"):
-        read_drive(attached(tmp_path / "broken.mcap", policy=b"format: 9", course=b""))
-    starts = [Recorded("deploy/start", STRING, messages.text("{}"), ns, ns) for ns in (1, 2)]
-    write_drive(tmp_path / "two.mcap", course=SHORT, more=starts)
-    with pytest.raises(FileError, match="holds 2 drives, expected one"):
-        read_drive(tmp_path / "two.mcap")
 
 
 def test_motion_of_another_stage_is_no_motion_of_a_policy(short):

@@ -7,6 +7,7 @@ from kit.paths import ROOT
 
 PAGES = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 _BLOCK = re.compile(r"^```(\w+) ?(?:title=\"([^\"]+)\")?\n(.*?)^```", re.MULTILINE | re.DOTALL)
+_SAVED = re.compile(r"\]\(([\w/.]+\.(?:yaml|py))\)")
 
 
 def steps(page: Path) -> list[tuple[str | None, str]]:
@@ -15,7 +16,9 @@ def steps(page: Path) -> list[tuple[str | None, str]]:
 
 
 def write_files(page: Path, folder: Path) -> None:
-    """Write all files of a page."""
+    """Write the files that a page shows, and those that its reader saves."""
+    for name in _SAVED.findall(page.read_text()):
+        (folder / Path(name).name).write_bytes((page.parent / name).read_bytes())
     for name, content in steps(page):
         if name is not None:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)

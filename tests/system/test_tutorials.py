@@ -1,14 +1,13 @@
 """Every command and every file of the tutorials, in order, in a folder of a user."""
 
 import os
-import re
 import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from kit.tutorials import PAGES, steps
+from kit.tutorials import PAGES, steps, write_files
 
 NEEDS_A_CLONE = "source .venv/bin/activate"
 READY = ("listening on ", "ready ")
@@ -48,13 +47,10 @@ def test_every_command_of_a_tutorial_runs(page, tmp_path, background):
         "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
         "PYTHONPATH": str(installed),
     }
-    for name in re.findall(r"\]\(([\w/.]+\.(?:yaml|py))\)", page.read_text()):  # saved by the reader
-        (tmp_path / Path(name).name).write_bytes((page.parent / name).read_bytes())
+    write_files(page, tmp_path)
     ran = 0
     for name, content in steps(page):
         if name is not None:
-            (tmp_path / name).parent.mkdir(exist_ok=True)
-            (tmp_path / name).write_text(content)
             continue
         for line in content.splitlines():
             if line == NEEDS_A_CLONE:

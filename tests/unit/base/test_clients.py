@@ -7,9 +7,7 @@ import pytest
 from kit.arcos_captures import CAPTURES, Capture
 from kit.pioneer_bench import Pioneer
 
-from bridge.pioneer.framing import Packet, encode_frame
 from bridge.pioneer.odometry import ROBOTS
-from bridge.pioneer.packets import decode_names
 
 
 def set_points_by_hand(chunks: list[tuple[float, bytes]]) -> list[tuple[float, float, float]]:
@@ -48,13 +46,3 @@ def test_every_byte_that_third_party_clients_sent_is_understood(capture: Capture
         assert not drive.enabled or (drive._v, drive._omega) == pytest.approx(wanted)
     firmware = pioneer.firmware
     assert not (firmware.unknown or firmware.bad_arguments or firmware.decoder.skipped_bytes)
-
-
-def test_third_party_handshakes_are_answered_as_the_recorded_robot_answered() -> None:
-    for capture in CAPTURES:
-        pioneer = Pioneer(capture.model)
-        (_, sync0), (_, sync1), (_, sync2), *_ = capture.chunks("c2r")
-        assert [pioneer.say(sync0), pioneer.say(sync1)] == [[Packet(0)], [Packet(1)]]
-        assert [data for _, data in capture.chunks("r2c")][:2] == [encode_frame(0), encode_frame(1)]
-        (names,) = pioneer.say(sync2)
-        assert decode_names(names.payload)[1:] == ("Pioneer", capture.model)

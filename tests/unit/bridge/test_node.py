@@ -1,5 +1,7 @@
 """The bridge's loop with gate, session and mock base, on a virtual clock."""
 
+import math
+
 import pytest
 from kit.virtual_bench import VirtualDriver, VirtualRig
 
@@ -94,3 +96,22 @@ def test_new_lease_enables_the_motors_of_a_rover_that_still_rolls_after_the_stop
     driver.drive(2.0, 0.2)
     assert (driver.gate.lease, driver.gate.held) == (driver.lease.number, "")
     assert driver.odom.velocity.v == pytest.approx(0.2, abs=0.02)
+
+
+@pytest.mark.parametrize("fault", ["corrupt=0.15", "drop=0.15", "noise=0.2"])
+def test_a_bad_line_is_survived_both_ways(fault):
+    """Invariant: the pose stays the base's, speeds stay as commanded, and the end is a standstill."""
+    rig = VirtualRig(load_description("p3at-sh"))
+    driver = VirtualDriver(rig).start()
+    rig.base.inject(parse_fault(f"{fault}@0-20"))
+    for _ in range(100):
+        driver.drive(0.1, 0.15, 0.1)
+        assert abs(rig.rover.target.v) < 0.1501
+        odometry, seen = rig.base.drive.odometry, driver.odom.pose
+        assert math.dist(odometry[:2], seen[:2]) < 0.15 * 0.6 + 0.003
+        if rig._node.report is None:
+            break
+    assert driver.odom.pose.x > 0.2
+    assert rig.base.decoder.bad_checksums + rig.base.decoder.skipped_bytes > 0 or "drop" in fault
+    driver.motors(enable=False)
+    assert rig.stands_after(5.0)

@@ -23,14 +23,6 @@ class Rest:
         assert observation.shape == (4,)
         return 0.0, 0.0
 
-class Follow:
-    signals = ("longitudinal", "speed")
-    def reset(self):
-        self.ticks = 0
-    def __call__(self, observation):
-        self.ticks += 1
-        return observation[1] + 0.5 * observation[0], 0.0
-
 class Blind(Rest):
     signals = ("x", "depth")
 
@@ -86,12 +78,6 @@ def test_a_function_drives_through_the_stack_as_a_circuit():
     found = evaluate(own, course, trials=2, randomize="full", seed=5, stack=True)
     assert own.resets == 2
     assert (found.error_m.max, found.error_m.p50) == pytest.approx((max(errors_m), np.mean(errors_m)))
-
-
-def test_a_class_of_a_module_in_the_working_folder_is_judged(run_json):
-    code, fields = run_json(f"eval own_module:Follow --course {SHORT} --trials 2 --randomize mild")
-    assert code in {0, 1}
-    assert fields["error_m"]["max"] < 0.2
 
 
 def test_a_command_that_needs_a_circuit_says_so_of_a_policy_in_python(capsys):

@@ -144,14 +144,6 @@ def test_four_sonars_count_in_each_direction(model):
             assert clearance(Odometer(ROBOTS[model]), everything() | {number: 0.3}, 10.0) == room
 
 
-def test_ranges_of_several_reports_are_combined(odometer):
-    for k, number in enumerate(AHEAD[:-1]):
-        room = clearance(odometer, {number: 1.0 + 0.1 * k}, 10.0 + 0.04 * k)
-        assert math.isnan(room[0])  # the last of them has not spoken yet
-    assert clearance(odometer, {AHEAD[-1]: 2.0, ASIDE[0]: 0.1}, 10.2)[0] == 1.0
-    assert clearance(odometer, {AHEAD[0]: 3.0}, 10.3)[0] == 1.1
-
-
 def test_silent_sonar_makes_only_its_own_direction_unknown(odometer):
     clearance(odometer, everything(), 10.0)
     later = {number: 5.0 for number in range(16) if number != AHEAD[1]}

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kit.wirings import in_bounds, unit_vectors, wirings
 
-from rover_ncp.circuit import reference
 from rover_ncp.circuit import runner as runner_module
 from rover_ncp.circuit.compiled import make_circuits
 from rover_ncp.circuit.motors import Motors, parking_motors
@@ -21,16 +20,6 @@ PARKING = parking_policy(load_circuit("parking"))
 SIZE = PARKING.layout().size
 ANY_INPUT = st.floats(allow_nan=False, allow_infinity=False)
 NEAR_INPUT = st.floats(-2, 2)
-
-
-def test_exp2_is_exact_to_two_units_in_the_last_place():
-    rng = np.random.default_rng(1)
-    values = np.concatenate(
-        [rng.uniform(-1000, 1000, 20_000), rng.uniform(-2, 2, 20_000), np.arange(-1000, 1001)]
-    )
-    results = np.array([reference.exp2(value) for value in values.tolist()])
-    expected = np.exp2(values)
-    assert np.max(np.abs(results - expected) / np.spacing(expected)) <= 2
 
 
 def draw_observations(data, policy, most):

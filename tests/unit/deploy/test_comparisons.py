@@ -70,17 +70,13 @@ def test_gyro_is_compared_with_odometry(gyro, lag_s, ok, words):
 def test_gyro_that_is_silent_or_biased_or_has_gaps_is_not_right():
     assert gyro_at_rest(REST)[0]
     assert not gyro_at_rest(Samples(odometry=REST.odometry))[0]
-    biased = "+1.02 rad/s at rest (at most 0.4)"
-    for factor, named in ((1.0, biased), (0.0, biased), (57.3, "in degrees")):
-        rest, turn = (samples(omega=omega, gyro=factor) for omega in (0.0, OMEGA))
-        for each in (rest, turn):
-            each.gyro = [(at_s, rate + 1.0) for at_s, rate in each.gyro]
-        ok, words = gyro_in_turn(rest, turn, TURN_SHARES, on_floor=False)
-        assert not ok
-        assert named in words
+    rest, turn = (samples(omega=omega, gyro=1.0) for omega in (0.0, OMEGA))
+    for each in (rest, turn):
+        each.gyro = [(at_s, rate + 1.0) for at_s, rate in each.gyro]
+    ok, words = gyro_in_turn(rest, turn, TURN_SHARES, on_floor=False)
+    assert not ok
+    assert "+1.02 rad/s at rest (at most 0.4)" in words
     assert not gyro_at_rest(Samples(REST.odometry, REST.gyro[::10]))[0]
-    stops = Samples(REST.odometry, REST.gyro[:30])
-    assert not gyro_at_rest(stops)[0]
     assert not gyro_in_turn(
         REST, Samples(odometry=samples(omega=OMEGA).odometry), TURN_SHARES, on_floor=True
     )[0]

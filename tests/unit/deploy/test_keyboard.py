@@ -34,13 +34,6 @@ def test_a_held_key_drives_and_keys_up_means_stop(delay_s, rate_hz):
     assert bool(paused) == (delay_s > HOLD_S + 0.01)
 
 
-def test_a_single_press_is_a_small_step():
-    keyboard = Keyboard()
-    keyboard.take("l", 1.0)
-    assert keyboard.velocity(1.0) == keyboard.velocity(1.0 + HOLD_S) == Velocity(0.0, -NUDGE * OMEGA_RAD_S)
-    assert keyboard.velocity(1.0 + HOLD_S + 1e-6) == keyboard.velocity(0.9) == STANDSTILL
-
-
 @pytest.mark.parametrize("other", ["u", "k", "x", "\x1b[z"])
 def test_another_driving_key_continues_and_any_other_key_stops_at_once(other):
     keyboard = Keyboard()

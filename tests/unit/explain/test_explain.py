@@ -5,11 +5,10 @@ import pytest
 from kit.recorded_drives import write_drive
 
 from rover_ncp.circuit.policy_file import load_policy
-from rover_ncp.circuit.runner import Runner
 from rover_ncp.cli import run
 from rover_ncp.course.course import load_course
 from sim.explain.explain import explain
-from sim.explain.what_if import without_neuron, without_synapse
+from sim.explain.what_if import without_synapse
 from sim.learn.rollout import rollout
 
 SHORT = "tests/data/short_course.yaml"
@@ -23,13 +22,6 @@ def parking():
 @pytest.fixture(scope="module")
 def explained():
     return explain("parking", SHORT)
-
-
-def test_without_a_sensory_neuron_what_it_senses_makes_no_difference(parking):
-    blind = without_neuron(parking, "PVD")
-    one, other = Runner(blind), Runner(blind)
-    for _ in range(20):
-        assert one.tick([0.9, 0.1, 0.5, 1.0]) == other.tick([0.0, 0.1, 0.5, 1.0])
 
 
 def test_knock_outs_are_the_drives_without_each_part(parking, explained):

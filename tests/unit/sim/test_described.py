@@ -1,11 +1,15 @@
 """Described robots in evaluations, and a fifth robot that is one YAML file."""
 
+import numpy as np
 import pytest
 from kit.paths import DATA
 
 from rover_ncp.cli import run
-from rover_ncp.course.course import load_course
+from rover_ncp.course.course import V_MAX, load_course
+from rover_ncp.course.feasibility import check_course
+from rover_ncp.course.reference import plan_reference
 from rover_ncp.robot.description import load_description
+from sim.evaluate.evaluate import _enlarged
 from sim.learn.policies import any_policy
 from sim.stack.trials import Stack
 from sim.world.bodies import Body
@@ -55,3 +59,14 @@ def test_a_fifth_robot_is_evaluated_from_its_file(run_json, capsys):
     assert "1.6 times as long for fifth: fifth reaches 0.15 m/s" in fields["scaled"][0]
     assert run(["course", "check", BRIEF, "--model", FIFTH]) == 0
     assert "1.6 times as long for fifth" in capsys.readouterr().out
+
+
+def test_a_course_with_obstacles_is_as_large_as_the_robot_asks_for():
+    bay, husky = load_course("bay"), load_description("husky-a200")
+    room = check_course(bay).clearance_m
+    assert check_course(bay, husky).clearance_m < room / 2
+    course, said = _enlarged(bay, husky)
+    assert check_course(course, husky).clearance_m >= room
+    assert np.abs(plan_reference(course).motion[:, 0]).max() <= V_MAX
+    assert "bay is 1.582 times as large for husky-a200" in said
+    assert course.parked == bay.parked

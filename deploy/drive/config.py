@@ -37,6 +37,9 @@ AXLE_GAIN_WALK = 0.02
 CASTER_M = 0.015
 """Random displacement of a differential drive after a metre: its casters push it as they turn (chosen)."""
 
+MOUNT_STD_RAD = 0.03
+"""Standard deviation of the constant heading error of a localiser, such as a camera's yaw (chosen)."""
+
 MAX_DRIVE_S = 1800.0
 """Upper limit of a drive with all its tries."""
 BLIND_S = 60.0
@@ -108,7 +111,7 @@ def place_config(
         "pose": "auto" if more.get("undock") else "required",
         "pose_age_s": BLIND_S,
         "pose_frame": place.frame,
-        "estimator": settings_for(rover, described),
+        "estimator": settings_for(rover, described).model_copy(update={"mount_std_rad": MOUNT_STD_RAD}),
         "rover": rover,
         "described": described,
     }

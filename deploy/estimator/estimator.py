@@ -25,6 +25,7 @@ from deploy.estimator.motion import (
     DISTANCE,
     GAIN,
     GYRO,
+    MOUNT,
     OMEGA,
     POSE,
     SIZE,
@@ -275,6 +276,11 @@ class Estimator:
         return Estimate(
             t, pose, Velocity(ahead, turn), rows @ P @ rows.T, float(x[GYRO] * x[GAIN]), float(x[CENTER])
         )
+
+    @property
+    def heading_error_rad(self) -> float:
+        """Heading of the estimate, as external poses show it, minus the direction of travel."""
+        return float(self._history.at(self._history.t)[0][MOUNT])
 
     @property
     def lasting_covariance(self) -> Array:

@@ -23,6 +23,7 @@ from deploy.estimator.motion import (
     GYRO,
     LASTING,
     MOTION,
+    MOUNT,
     OWN,
     POSE,
     SIZE,
@@ -46,7 +47,7 @@ Measured = Odometry | PoseMeasurement | Disturbance | LongerErrors
 
 
 class Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy ships no types
-    """filterpy's filter at one moment: state ``x`` (22,) and covariance ``P`` (22, 22)."""
+    """filterpy's filter at one moment: state ``x`` (23,) and covariance ``P`` (23, 23)."""
 
     x: Array
     P: Array
@@ -137,13 +138,14 @@ class Filter(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy ships no t
         return innovation, H @ self.P @ H.T + measured.covariance
 
     def innovation(self, measured: PoseMeasurement) -> tuple[Array, Array]:
-        """Return an external pose's innovation (3,) and its Jacobian (3, 22).
+        """Return an external pose's innovation (3,) and its Jacobian (3, 23).
 
         The pose was measured at its stamp minus the delay, and the rover went on until the entry's time.
         """
         x = self.x
         ahead, left, turn = true_motion(x, self.settings)
-        cos, sin = math.cos(x[THETA]), math.sin(x[THETA])
+        direction = x[THETA] - x[MOUNT]
+        cos, sin = math.cos(direction), math.sin(direction)
         velocity = np.array([cos * ahead - sin * left, sin * ahead + cos * left, turn])
         H = _ALL[POSE] + _ALL[LASTING]
         H[:, DELAY] = -velocity

@@ -218,7 +218,7 @@ class History:
         return turned_without_gain(turned / seconds, self.settings)[0] * seconds if seconds > 0.0 else 0.0
 
     def at(self, t: float) -> tuple[Array, Array]:
-        """Return state (22,) and covariance (22, 22) at ``t``, before the history those of its begin."""
+        """Return state (23,) and covariance (23, 23) at ``t``, before the history those of its begin."""
         self._apply_again(len(self._entries))
         place = max(bisect_right(self._entries, t, key=lambda entry: entry.t), 1)
         before, dt = self._entries[place - 1], max(t - self._entries[place - 1].t, 0.0)

@@ -66,13 +66,13 @@ class Turn(NamedTuple):
 
     @property
     def row(self) -> Array:
-        """The Jacobian (1, 22) of the angle."""
+        """The Jacobian (1, 23) of the angle."""
         row = np.zeros((1, SIZE))
         row[0, [TURN, BIAS, GAIN]] = 1.0, self.seconds, -self.ahead
         return row
 
     def by_gain(self, gyro_scale: float) -> Array:
-        """Return the derivative (22,) of the state by the turn gain of this turn."""
+        """Return the derivative (23,) of the state by the turn gain of this turn."""
         column = np.zeros(SIZE)
         column[[GAIN, TURN, THETA]] = 1.0, self.turned, gyro_scale * self.turned
         return column

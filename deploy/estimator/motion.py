@@ -15,6 +15,8 @@ turn rate ω; the gyro's turn since its last comparison; then errors of odometry
     DELAY           delay of the external poses, s, beyond their stamps
     LASTING         error of the external poses that lasts for seconds, in x, y and θ of their frame: a
                     first-order Gauss-Markov process, which is stationary
+    MOUNT           constant error of the external poses' heading, rad, as by the yaw of a camera's mount:
+                    θ is the heading as they show it, the rover drives in the direction θ − MOUNT
 
 v and ω are constant but for white noise of the accelerations; one tick at the base's full acceleration
 (0.31 m/s², 1.25 rad/s²) is one standard deviation. So the filter follows odometry almost without delay. While
@@ -33,8 +35,8 @@ from rover_ncp.core.geometry import Pose, compose, wrap_angle
 
 X, Y, THETA, OWN_X, OWN_Y, OWN_THETA, V, OMEGA, TURN = range(9)
 DISTANCE, GAIN, WHEEL_MISMATCH, CENTER, ASIDE, DOWN_X, DOWN_Y, BIAS, GYRO, DELAY = range(9, 19)
-LASTING = slice(19, 22)
-SIZE = 22
+LASTING, MOUNT = slice(19, 22), 22
+SIZE = 23
 POSE, OWN, MOTION = slice(X, THETA + 1), slice(OWN_X, OWN_THETA + 1), slice(V, OMEGA + 1)
 XY, DOWNHILL = slice(X, Y + 1), slice(DOWN_X, DOWN_Y + 1)
 
@@ -49,7 +51,7 @@ STANDING_SHARE = 0.01
 
 
 class Step(NamedTuple):
-    """The state after a step (22,), its Jacobian and the covariance of its process noise (22, 22)."""
+    """The state after a step (23,), its Jacobian and the covariance of its process noise (23, 23)."""
 
     x: Array
     jacobian: Array
@@ -92,6 +94,7 @@ def initial(
         s.gyro_scale_std,
         s.pose_delay_std_s,
     )
+    deviations[MOUNT] = s.mount_std_rad
     P = np.diag(np.square(deviations))
     P[LASTING, LASTING] = lasting = np.diag(lasting_variances(settings))
     if covariance is not None:
@@ -143,7 +146,7 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     moved[OWN_THETA] = wrap_angle(x[OWN_THETA] + omega * dt)
     jacobian[OWN_X, OWN_THETA], jacobian[OWN_Y, OWN_THETA] = -v * dt * z, v * dt * c
 
-    heading = x[THETA] + 0.5 * turn
+    heading = x[THETA] - x[MOUNT] + 0.5 * turn
     cos, sin = math.cos(heading), math.sin(heading)
     dx, dy = cos * ahead - sin * left, sin * ahead + cos * left
     scale, gain, mismatch, center, aside, _, _, _, gyro = x[DISTANCE:DELAY].tolist()
@@ -151,7 +154,7 @@ def moving(x: Array, dt: float, settings: EstimatorSettings, *, new_turn: bool) 
     moved[XY] += np.array([dx, dy]) + abs(turn) * downhill
     moved[THETA] = wrap_angle(x[THETA] + turn)
     moved[TURN] += turn / gyro
-    jacobian[X, THETA], jacobian[Y, THETA] = -dy, dx
+    jacobian[XY, THETA], jacobian[XY, MOUNT] = (-dy, dx), (dy, -dx)
     by_mismatch[POSE] = (
         -0.5 * dy + aside * cos - center * sin,
         0.5 * dx + aside * sin + center * cos,
@@ -207,7 +210,7 @@ def turned_without_gain(omega: float, settings: EstimatorSettings) -> tuple[floa
 
 
 def _acceleration_noise(by_distance: Array, by_turn: Array, dt: float, settings: EstimatorSettings) -> Array:
-    """Return the effects (22, 4) of white accelerations on speeds and poses, which are correlated."""
+    """Return the effects (23, 4) of white accelerations on speeds and poses, which are correlated."""
     noise = np.zeros((SIZE, 4))
     densities = settings.acceleration, settings.angular_acceleration
     for column, (by, rate) in enumerate(((by_distance, V), (by_turn, OMEGA))):

@@ -68,6 +68,9 @@ class EstimatorSettings(StrictModel):
     lasting_m: float = Field(default=0.08, ge=0, description="lasting error of poses")
     lasting_rad: float = Field(default=0.05, ge=0, description="lasting error of their heading")
     lasting_s: float = Field(default=20.0, gt=0, description="its time constant")
+    mount_std_rad: float = Field(
+        default=0.0, ge=0, description="constant error of their heading, as by the yaw of a camera's mount"
+    )
     pose_delay_s: float = Field(default=0.05, ge=0, description="expected delay of all poses")
     pose_delay_std_s: float = Field(default=0.05, gt=0)
     pose_gate: float = Field(default=21.11, gt=0, description="largest NIS: 1 in 10,000 with 3 degrees")

@@ -6,7 +6,9 @@ Rules of this file:
    carries on.
 2. The gate stops a rover that touches something, and revokes the lease, as always. `judge` alone declares
    the rover *docked*.
-3. A rover that is not docked after its last try stands at the staging pose. After a safety rule's stop it
+3. The place was taught by the same source of poses, whose heading may have a constant error, as by a
+   camera's mount. The rover must show the taught heading, and drives in the direction without that error.
+4. A rover that is not docked after its last try stands at the staging pose. After a safety rule's stop it
    stands where it is.
 """
 
@@ -37,7 +39,7 @@ from deploy.place.place import AT_PLACE_M
 from deploy.place.plan import FAR_M, Way, approach, in_the_way, retreat, tail, to_staging
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import ConfigError, SafetyStop
-from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, near
+from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, near, turned
 from rover_ncp.course.course import TICK_S
 from rover_ncp.course.scoring import Verdict
 from rover_ncp.course.slowdown import slowdown
@@ -55,20 +57,30 @@ MAX_STAGINGS = 5
 """Ways to the staging pose in one drive."""
 
 
-class _TailEstimator(Estimator):
-    """The estimates of an estimator as the rover's tail has them: turned by 180°."""
+class _LegEstimator(Estimator):
+    """The estimates of an estimator for a way: with the heading in which the rover drives.
 
-    def __init__(self, estimator: Estimator) -> None:
-        self._of_front = estimator
+    For a way that is driven backward they are those of the rover's tail: turned by 180°.
+    """
+
+    def __init__(self, estimator: Estimator, heading_error_rad: float, *, backward: bool) -> None:
+        self._shown, self._heading_error_rad, self._backward = estimator, heading_error_rad, backward
 
     def at(self, t: float) -> Estimate:
-        found = self._of_front.at(t)
+        found = self._shown.at(t)
+        found = replace(found, pose=self.driven(found.pose))
+        if not self._backward:
+            return found
         return replace(
             found,
-            pose=tail(found.pose),
             velocity=Velocity(-found.velocity.v, found.velocity.omega),
             rotation_center_m=-found.rotation_center_m,
         )
+
+    def driven(self, pose: Pose) -> Pose:
+        """Return a pose as the estimates have it."""
+        pose = turned(pose, -self._heading_error_rad)
+        return tail(pose) if self._backward else pose
 
 
 class Docking:
@@ -87,6 +99,8 @@ class Docking:
         self._slower = 1.0 if config.described is None else max(1.0, slowdown(config.described))
         self._staging, self._dock = staging, dock
         self.estimator = Estimator(config.estimator)
+        self._heading_error_rad, self._lane = 0.0, self.place
+        """The poses' heading error as the present way assumes it, and the place as the rover drives to it."""
         self._approach, self._retreat = (
             self._leg(dock, way(self.place, self._slower)) for way in (approach, retreat)
         )
@@ -230,11 +244,26 @@ class Docking:
         if judgement.error is DockError.NONE:
             self.over = True
         else:
+            self._learn_heading_error()
             self._begin(Stage.RETRY, self._way_out(self.place.out_m(pose)), index, pose)
+
+    def _learn_heading_error(self) -> None:
+        """Plan the ways of the place by the newest estimate of the poses' heading error; the rover stands."""
+        error = self.estimator.heading_error_rad
+        if error != self._heading_error_rad:
+            self._heading_error_rad, self._lane = error, self.place.driven(error)
+            self._approach, self._retreat = (
+                self._leg(self._dock, way(self._lane, self._slower)) for way in (approach, retreat)
+            )
 
     def _staged(self, index: int, pose: Pose) -> None:
         """Begin an approach, or drive to the staging pose anew if the rover is too far from it."""
+        self._learn_heading_error()
         if self._stands_at_staging(pose):
+            problem = in_the_way(self._lane, self._approach.way, self._config.described)
+            if problem:
+                self._end(DockError.FAILED_TO_CONTROL, problem)
+                return
             self._tries += 1
             self._begin(Stage.CONTROLLING, self._approach, index, pose)
             return
@@ -245,14 +274,14 @@ class Docking:
 
     def _drive_to_staging(self, index: int, pose: Pose) -> None:
         """Begin the way to the staging pose, or end the docking if there is none."""
-        way, problem, away = None, "", distance(pose, self.place.staging)
+        way, problem, away = None, "", distance(pose, self._lane.staging)
         if away > FAR_M:
             problem = f"{away:.2f} m from the staging pose (at most {FAR_M:g} m)"
         else:
             # A moving rover cannot wait for a search among detours.
             way, problems = to_staging(
-                self.place,
-                pose,
+                self._lane,
+                turned(pose, -self._heading_error_rad),
                 self._config.described,
                 self._slower,
                 detours=self.stage is Stage.NONE,
@@ -270,23 +299,25 @@ class Docking:
 
     def _begin(self, stage: Stage, leg: "_Leg", index: int, pose: Pose) -> None:
         self.stage, self._now, self._began = stage, leg, index
-        leg.controller.begin(tail(pose) if leg.way.backward else pose)
+        leg.controller.begin(leg.estimator.driven(pose))
 
     def _way_out(self, out_m: float) -> "_Leg":
         """Return the way to the staging pose from so far out of the place."""
         if out_m <= AT_PLACE_M:
             return self._retreat
         out_m = min(out_m, self.place.staging_m - AT_PLACE_M)
-        return self._leg(self._dock, retreat(self.place, self._slower, out_m))
+        return self._leg(self._dock, retreat(self._lane, self._slower, out_m))
 
     def _leg(self, policy: Policy, way: Way) -> "_Leg":
         c, (course, reference) = self._config, way.of_tail() if way.backward else (way.course, way.reference)
         controller = Controller(policy, course, c.estimator, c.rover, c.described, reference=reference)
-        controller.estimator = _TailEstimator(self.estimator) if way.backward else self.estimator
-        return _Leg(way, controller)
+        controller.estimator = estimator = _LegEstimator(
+            self.estimator, self._heading_error_rad, backward=way.backward
+        )
+        return _Leg(way, controller, estimator)
 
     def _stands_at_staging(self, pose: Pose) -> bool:
-        return near(pose, self.place.staging, STAGED_M, STAGED_RAD)
+        return near(turned(pose, -self._heading_error_rad), self._lane.staging, STAGED_M, STAGED_RAD)
 
     def verdict(self, contact: str) -> Verdict:
         """Return the verdict. A contact ended a try, or backing out of the place; it is no failure."""
@@ -325,3 +356,4 @@ class _Leg(NamedTuple):
 
     way: Way
     controller: Controller
+    estimator: _LegEstimator

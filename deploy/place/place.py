@@ -10,7 +10,7 @@ from pydantic import Field
 
 from deploy.place.outcome import PoseErrors
 from rover_ncp.core.config import StrictModel, load_yaml
-from rover_ncp.core.geometry import Pose, compose, relative
+from rover_ncp.core.geometry import Pose, compose, relative, turned
 from rover_ncp.course.course import FAR_M, Angle, Name, Obstacle
 
 SUFFIXES = {".yaml", ".yml"}
@@ -103,6 +103,13 @@ class Place(StrictModel):
     def staging(self) -> Pose:
         """The pose of the base where the straight approach begins."""
         return compose(self.goal, Pose(self.staging_m if self.backward else -self.staging_m, 0.0, 0.0))
+
+    def driven(self, heading_error_rad: float) -> "Place":
+        """Return the place for a rover whose poses have a heading error: with the direction of travel."""
+        if not heading_error_rad:
+            return self
+        theta = turned(self.goal, -heading_error_rad).theta
+        return self.model_copy(update={"pose": self.pose.model_copy(update={"theta": theta})})
 
     def errors(self, pose: Pose) -> PoseErrors:
         """Return a pose minus that of the place."""

@@ -16,7 +16,7 @@ from deploy.place.place import AT_PLACE_M, Place
 from deploy.place.sight import Sight, blind
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
-from rover_ncp.core.geometry import Pose, compose, distance, wrap_angle
+from rover_ncp.core.geometry import Pose, compose, distance, turned, wrap_angle
 from rover_ncp.course.course import (
     MAX_CHECKPOINTS,
     MAX_HORIZON_S,
@@ -83,7 +83,7 @@ class Way:
 
 def tail(pose: Pose) -> Pose:
     """Return a pose turned by 180°: that of the rover's tail."""
-    return Pose(pose.x, pose.y, wrap_angle(pose.theta + math.pi))
+    return turned(pose, math.pi)
 
 
 def approach(place: Place, slower: float = 1.0) -> Way:

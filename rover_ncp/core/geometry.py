@@ -64,6 +64,11 @@ def relative(pose_ab: Pose, pose_ac: Pose) -> Pose:
     return compose(inverse(pose_ab), pose_ac)
 
 
+def turned(pose: Pose, angle: float) -> Pose:
+    """Return a pose with its heading turned by an angle in radians."""
+    return Pose(pose.x, pose.y, wrap_angle(pose.theta + angle))
+
+
 def distance(a: Pose, b: Pose) -> float:
     """Return the distance between two origins in metres, both poses given in one frame."""
     return math.hypot(a.x - b.x, a.y - b.y)

@@ -1,5 +1,7 @@
 """Drives to a place through firmware, gate and driver: how they end, and that they are replayed exactly."""
 
+import math
+
 import pytest
 from kit.virtual_docking import BEFORE_STAGING, STAGING, VirtualDocking, place
 
@@ -7,7 +9,7 @@ from deploy.drive.tick_messages import FRAMES_TOPIC, PATH_TOPIC, POSE_TOPIC
 from deploy.place.outcome import DockError
 from deploy.replay import replay
 from deploy.view.recorded_drive import read_drive, summarise
-from rover_ncp.core.geometry import Pose, distance
+from rover_ncp.core.geometry import Pose, distance, turned
 from rover_ncp.course.course import Obstacle
 from rover_ncp.wire.cdr import decode
 from rover_ncp.wire.messages import (
@@ -184,6 +186,17 @@ def test_docking_ends_within_the_tolerances_and_is_replayed(tmp_path, where, sta
     assert (dock.by_proof is None) == (world.get("see") is lost_near)
     assert max(map(abs, drive.off[:2])) < 0.02
     assert replay(drive.path).same
+
+
+def test_constant_error_of_the_localisers_heading_cancels(tmp_path):
+    error = math.radians(3.0)
+    taught = place(pose={"x": 2.0, "y": 1.0, "theta": error})
+    path = tmp_path / "run.mcap"
+    drive = VirtualDocking(taught, BEFORE_STAGING, path=path, see=lambda pose, now: turned(pose, error))
+    dock = drive.run().dock
+    assert dock.success, dock
+    assert abs(drive.rover.pose.theta) < math.radians(1.0)
+    assert replay(path).same
 
 
 def test_rover_that_stands_docked_stays_and_undocks_to_the_staging_pose(tmp_path):

@@ -77,21 +77,13 @@ def test_a_disk_that_hangs_never_blocks_the_caller(tmp_path, monkeypatch):
     recorder.close()
 
 
-@pytest.mark.parametrize(
-    ("message", "words"),
-    [
-        (Recorded("a", "nav_msgs/msg/Odometry", b"", 1, 1), "a has two types"),
-        (note("two", -1), "a has the times -1 ns and -1 ns"),
-    ],
-)
-def test_message_that_no_recording_can_hold_is_dropped_and_recording_goes_on(
-    recorder, caplog, message, words
-):
+def test_message_that_no_recording_can_hold_is_dropped_and_recording_goes_on(recorder, caplog):
+    message = Recorded("a", "nav_msgs/msg/Odometry", b"", 1, 1)
     for each in (note("one"), message, message, note("three")):
         recorder.put(each)
     recorder.close()
     assert (recorder.failure, recorder.dropped) == ("", 2)
-    assert caplog.text.count(words) == 1
+    assert caplog.text.count("a has two types") == 1
     found = read_recording(recorder.path)
     assert (found.complete, [read_text(each.data) for each in found.messages]) == (True, ["one", "three"])
 

@@ -17,7 +17,7 @@ from rover_ncp.wire import messages
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.message_parts import header_of
 from rover_ncp.wire.messages import BASE_FRAME, ODOM_FRAME, Transform, imu
-from rover_ncp.wire.protocol import GateStatus
+from rover_ncp.wire.protocol import Fence, GateStatus
 
 OK, WARNING, ERROR = 0, 1, 2
 MIN_VARIANCE = 1e-6
@@ -127,8 +127,8 @@ def turn_rate(rate: float, robot: RobotDescription, stamp_ns: int) -> bytes:
     return imu(rate, max(noise_rad_s**2, MIN_VARIANCE), stamp_ns)
 
 
-def gate_status(state: GateState) -> GateStatus:
-    """Return the gate's state as it goes out on ``rover/gate``."""
+def gate_status(state: GateState, fence: Fence | None = None) -> GateStatus:
+    """Return the gate's state as it goes out on ``rover/gate``, with the gate's fence."""
     lease, held = state.lease, state.held
     return GateStatus(
         lease=lease.number if lease else 0,
@@ -143,6 +143,7 @@ def gate_status(state: GateState) -> GateStatus:
         dropped=_named(state.dropped),
         limited=_named(state.limited),
         stops=_named(state.stops),
+        fence=fence,
     )
 
 

@@ -183,7 +183,8 @@ class Node:
         self._flush_log()
         if now >= self._status_due_s:
             self._status_due_s = now + STATUS_S
-            self._publish("rover/gate", text(dump_json(ros.gate_status(self.gate)).decode()))
+            status = ros.gate_status(self.gate, self._limits.fence)
+            self._publish("rover/gate", text(dump_json(status).decode()))
         if now >= self._slow_due_s:
             self._publish_slowly(now)
 

@@ -128,7 +128,8 @@ def _compared(
                 began = samples[_key(wanted.pop(0))]
                 if not isinstance(began, OdometrySample):
                     raise ValueError("it does not start with odometry")
-                mission.start(began.pose, 0.0, Pose(*start.pose), start.covariance_matrix, start.lasting)
+                pose, covariance = Pose(*start.pose), start.covariance_matrix
+                mission.start(began.pose, 0.0, pose, covariance, start.lasting, room=start.room)
             for ref in wanted:
                 mission.take(samples[_key(ref)], start.sample.seconds_to(ref.measured_ns))
             tick = mission.tick(record.index, now, record.evidence) if record.command is not None else None

@@ -4,37 +4,13 @@ Bounds keep a mistake in the file from undoing the first safety requirement: a r
 stands still within 0.5 s plus braking.
 """
 
-from typing import Annotated, Self
+from typing import Self
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from rover_ncp.core.config import StrictModel
 from rover_ncp.robot.description import RobotDescription
-
-Edge = Annotated[float, Field(ge=-1e5, le=1e5)]
-
-
-class Fence(StrictModel):
-    """A rectangle in odom, in metres; the base's centre stays inside."""
-
-    x_min: Edge
-    """Its rear edge."""
-    x_max: Edge
-    """Its front edge."""
-    y_min: Edge
-    """Its right edge."""
-    y_max: Edge
-    """Its left edge."""
-
-    @model_validator(mode="after")
-    def _has_an_inside(self) -> Self:
-        if self.x_min >= self.x_max or self.y_min >= self.y_max:
-            raise ValueError("a fence needs x_min < x_max and y_min < y_max")
-        return self
-
-    def outside(self, x: float, y: float) -> float:
-        """Return the distance of a point beyond the sides, in metres; 0 inside."""
-        return max(self.x_min - x, x - self.x_max, self.y_min - y, y - self.y_max, 0.0)
+from rover_ncp.wire.protocol import Fence
 
 
 class Limits(StrictModel):

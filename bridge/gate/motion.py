@@ -13,9 +13,10 @@ import math
 from collections.abc import Iterator
 
 from bridge.base import BaseReport
-from bridge.gate.limits import Fence, Limits
+from bridge.gate.limits import Limits
 from bridge.gate.state import NO_CONTACT, Contact, GateState
 from rover_ncp.core.geometry import Velocity, wrap_angle
+from rover_ncp.wire.protocol import Fence
 
 REACT_S = 0.3
 """Longest time from command to first braking; the fence assumes it besides braking."""

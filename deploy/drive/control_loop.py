@@ -30,6 +30,7 @@ from deploy.estimator.estimator import Estimate
 from deploy.estimator.inputs import Acceptance
 from deploy.place.outcome import Evidence
 from deploy.place.place import Proof
+from deploy.place.room import Room
 from rover_ncp.core.bridge_lines import DOCKING
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import NoPose, SafetyStop, UnreachableError
@@ -106,6 +107,8 @@ class Drive:
         """Whether external poses gave the start pose."""
         self._poses_used, self._blind_ns, self._looked_ns = 0, 0, 0
         """External poses that the filter accepted, the motion since the last one, and the last look at it."""
+        self._turn_gain: float | None = None
+        """True turn over odometry's, if a turn before the start and a gyro showed it."""
         self.keeper = RateKeeper(self._period_ns, 0)
         self.phase = Phase.WAITING
         self.reason = ""
@@ -172,8 +175,9 @@ class Drive:
             pose=pose,
             lasting=self._lasting,
             covariance=None if covariance is None else tuple(covariance.ravel().tolist()),
+            room=self._room(),
         )
-        self.mission.start(start.sample.pose, 0.0, pose, covariance, self._lasting)
+        self.mission.start(start.sample.pose, 0.0, pose, covariance, self._lasting, room=record.room)
         self._publisher.start(record, start.sample.pose)
         if not self.config.dry_run:
             self._request_motors()
@@ -197,11 +201,22 @@ class Drive:
         self.mission.start_pose(None, f"{why}; {looked}")
         raise NoPose(why)
 
+    def _room(self) -> Room | None:
+        """Return the room that the gate's fence leaves, None without a fence."""
+        fence = self._link.gate.fence
+        return None if fence is None else Room(fence=fence, turn_gain=self._turn_gain)
+
     def _look_around(self, detector: StartDetector) -> str:
         """Turn until poses come; return "" or where the rover looked. The turn has a lease of its own."""
+        fence, newest = self._link.gate.fence, self.measurements.newest
+        assert newest is not None  # the rover stood
+        x, y, _ = newest.sample.pose
+        if fence is not None and fence.outside(x, y) > 0.0:
+            where = f"at x {x:.2f} m, y {y:.2f} m of odometry"
+            return f"the rover did not turn: {where} it is outside the gate's fence"
         self._request_motors()
         try:
-            return look_around(
+            looked, self._turn_gain = look_around(
                 self._link,
                 self.measurements,
                 monitor=self.monitor,
@@ -209,6 +224,7 @@ class Drive:
                 config=self.config,
                 clock=self._clock,
             )
+            return looked
         finally:
             self._link.release()
             self.monitor = self._new_monitor()

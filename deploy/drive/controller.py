@@ -22,6 +22,7 @@ from deploy.drive.measurements import Sample
 from deploy.estimator.estimator import Estimate, Estimator
 from deploy.estimator.settings import TURN_GAINS, EstimatorSettings
 from deploy.place.outcome import Evidence
+from deploy.place.room import Room
 from rover_ncp.circuit.own_policy import FunctionRunner
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.rover_interface import RoverInterface
@@ -223,8 +224,10 @@ class CourseMission:
         pose: Pose,
         covariance: NDArray[np.float64] | None = None,
         lasting: LastingError = UNDECLARED,
+        *,
+        room: Room | None = None,
     ) -> None:
-        """Begin as `Controller.start`."""
+        """Begin as `Controller.start`. A course is not planned by the room."""
         self._controller.start(odometry, t, pose, covariance, lasting)
 
     def take(self, sample: Sample, t: float) -> None:

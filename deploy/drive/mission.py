@@ -10,6 +10,7 @@ from deploy.drive.measurements import Sample
 from deploy.estimator.estimator import Estimate, Estimator
 from deploy.place.outcome import DockResult, Evidence
 from deploy.place.place import Proof
+from deploy.place.room import Room
 from rover_ncp.core.geometry import Pose
 from rover_ncp.course.scoring import Verdict
 from rover_ncp.robot.lasting_error import UNDECLARED, LastingError
@@ -55,10 +56,12 @@ class Mission(Protocol):
         pose: Pose,
         covariance: NDArray[np.float64] | None = None,
         lasting: LastingError = UNDECLARED,
+        *,
+        room: Room | None = None,
     ) -> None:
         """Begin at rest at time ``t``, at ``pose``, where odometry stands at ``odometry``.
 
-        Raises SafetyStop if there is no way from that pose.
+        ``room`` is that of the gate's fence. Raises SafetyStop if there is no way from that pose.
         """
 
     def take(self, sample: Sample, t: float) -> None:

@@ -13,6 +13,7 @@ from pydantic import Field
 from deploy.drive.config import DriveConfig
 from deploy.drive.measurements import SampleRef
 from deploy.place.outcome import Evidence
+from deploy.place.room import Room
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.circuit.policy_file import policy_from_yaml, policy_to_yaml
 from rover_ncp.core.config import StrictModel, dump_yaml, parse_yaml, read_yaml
@@ -36,7 +37,7 @@ class StartRecord(StrictModel, extra="ignore"):
     """The start of a drive: at ``pose`` in the course's frame, at the moment of ``sample``.
 
     ``covariance`` of that pose has nine numbers, row by row; None where the pose defines the course's frame.
-    ``lasting`` is the lasting error of the external poses.
+    ``lasting`` is the lasting error of the external poses, ``room`` that of the gate's fence.
     Recordings of earlier versions have checksums of their files here, which are ignored.
     """
 
@@ -44,6 +45,7 @@ class StartRecord(StrictModel, extra="ignore"):
     pose: tuple[float, float, float]
     covariance: tuple[float, ...] | None = Field(default=None, min_length=9, max_length=9)
     lasting: LastingError = UNDECLARED
+    room: Room | None = None
 
     @property
     def covariance_matrix(self) -> NDArray[np.float64] | None:

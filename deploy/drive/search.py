@@ -5,12 +5,14 @@ where the rover is, so that it only turns, and only in the circle that its outli
 """
 
 import math
+import statistics
 
 from deploy.drive.config import DriveConfig
 from deploy.drive.link import Link
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from deploy.drive.start import StartDetector
+from deploy.estimator.settings import TURN_GAINS
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import STANDSTILL, Velocity, wrap_angle
@@ -28,6 +30,8 @@ MARGIN_M = 0.03
 SLOW = 2.0
 """The turn may take so many times as long as at the commanded rate."""
 POLL_S = 0.02
+MIN_READINGS, MIN_TURN_RAD = 5, 0.3
+"""Readings of a gyro before the turn, and odometry's turn, from which a turn gain is known."""
 
 
 def look_around(
@@ -38,16 +42,17 @@ def look_around(
     detector: StartDetector,
     config: DriveConfig,
     clock: Clock,
-) -> str:
+) -> tuple[str, float | None]:
     """Turn until external poses come steadily; return "" or, without any, where the rover looked, in words.
 
-    The lease is granted, and stays so. Raises SafetyStop and KeyboardInterrupt as a drive does.
+    The second value is the turn gain, true turn over odometry's, None if no gyro showed it. The lease is
+    granted, and stays so. Raises SafetyStop and KeyboardInterrupt as a drive does.
     """
     described = config.described or load_description(DEFAULT_ROBOT)
     needed_m = described.turning_radius_m + MARGIN_M
     rate = max(RATE_RAD_S, DeadZone(config.rover, config.described).least.omega)
     assert measurements.newest is not None  # the rover stood
-    turned, before = 0.0, measurements.newest.sample
+    gyro, turned, before = _GyroTurn(measurements), 0.0, measurements.newest.sample
     until_ns = clock.monotonic_ns() + round(SLOW * TURN_RAD / rate * NS_PER_S)
     next_ns = clock.monotonic_ns()
     try:
@@ -55,16 +60,17 @@ def look_around(
             if (newest := measurements.odometry(POLL_S)) is not None:
                 turned += wrap_angle(newest.sample.pose.theta - before.pose.theta)
                 before = newest.sample
-            measurements.gyro()
+            gyro.add(measurements)
             monitor.check()
             detector.collect_poses()
             if detector.sees_steadily:
-                return ""
+                return "", gyro.gain(turned)
             if (echo_m := link.nearest_echo_m(clock.monotonic_ns())) < needed_m:
-                return (
+                words = (
                     f"the rover turned by {math.degrees(turned):.0f}° and stopped: sonars show something "
                     f"{echo_m:.2f} m from its middle, and it needs {needed_m:.2f} m to turn"
                 )
+                return words, gyro.gain(turned)
             if clock.monotonic_ns() >= next_ns:
                 next_ns += round(TICK_S * NS_PER_S)
                 command = Velocity(0.0, rate)
@@ -72,4 +78,27 @@ def look_around(
                 link.command(command)
     finally:
         link.command(STANDSTILL)
-    return f"the rover turned by {math.degrees(turned):.0f}° on the spot and looked in every direction"
+    words = f"the rover turned by {math.degrees(turned):.0f}° on the spot and looked in every direction"
+    return words, gyro.gain(turned)
+
+
+class _GyroTurn:
+    """The turn that a gyro shows of a rover that stood before."""
+
+    def __init__(self, measurements: Measurements) -> None:
+        rates = [reading.sample.rate for reading in measurements.gyro()]
+        rates = [rate for rate in rates if math.isfinite(rate)]
+        self._bias = statistics.median(rates) if len(rates) >= MIN_READINGS else math.nan
+        self._turned, self._before_ns = 0.0, 0
+
+    def add(self, measurements: Measurements) -> None:
+        """Add the readings that arrived."""
+        for sample, ref, _ in measurements.gyro():
+            if self._before_ns:
+                self._turned += (sample.rate - self._bias) * (ref.measured_ns - self._before_ns) / NS_PER_S
+            self._before_ns = ref.measured_ns
+
+    def gain(self, turned: float) -> float | None:
+        """Return the turn over odometry's turn; None if it is not known, or beyond those of any robot."""
+        gain = self._turned / turned if abs(turned) >= MIN_TURN_RAD else math.nan
+        return gain if TURN_GAINS[0] <= gain <= TURN_GAINS[1] else None

@@ -278,6 +278,16 @@ class Estimator:
         )
 
     @property
+    def turn_gain(self) -> float:
+        """True turn over odometry's, by the newest estimate."""
+        return self.at(self._history.t).turn_gain
+
+    @property
+    def odometry_pose(self) -> Pose:
+        """The newest pose of odometry, in its own frame."""
+        return self._own
+
+    @property
     def heading_error_rad(self) -> float:
         """Heading of the estimate, as external poses show it, minus the direction of travel."""
         return float(self._history.at(self._history.t)[0][MOUNT])

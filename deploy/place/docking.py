@@ -36,7 +36,8 @@ from deploy.place.judge import (
 )
 from deploy.place.outcome import DockError, DockResult, Evidence, Stage
 from deploy.place.place import AT_PLACE_M
-from deploy.place.plan import FAR_M, Way, approach, in_the_way, retreat, tail, to_staging
+from deploy.place.plan import FAR_M, Fenced, Way, approach, in_the_way, retreat, tail, to_staging
+from deploy.place.room import Room
 from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import ConfigError, SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity, distance, near, turned
@@ -117,6 +118,7 @@ class Docking:
         self._judgement = Judgement(DockError.UNKNOWN)
         self._estimate: Estimate | None = None
         self._approached = Approached()
+        self._room: Room | None = None
 
     def start_pose(self, seen: Pose | None, complaint: str) -> Pose:
         """Return the start pose. A rover that is to be undocked stands in its place if no pose shows it."""
@@ -134,8 +136,11 @@ class Docking:
         pose: Pose,
         covariance: NDArray[np.float64] | None = None,
         lasting: LastingError = UNDECLARED,
+        *,
+        room: Room | None = None,
     ) -> None:
         """Begin at ``pose``. Raises SafetyStop if there is no way from there."""
+        self._room = room
         unseen = np.diag(np.square(UNSEEN)) if covariance is None else covariance
         self.estimator.start(pose, t, odometry, unseen, lasting)
         off, out_m = self.place.errors(pose), self.place.out_m(pose)
@@ -286,6 +291,7 @@ class Docking:
                 self._slower,
                 detours=self.stage is Stage.NONE,
                 sight=self._config.sight,
+                fenced=None if self._room is None else self._fenced(self._room),
             )
             problem = "; ".join(map(str, problems))
         if way is None:
@@ -293,6 +299,11 @@ class Docking:
             return
         self._stagings += 1
         self._begin(Stage.NAV_TO_STAGING_POSE, self._leg(self._staging, way), index, pose)
+
+    def _fenced(self, room: Room) -> Fenced:
+        """Return what a plan needs to know of the fence; before the first way the room has the turn gain."""
+        estimator, gain = self.estimator, room.turn_gain if self.stage is Stage.NONE else None
+        return Fenced(room, estimator.odometry_pose, gain or estimator.turn_gain, self._approach.way)
 
     def _end(self, error: DockError, why: str = "") -> None:
         self.over, self._judgement = True, Judgement(error, why)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from deploy.drive.config import BLIND_S
 from deploy.place.place import AT_PLACE_M, Place
+from deploy.place.room import Room
 from deploy.place.sight import Sight, blind
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
@@ -81,6 +82,22 @@ class Way:
         return self.course.model_copy(update={"checkpoints": points}), reference
 
 
+class Fenced(NamedTuple):
+    """What a plan needs to know of the gate's fence."""
+
+    room: Room
+    odometry: Pose
+    """Where odometry shows the rover at the start of a way."""
+    turn_gain: float
+    """True turn over odometry's."""
+    onwards: Way
+    """The way that follows: the approach."""
+
+    def rank(self, way: Way) -> tuple[int, Pose | None]:
+        """Return how a way to the staging pose and the approach fit, as `Room.rank`."""
+        return self.room.rank([way.reference, self.onwards.reference], self.odometry, self.turn_gain)
+
+
 def tail(pose: Pose) -> Pose:
     """Return a pose turned by 180°: that of the rover's tail."""
     return turned(pose, math.pi)
@@ -126,24 +143,31 @@ def to_staging(
     *,
     detours: bool = True,
     sight: Sight | None = None,
+    fenced: "Fenced | None" = None,
 ) -> tuple[Way | None, tuple[Problem | str, ...]]:
     """Return the best clear way from ``start`` to the staging pose, or None and why there is none.
 
     The rover turns on the spot, drives straight, and turns on the spot; or it does so by one more point. The
     best way is the shortest in time, where time without tags in view counts twice. ``sight`` is the camera,
-    if it is known.
+    if it is known. With a fence the rover may begin with the turn to the other side: errors of odometry's
+    turns then cancel those of earlier ones.
     """
     ways, problems = [], tuple[Problem | str, ...]()
     for detour in (None, *(DETOURS_M if detours else ())):
         via = [] if detour is None else [_beside(place, *detour)]
         for backward in (False, True):
             pieces = list(_pieces([start, *via, place.staging], backward))
-            ways.append(_way(place, "staging", start, pieces, backward=backward, slower=slower))
+            for each in (pieces, _turned_about(pieces)) if fenced else (pieces,):
+                ways.append(_way(place, "staging", start, each, backward=backward, slower=slower))
     lost = [blind(place, way.reference, sight) for way in ways]
-    for way, gap in sorted(
-        zip(ways, lost, strict=True),
-        key=lambda each: each[0].course.horizon_s + (each[1].seconds if each[1] else 0.0),
+    fits = [fenced.rank(way) if fenced else (0, None) for way in ways]
+    for way, gap, (_, left) in sorted(
+        zip(ways, lost, fits, strict=True),
+        key=lambda each: (each[2][0], each[0].course.horizon_s + (each[1].seconds if each[1] else 0.0)),
     ):
+        if fenced is not None and left is not None:
+            problems = problems or (fenced.room.words(left),)
+            continue
         if gap is not None and gap.seconds > BLIND_S:
             remedy = "start nearer to the tags, or hang up tags that are in view there"
             problems = problems or (f"{gap} (at most {BLIND_S:g} s); {remedy}",)
@@ -153,6 +177,16 @@ def to_staging(
             return way, ()
         problems = problems or found.problems
     return None, problems
+
+
+def _turned_about(pieces: Sequence[Piece]) -> list[Piece]:
+    """Return pieces of which the first turn goes the other way round."""
+    found = list(pieces)
+    for number, piece in enumerate(found):
+        if piece.turn_rad:
+            found[number] = piece._replace(turn_rad=piece.turn_rad - math.copysign(math.tau, piece.turn_rad))
+            break
+    return found
 
 
 def _beside(place: Place, farther_m: float, left_m: float) -> Pose:

@@ -45,7 +45,7 @@ from enum import IntEnum, StrEnum
 from hashlib import blake2b
 from typing import Annotated, NamedTuple, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from rover_ncp.core.config import ModelT, StrictModel
 from rover_ncp.core.errors import FormatError
@@ -237,6 +237,32 @@ def in_words(reason: str, detail: str = "") -> str:
     return f"{reason}: {words}" if words else reason
 
 
+Edge = Annotated[float, Field(ge=-1e5, le=1e5)]
+
+
+class Fence(StrictModel):
+    """A rectangle in odom, in metres; the base's centre stays inside."""
+
+    x_min: Edge
+    """Its rear edge."""
+    x_max: Edge
+    """Its front edge."""
+    y_min: Edge
+    """Its right edge."""
+    y_max: Edge
+    """Its left edge."""
+
+    @model_validator(mode="after")
+    def _has_an_inside(self) -> Self:
+        if self.x_min >= self.x_max or self.y_min >= self.y_max:
+            raise ValueError("a fence needs x_min < x_max and y_min < y_max")
+        return self
+
+    def outside(self, x: float, y: float) -> float:
+        """Return the distance of a point beyond the sides, in metres; 0 inside."""
+        return max(self.x_min - x, x - self.x_max, self.y_min - y, y - self.y_max, 0.0)
+
+
 class GateStatus(StrictModel):
     """The gate's state, on ``rover/gate`` at each change and ten times a second.
 
@@ -261,6 +287,8 @@ class GateStatus(StrictModel):
     dropped: dict[str, int] = Field(default_factory=dict)
     limited: dict[str, int] = Field(default_factory=dict)
     stops: dict[str, int] = Field(default_factory=dict)
+    fence: Fence | None = None
+    """The fence of the gate; None without one."""
 
     def contact_since(self, before: "GateStatus") -> str:
         """Return the contact that is reported, or cut off a command since ``before``; "" if none."""

@@ -1,0 +1,77 @@
+"""The room that the gate's fence leaves for ways. No I/O, no clock.
+
+The fence lies in odom, so that it counts where odometry will show the rover on a way: after a turn that
+odometry measures wrongly, the rest of the way lies turned in odom.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from pydantic import Field
+
+from rover_ncp.core.config import StrictModel
+from rover_ncp.core.geometry import Pose
+from rover_ncp.course.reference import FloatArray, Reference
+from rover_ncp.wire.protocol import Fence
+
+EDGE_M = 0.12
+"""Room at the edges: the gate assumes that a rover goes on for up to 0.7 s at its speed."""
+GAIN_SHARE = 0.1
+"""The turn gain may differ from the estimated one by this share, as on another floor."""
+
+
+class Room(StrictModel):
+    """The gate's fence at the start of a drive, and the turn gain that a turn before the start showed."""
+
+    fence: Fence
+    turn_gain: float | None = Field(default=None, gt=0, description="true turn over odometry's")
+
+    def rank(
+        self, references: Sequence[Reference], odometry: Pose, turn_gain: float
+    ) -> tuple[int, Pose | None]:
+        """Return how ways in a row fit: 0 inside, 1 inside if the turn gain is right, 2 not; and where not.
+
+        ``odometry`` is its pose at the begin, the returned one where it leaves the room first.
+        """
+        left = self._leaves(references, odometry, turn_gain)
+        if left is not None:
+            return 2, left
+        others = ((1.0 + share) * turn_gain for share in (-GAIN_SHARE, GAIN_SHARE))
+        return int(any(self._leaves(references, odometry, gain) is not None for gain in others)), None
+
+    def _leaves(self, references: Sequence[Reference], odometry: Pose, turn_gain: float) -> Pose | None:
+        """Return where odometry leaves the room first; a rover outside may come nearer."""
+        path = _odometry_path(references, odometry, turn_gain)
+        f, (x, y) = self.fence, path[:, :2].T
+        beyond = np.max([f.x_min - x, x - f.x_max, f.y_min - y, y - f.y_max], axis=0) + EDGE_M
+        outside = np.flatnonzero((beyond > 0.0) & (beyond > beyond[0] + 1e-6))
+        return Pose(*path[outside[0]].tolist()) if len(outside) else None
+
+    def words(self, left: Pose) -> str:
+        """Return the words for ways of which the shortest leaves the room at a pose of odometry."""
+        f = self.fence
+        return (
+            f"every way there leaves the gate's fence (x {f.x_min:g} to {f.x_max:g} m, y {f.y_min:g} to "
+            f"{f.y_max:g} m in odom, {EDGE_M:g} m kept free), the shortest at x {left.x:.2f} m, "
+            f"y {left.y:.2f} m of odometry; make the fence larger, or start where the way lies inside"
+        )
+
+
+def _odometry_path(references: Sequence[Reference], odometry: Pose, turn_gain: float) -> FloatArray:
+    """Return odometry's poses (n, 3) along ways, from its present one."""
+    steps = np.concatenate([np.diff(reference.poses, axis=0) for reference in references])
+    heading = np.concatenate([reference.poses[:-1, 2] for reference in references])
+    turns = np.remainder(steps[:, 2] + math.pi, math.tau) - math.pi
+    middle = heading + 0.5 * turns
+    ahead = steps[:, 0] * np.cos(middle) + steps[:, 1] * np.sin(middle)
+    theta = odometry.theta + np.concatenate([[0.0], np.cumsum(turns / turn_gain)])
+    direction = 0.5 * (theta[:-1] + theta[1:])
+    path: FloatArray = np.column_stack(
+        [
+            odometry.x + np.concatenate([[0.0], np.cumsum(ahead * np.cos(direction))]),
+            odometry.y + np.concatenate([[0.0], np.cumsum(ahead * np.sin(direction))]),
+            theta,
+        ]
+    )
+    return path

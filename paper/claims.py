@@ -238,7 +238,7 @@ def parameters(_: ResultStore, *, task: str, other: str) -> Finding:
     """Ask whether the circuit has fewer parameters than a network of as many cells."""
     circuit = TASKS[task].policy()
     net = Net(other, len(circuit.sensing.inputs), len(circuit.motors.outputs), cells=11)
-    ours, theirs = circuit.layout().size, net.layout().size
+    ours, theirs = circuit.layout().size, sum(net.sizes)
     verdict = Verdict.HOLDS if ours < theirs else Verdict.DIFFERS
     return Finding(f"{ours} against {theirs}", verdict=verdict)
 

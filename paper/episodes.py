@@ -117,7 +117,7 @@ class PlantEvaluator:
             self._circuits = make_circuits(agent, LANES)
         else:
             inputs, outputs = agent.inputs, agent.outputs
-            sizes = (agent.layout().size, agent.cells, agent.cells, agent.gates * agent.cells)
+            sizes = (sum(agent.sizes), agent.cells, agent.cells, agent.gates * agent.cells)
             self._work = [np.zeros((size, LANES)) for size in sizes]
         plant = (for_search and task.search_plant) or task.name
         pool = MujocoPool(task.environment) if task.mujoco else None

@@ -152,25 +152,23 @@ def score(task: Task, agent: Policy | Net | None, vector: Vector, seed: int, war
     Without an agent, the parameters are those of an actor (``gradients.py``). Parking is
     deterministic: one episode is enough.
     """
+    parked, seeds = True, draw_seeds(seed, (_FINAL,), _EPISODES)
     if not isinstance(task, Benchmark):
         assert isinstance(agent, Policy)
         drive = rollout(agent.with_parameters(vector), load_course("parking"))
-        success = drive.verdict.parked and drive.total >= task.success
-        return Score(episodes=1, mean=drive.total, std=0.0, plain_mean=drive.total, success=success)
-    seeds = draw_seeds(seed, (_FINAL,), _EPISODES)
-    if agent is None:
+        parked, returns = drive.verdict.parked, np.array([drive.total])
+        plain = returns
+    elif agent is None:
         returns, plain = score_actor(task, vector, seeds)
     else:
-        evaluator = PlantEvaluator(task, agent, warm_up=warm_up)
-        found = evaluator.run(np.tile(vector, (_EPISODES, 1)), seeds)
+        found = PlantEvaluator(task, agent, warm_up=warm_up).run(np.tile(vector, (_EPISODES, 1)), seeds)
         returns, plain = found[:, :2].sum(axis=1), found[:, 0]
-    plain_mean = float(plain.mean())
     return Score(
-        episodes=_EPISODES,
+        episodes=len(returns),
         mean=float(returns.mean()),
         std=float(returns.std()),
-        plain_mean=plain_mean,
-        success=plain_mean >= task.success,
+        plain_mean=float(plain.mean()),
+        success=parked and float(plain.mean()) >= task.success,
     )
 
 

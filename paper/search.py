@@ -18,7 +18,7 @@ import numpy as np
 
 from paper.episodes import PlantEvaluator
 from paper.tasks import TASKS, Benchmark, Net, Task, Vector, draw_seeds, rng_of
-from rover_ncp.circuit.policy import ParameterLayout, Policy
+from rover_ncp.circuit.policy import Policy
 from rover_ncp.core.errors import FileError
 from rover_ncp.core.files import read_text, write_atomic
 from rover_ncp.course.course import load_course
@@ -48,9 +48,6 @@ class PublishedOnNetworks:
     counts_estimates = False
     start = Scale(_MIN_AMPLITUDE)
 
-    def __init__(self, _: ParameterLayout) -> None:
-        pass
-
     def first(self, defaults: Vector, rng: np.random.Generator) -> Vector:
         """Return noise alone."""
         return _MIN_AMPLITUDE * rng.standard_normal(len(defaults))
@@ -74,7 +71,6 @@ STRATEGIES: Mapping[str, Callable[..., Strategy]] = {
     "published-benchmarks": Published,
     "published-mountain-car": partial(Published, rules=_CAR_RULES, falls_back=_FALLS_BACK),
     "published-cart-pole": partial(Published, rules=_CART_RULES, counts_estimates=True),
-    "published-network": PublishedOnNetworks,
     "algorithm1": Algorithm1,
     "algorithm1-parking": partial(Algorithm1, estimates=False),
 }
@@ -82,7 +78,7 @@ STRATEGIES: Mapping[str, Callable[..., Strategy]] = {
 
 @dataclass(frozen=True)
 class Budget:
-    """A search (a name of ``STRATEGIES``), its iterations, and its estimate's settings."""
+    """A search (of circuits, a name of ``STRATEGIES``), its iterations, and its estimate's settings."""
 
     rollouts: int
     worst: int
@@ -277,8 +273,10 @@ def run_search(
     else:
         assert isinstance(agent, Policy)
         place = ParkingEvaluator(task, agent)
-    defaults = agent.parameters() if isinstance(agent, Policy) else np.zeros(agent.layout().size)
-    strategy = STRATEGIES[budget.strategy](agent.layout(), **budget.numbers)
+    if isinstance(agent, Policy):
+        strategy, defaults = STRATEGIES[budget.strategy](agent.layout(), **budget.numbers), agent.parameters()
+    else:
+        strategy, defaults = PublishedOnNetworks(), np.zeros(sum(agent.sizes))
     rng = rng_of(seed, (_SEARCH,))
     progress = Progress(strategy.first(defaults, rng), strategy.start, rng.bit_generator.state)
     points: dict[int, Point] = {}

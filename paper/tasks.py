@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from rover_ncp.circuit.circuit import BOUNDS, DEFAULTS, Circuit, ParameterKind, SynapseKind
+from rover_ncp.circuit.circuit import DEFAULTS, Circuit, ParameterKind, SynapseKind
 from rover_ncp.circuit.motors import Motors
-from rover_ncp.circuit.policy import ParameterBlock, ParameterLayout, Policy, parking_policy
+from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.policy_file import load_circuit
 from rover_ncp.circuit.sensing import Sensing
 from rover_ncp.core.config import StrictModel, load_yaml
@@ -181,15 +181,11 @@ class Net:
         """Sums that a cell makes of its inputs."""
         return 1 if self.kind == "mlp" else 4
 
-    def layout(self) -> ParameterLayout:
-        """Return where the cells' weights and the outputs' stand in the parameter vector."""
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """How many parameters the cells have, and the outputs after them."""
         recurrent = 0 if self.kind == "mlp" else self.cells
-        first = self.gates * self.cells * (self.inputs + recurrent + 1)
-        last = first + self.outputs * (self.cells + 1)
-        kinds = ((ParameterKind.INPUT_LAYER, 0, first), (ParameterKind.OUTPUT_LAYER, first, last))
-        return ParameterLayout(
-            tuple(ParameterBlock(kind, slice(a, b), *BOUNDS[kind][:2]) for kind, a, b in kinds)
-        )
+        return self.gates * self.cells * (self.inputs + recurrent + 1), self.outputs * (self.cells + 1)
 
 
 def build_agent(task: Task, agent: str, seed: int) -> Policy | Net:

@@ -10,7 +10,7 @@ from paper.tasks import TASKS, build_agent
 
 def textbook(net, vector):
     """Return a function from an observation to a network's commands, tick by tick."""
-    first, last = (vector[block.slice] for block in net.layout().blocks)
+    first, last = np.split(vector, [net.sizes[0]])
     hidden_rows, output_rows = first.reshape(net.gates, net.cells, -1), last.reshape(net.outputs, -1)
     hidden = memory = np.zeros(net.cells)
 
@@ -33,7 +33,7 @@ def textbook(net, vector):
 def test_an_episode_is_that_of_the_textbooks_network_in_gymnasiums_environment(kind, name):
     task = TASKS[name].model_copy(update={"horizon": 10})
     net, seeds = build_agent(task, kind, 0), np.arange(11, dtype=np.uint64)
-    vectors = np.random.default_rng(1).normal(0.0, 0.4, (len(seeds), net.layout().size))
+    vectors = np.random.default_rng(1).normal(0.0, 0.4, (len(seeds), sum(net.sizes)))
     env = gymnasium.make(task.environment)
     expected = []
     for vector, seed in zip(vectors, seeds.tolist(), strict=True):
@@ -48,5 +48,5 @@ def test_an_episode_is_that_of_the_textbooks_network_in_gymnasiums_environment(k
 
 def test_networks_are_those_of_the_published_code():
     mlp, lstm = (build_agent(TASKS["pendulum"], kind, 0) for kind in ("mlp", "lstm"))
-    assert mlp.layout().size == 12 * (2 + 1) + (12 + 1)
-    assert lstm.layout().size == 4 * 12 * (2 + 12 + 1) + (12 + 1)
+    assert mlp.sizes == (12 * (2 + 1), 12 + 1)
+    assert lstm.sizes == (4 * 12 * (2 + 12 + 1), 12 + 1)

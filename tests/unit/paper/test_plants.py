@@ -156,7 +156,7 @@ def test_half_cheetah_is_gymnasiums_to_the_last_bit():
 def test_an_episode_depends_neither_on_its_lane_nor_on_the_others(name):
     task = TASKS[name].model_copy(update={"horizon": 100})
     agent = build_agent(task, "mlp", 0)
-    vectors = np.random.default_rng(3).normal(0.0, 0.7, (40, agent.layout().size))
+    vectors = np.random.default_rng(3).normal(0.0, 0.7, (40, sum(agent.sizes)))
     seeds = draw_seeds(0, (1,), len(vectors))
     together = PlantEvaluator(task, agent).run(vectors, seeds)
     alone = PlantEvaluator(task, agent).run(vectors[7:9], seeds[7:9])

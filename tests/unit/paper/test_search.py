@@ -12,7 +12,15 @@ from kit import paper_reference as reference
 from paper import search as search_module
 from paper.episodes import PlantEvaluator
 from paper.runs import budget_for
-from paper.search import STRATEGIES, BenchmarkEstimator, Progress, SavedSearch, climb, run_search
+from paper.search import (
+    STRATEGIES,
+    BenchmarkEstimator,
+    Progress,
+    PublishedOnNetworks,
+    SavedSearch,
+    climb,
+    run_search,
+)
 from paper.store import RunName
 from paper.tasks import TASKS, build_agent, draw_seeds
 from rover_ncp.circuit.circuit import ParameterKind
@@ -33,13 +41,16 @@ def search(name, limits, *, most=None):
 
 def fast(strategy, agent, returns, iterations):
     """Return the incumbent and its value by iteration where it changes."""
-    first = agent.parameters() if hasattr(agent, "parameters") else np.zeros(agent.layout().size)
+    if strategy == "published-network":
+        rule, first = PublishedOnNetworks(), np.zeros(sum(agent.sizes))
+    else:
+        rule, first = STRATEGIES[strategy](agent.layout()), agent.parameters()
     states = {}
 
     def estimate(vectors, number, to_beat):
         return np.array(returns(number, vectors))
 
-    rule, rng = STRATEGIES[strategy](agent.layout()), np.random.default_rng(5)
+    rng = np.random.default_rng(5)
     start = Progress(rule.first(first, rng), rule.start, rng.bit_generator.state)
     for now in climb(rule, start, iterations, estimate):
         states[now.done] = now.incumbent, now.value
@@ -48,9 +59,10 @@ def fast(strategy, agent, returns, iterations):
 
 def literal(strategy, agent, evaluate, iterations):
     """Return the same from the reference."""
-    rng, layout = np.random.default_rng(5), agent.layout()
+    rng = np.random.default_rng(5)
     if strategy == "published-network":
-        return reference.published_network_search(evaluate, layout.size, rng, iterations)
+        return reference.published_network_search(evaluate, sum(agent.sizes), rng, iterations)
+    layout = agent.layout()
     bounds = agent.parameters(), layout.lower, layout.upper
     if strategy == "algorithm1":
         numbers = SIGMA, ALPHA, ESTIMATE_AFTER

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from paper.store import BudgetName
+from paper.store import BudgetName, ResultStore
 from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
 from rover_ncp.core.files import require_writable
 
@@ -44,17 +44,15 @@ def run(
         python -m paper run --task mountain-car --agent circuit --seed 3 --again
     """
     from paper.runs import make_runs, select
-    from paper.store import ResultStore
 
     store, names = ResultStore(results), select(task, agent, seed, budget)
     made = set() if again else {result.name for result in store.every()}
     left = [name for name in names if name not in made]
     for path in {store.path(name.task, budget) for name in left}:
         require_writable(path, overwrite=True)
-
     if left:
         print(f"{len(left)} runs to make; a line for each when it ends", flush=True)
-    for result in make_runs(left, store, processes):
+    for result in make_runs(left, store, processes) if left else ():
         outcome = "" if result.success else ", no success"
         score = f"{result.mean:.4g} ± {result.std:.3g}{outcome}"
         print(f"{result.name}: {score} ({result.cpu_s:.0f} s of a core)", flush=True)
@@ -78,7 +76,6 @@ def replay(
     """
     from paper.runs import agrees
     from paper.runs import replay as score_again
-    from paper.store import ResultStore
 
     wanted = {"task": task, "agent": agent, "seed": seed, "budget": budget and [budget]}
     chosen = [
@@ -103,14 +100,15 @@ def replay(
 def report(
     *,
     results: Results = RESULTS,
-    long: Annotated[bool, typer.Option("--long", help="The settings and the stored runs.")] = False,
+    long: Annotated[
+        bool, typer.Option("--long", help="Settings, runs, and the tables behind claims.")
+    ] = False,
 ) -> None:
     """Report the paper's claims, and whether the stored runs reproduce them.
 
     Without --long it prints the first part of docs/paper.md.
     """
     from paper.report import long_report, short_report
-    from paper.store import ResultStore
 
     if not results.is_dir():
         raise FileError(f"{results}: no such folder")

@@ -198,7 +198,7 @@ def make_runs(names: Sequence[RunName], store: ResultStore, processes: int | Non
     if {name.agent for name in names} & set(GRADIENTS) and not find_spec("stable_baselines3"):
         raise UsageError("ppo and a2c need stable-baselines3: make paper-gradients installs it")
     library()
-    with ProcessPool(min(processes or available_processes(), len(names) or 1)) as pool:
+    with ProcessPool(min(processes or available_processes(), len(names))) as pool:
         for run in as_completed([pool.submit(train_run, name, store.unfinished(name)) for name in names]):
             result: Result = run.result()
             store.save(result)

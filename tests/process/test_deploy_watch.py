@@ -100,7 +100,7 @@ def test_stop_waits_for_no_news():
 
 
 def test_little_waits_for_a_page_that_takes_nothing_and_then_it_is_closed(monkeypatch):
-    monkeypatch.setattr(server, "SLOW_S", 1.0)
+    monkeypatch.setattr(server, "SLOW_S", 0.5)
     made = []
 
     def updates(cursor, bridge):
@@ -110,7 +110,7 @@ def test_little_waits_for_a_page_that_takes_nothing_and_then_it_is_closed(monkey
     with served(updates, None) as page:
         with page.reads_nothing() as slow:
             slow.sendall(500 * b"\x81\x87\0\0\0\0updates")
-            time.sleep(2.0)
+            time.sleep(1.0)
             assert len(made) < 50
             slow.settimeout(5)
             with pytest.raises(ConnectionError):

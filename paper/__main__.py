@@ -28,7 +28,8 @@ def run(
         BudgetName,
         typer.Option(
             help="published: the paper's iterations with the search of its code. algorithm1: the same with "
-            "the search as printed. gradients: PPO and A2C. quick: published, but seconds a run."
+            "the search as printed. default: agents of rover-ncp train, root seed 0. gradients: PPO and A2C. "
+            "quick: published, but seconds a run."
         ),
     ] = BudgetName.PUBLISHED,
     results: Results = RESULTS,

@@ -22,18 +22,13 @@ from rover_ncp.core.files import read_text
 
 
 class BudgetName(StrEnum):
-    """Budget of a run, and the search that spends it."""
+    """Budget of a run, and the search that spends it. The help of ``run --budget`` describes them."""
 
     PUBLISHED = "published"
-    """The paper's iterations and rollouts with the search of its published code."""
     ALGORITHM1 = "algorithm1"
-    """The paper's iterations and rollouts with Algorithm 1 as it is printed."""
     DEFAULT = "default"
-    """Agents of ``rover-ncp train``: the default search, which is ours, with the root seed 0."""
     GRADIENTS = "gradients"
-    """Training by PPO or A2C, for which the paper gives no settings."""
     QUICK = "quick"
-    """A few iterations of the published search."""
 
 
 class RunName(StrictModel):

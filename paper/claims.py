@@ -53,10 +53,8 @@ class Claim(StrictModel):
     where: str
     test: str
     arguments: dict[str, Any] = Field(default_factory=dict)
-    comparable: bool = True
-    """Whether the test decides. Figures of other things than the paper's do not."""
     why: str = ""
-    """Reason that a claim is not comparable."""
+    """Reason that the paper's figure is of another thing, so that no test decides."""
     core_h: float = 0.1
     """Core hours of a run, measured."""
 
@@ -98,7 +96,7 @@ def judge_claims(store: ResultStore, claims: Sequence[Claim] = CLAIMS) -> list[F
     findings = [_TESTS[claim.test](store, **claim.arguments) for claim in claims]
     places: dict[tuple[str, str], list[Finding]] = {}
     for claim, finding in zip(claims, findings, strict=True):
-        if not claim.comparable and finding.verdict is not Verdict.NOT_TESTED:
+        if claim.why and finding.verdict is not Verdict.NOT_TESTED:
             finding.verdict, finding.p = Verdict.NOT_COMPARABLE, None
         if finding.p is not None:
             places.setdefault((claim.where, claim.test), []).append(finding)

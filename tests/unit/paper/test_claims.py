@@ -27,8 +27,8 @@ def fill(store, task, agent, means, **changes):
         store.save(result(task, agent, seed, mean, success=mean >= TASKS[task].success, **changes))
 
 
-def verdict(store, test, *, others=(), why="", **arguments):
-    claim = Claim(words="", where="here", test=test, arguments=arguments, why=why)
+def verdict(store, test, *, others=(), **arguments):
+    claim = Claim(words="", where="here", test=test, arguments=arguments)
     return judge_claims(store, [claim, *others])[0]
 
 
@@ -71,7 +71,7 @@ def test_p_is_corrected_for_the_claims_of_one_place(store):
     assert verdict(store, "rate", **arguments).verdict is Verdict.DIFFERS
     others = [Claim(words="", where="here", test="rate", arguments=arguments) for _ in range(9)]
     assert verdict(store, "rate", others=others, **arguments).verdict is Verdict.UNDECIDED
-    apart = [other.model_copy(update={"comparable": False}) for other in others]
+    apart = [other.model_copy(update={"why": "another plant"}) for other in others]
     assert verdict(store, "rate", others=apart, **arguments).verdict is Verdict.DIFFERS
     assert judge_claims(store, apart[:1])[0].verdict is Verdict.NOT_COMPARABLE
 

@@ -30,6 +30,7 @@ def test_the_start_signal_rises_at_its_tick_whatever_the_rounding(tick, signal):
         (0.0999, 0, 0, True),
         (0.0, 0.1001, 0, False),
         (0.08, 0.08, 0, False),
+        (0, 0, 0.0999, True),
         (0, 0, -0.1001, False),
         (0, 0, 6.283185307179586, True),
     ],
@@ -125,6 +126,7 @@ def test_the_covariance_decides_whether_a_rover_at_its_goal_is_parked(std_m, wor
     verdict = standing_at(GOAL, of_stds(std_m, std_m, 0.01))
     assert (verdict.parked, verdict.words) == (True, words)
     assert (verdict.probability >= SURE) is (words is Parked.YES)
+    assert standing_at(GOAL).words is Parked.YES  # a true pose
 
 
 def test_a_miss_or_a_contact_is_not_parked_however_uncertain():

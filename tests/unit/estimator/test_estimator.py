@@ -49,20 +49,6 @@ def test_follows_a_bases_odometry_within_its_resolution_and_without_lag():
     assert max(abs(pose.theta) for _, pose, _ in manoeuvre()) > 3.0  # the run does cross ±π
 
 
-def test_prediction_bridges_a_missing_sample():
-    estimator, rows = started(), manoeuvre()
-    errors = []
-    for number, (t, pose, velocity) in enumerate(rows):
-        if number % 3 == 2:
-            estimate = estimator.at(t)
-            errors.append(distance(estimate.pose, pose))
-            # ½ α dt² is 6 mrad, twice on a reversal.
-            assert abs(wrap_angle(estimate.pose.theta - pose.theta)) < 0.016
-        else:
-            estimator.odometry(*reported(pose, velocity), t)
-    assert max(errors) < 0.006  # holding the old pose would be off by 16 mm
-
-
 def test_odometry_that_waited_behind_a_pause_fits_in_spite_of_its_stamps():
     """A bridge that does not run stamps what has come meanwhile with the moment of its reading."""
     before, usual, refused, lasts_s = 0, started(), 0, 0.23

@@ -7,7 +7,7 @@ import pytest
 from kit.base_odometry import DT, MOTION_CAPTURE, moved, reported, started
 
 from rover_ncp.core.geometry import Pose, Velocity, distance
-from rover_ncp.robot.lasting_error import UNDECLARED, Kind, LastingError
+from rover_ncp.robot.lasting_error import UNDECLARED, LastingError
 
 WHITE = 0.005, 0.005, math.radians(0.3)
 SEEN = np.diag(np.square(WHITE))
@@ -62,12 +62,6 @@ def test_poses_that_err_longer_than_declared_make_the_estimate_less_certain(size
     assert deviations[-1, :2].min() > 0.006  # more than of poses without such an error
     # The source had that error when it showed a place, too.
     assert estimator.lasting_covariance[0, 0] >= (2.0 * MOTION_CAPTURE.values.position_m) ** 2
-
-
-def test_declared_values_go_before_those_of_the_kind():
-    assert LastingError(kind=Kind.TAGS, position_m=0.02).values.position_m == 0.02
-    with pytest.raises(ValueError, match="needs all of"):
-        LastingError(position_m=0.02)
 
 
 @pytest.mark.parametrize(("gain", "aside_m"), [(1.5, 0.0), (0.5, 0.4)])

@@ -9,11 +9,11 @@ from kit.virtual_docking import place
 from deploy.drive.measurements import pose_reader
 from deploy.place.plan import approach, in_the_way, retreat, to_staging
 from deploy.place.survey import blurred, complaint, survey
-from rover_ncp.core.errors import FormatError, NoPose, UsageError
+from rover_ncp.core.errors import FormatError, UsageError
 from rover_ncp.core.geometry import ORIGIN, Pose, distance, wrap_angle
 from rover_ncp.course.course import OMEGA_MAX, V_MAX
 from rover_ncp.course.feasibility import Cause, check_course
-from rover_ncp.wire.messages import PoseSample, pose_stamped, pose_with_covariance, read_pose, with_covariance
+from rover_ncp.wire.messages import PoseSample, pose_with_covariance
 
 DIRECTIONS = "forward", "backward"
 STARTS = Pose(0.0, 0.0, 0.0), Pose(1.5, 1.0, -3.1)
@@ -92,18 +92,6 @@ def test_survey_takes_the_median_across_the_angle_where_headings_wrap():
     assert seen.scatter.poses == 40
 
 
-@pytest.mark.parametrize(
-    ("poses", "words"),
-    [
-        (samples([(0, 0, 0)] * 9), "9 external poses arrived"),
-        (samples([(0, 0, 0)] * 9) + samples([(0, 0, 0)] * 9, "odom"), "frames 'map', 'odom'"),
-    ],
-)
-def test_survey_without_enough_poses_of_one_frame_says_so(poses, words):
-    with pytest.raises(NoPose, match=words):
-        survey(poses, 5.0)
-
-
 def test_check_names_a_dock_that_was_moved_and_another_frame():
     where, there = place(), [(2.0, 1.0, 0.0)] * 20
     assert complaint(where, survey(samples(there), 5.0)) == ""
@@ -113,17 +101,6 @@ def test_check_names_a_dock_that_was_moved_and_another_frame():
     rough = np.array(there) + np.random.default_rng(1).normal(size=(20, 3)) * [0.03, 0.03, 0.0]
     assert blurred(where, survey(samples(rough), 5.0).scatter)
     assert not blurred(where, survey(samples(there), 5.0).scatter)
-
-
-def test_pose_stamped_counts_as_a_pose_of_unknown_variance():
-    pose, covariance = Pose(1.0, -2.0, 0.5), np.diag([1.0, 2.0, 3.0])
-    found = read_pose(with_covariance(pose_stamped(pose, 17, "map")))
-    assert (found.stamp_ns, found.frame) == (17, "map")
-    assert found.pose == pytest.approx(pose)
-    assert not found.covariance.any()
-    whole = pose_with_covariance(pose, covariance, 17, "")
-    assert with_covariance(whole) == whole
-    assert with_covariance(b"short") == b"short"
 
 
 def test_pose_of_another_frame_names_both_frames():

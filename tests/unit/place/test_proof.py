@@ -1,33 +1,16 @@
 """What proves a docking, and what does not: reports of a charge and topics of the robot."""
 
-from kit.virtual_docking import STAGING, VirtualDocking, charging, place
+from kit.virtual_docking import VirtualDocking, charging, place
 from kit.virtual_drive import ChangedLink
 
 from deploy.drive.records import attachments
 from deploy.place.outcome import DockError, Stage
-from deploy.replay import replay
 from deploy.view.recorded_drive import read_drive, summarise
 from rover_ncp.core.geometry import Pose
 from rover_ncp.wire.messages import (
     battery_state,
-    boolean,
     read_battery,
 )
-
-
-def says_docked(drive, docked):
-    """Let a topic of the robot say whether it is docked, with each sample of odometry; None is no message."""
-    drive.link.put_with_odometry(
-        "docked", lambda odom: [] if (found := docked(drive.rover.pose)) is None else [boolean(found)]
-    )
-    return drive
-
-
-def test_topic_of_the_robot_proves_a_docking(tmp_path):
-    drive = VirtualDocking(place(proof="topic", retries=0), STAGING, path=tmp_path / "topic.mcap")
-    result = says_docked(drive, lambda pose: pose.x > 1.97).run()
-    assert (result.exit_code, result.dock.success, result.dock.at) == (0, True, "place")
-    assert replay(drive.path).same
 
 
 class Racing(ChangedLink):

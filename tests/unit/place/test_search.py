@@ -64,13 +64,6 @@ def test_rover_that_is_to_leave_its_place_does_not_turn_in_it():
     assert "searching" not in [status.state for status in drive.link.statuses]
 
 
-def test_dry_run_does_not_turn():
-    drive = VirtualDocking(place(), AWAY, see=lambda pose, now: None, dry_run=True)
-    with pytest.raises(Exception, match="no external pose"):
-        drive.run()
-    assert drive.rover.pose == pytest.approx(AWAY, abs=1e-3)
-
-
 def test_way_keeps_the_tags_in_view_though_another_takes_less_time():
     start = Pose(1.9, 1.5, -math.pi / 2)
     ways = [to_staging(place(tags=tags), start)[0] for tags in (None, TAGS)]

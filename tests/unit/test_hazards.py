@@ -158,7 +158,15 @@ def test_docking_is_proven_only_as_the_table_says(cell, tmp_path, monkeypatch):
     assert run.stands()
 
 
-@pytest.mark.parametrize("cell", cells("check"))
+CHECKED = [
+    each
+    for each in cells("check", without="dock")
+    if "another peer" not in each.id or each.values[0]["check"] != "passes"
+]
+"""Without peers that change nothing: a check has a drive's filter, and drives have these cells."""
+
+
+@pytest.mark.parametrize("cell", CHECKED)
 def test_check_finds_what_the_table_says(cell):
     pose = "required" if "pose" in cell["inject"] else "none"
     run, battery = Cell(cell | {"from": "start"}, pose=pose), Battery()

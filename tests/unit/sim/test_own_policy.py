@@ -103,8 +103,7 @@ def test_a_policy_that_cannot_drive_is_one_clear_line(policy, words, capsys):
 
 def test_the_command_of_the_page_parks_with_the_classical_law(monkeypatch, run_json):
     page = (ROOT / "docs" / "sim_to_real.md").read_text()
-    [command] = re.findall(r"rover-ncp (eval docs\.examples\.kanayama.* full)\n", page)
+    [command] = re.findall(r"rover-ncp (eval docs\.examples\.kanayama.*) --trials \d+", page)
     monkeypatch.chdir(ROOT)
-    code, fields = run_json(command)
-    assert (code, fields["trials"], fields["success_rate"]) == (0, 20, 1.0)
-    assert fields["error_m"]["p95"] < 0.05
+    code, fields = run_json(f"{command} --trials 2")
+    assert (code, fields["trials"], fields["success_rate"]) == (0, 2, 1.0)

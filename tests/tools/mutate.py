@@ -31,7 +31,7 @@ TESTS = {
     "bridge.gate.gate": GATE,
     "bridge.gate.motion": GATE,
     "bridge.gate.state": GATE,
-    "rover_ncp.wire.protocol": ["core/test_protocol.py"],
+    "rover_ncp.wire.protocol": ["core/test_protocol.py", "bridge/test_gate_fence.py"],
     "bridge.pioneer.session": [
         "bridge/test_session_details.py",
         "bridge/test_session.py",

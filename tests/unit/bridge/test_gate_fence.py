@@ -157,10 +157,17 @@ def test_fence_measures_the_distance_of_points_outside():
 
 
 @pytest.mark.parametrize(
-    ("x_min", "x_max", "y_min", "y_max"), [(1.0, 1.0, 0.0, 1.0), (2.0, 1.0, 0.0, 1.0), (0.0, 1.0, 1.0, 1.0)]
+    ("x_min", "x_max", "y_min", "y_max"),
+    [
+        (1.0, 1.0, 0.0, 1.0),
+        (2.0, 1.0, 0.0, 1.0),
+        (0.0, 1.0, 1.0, 1.0),
+        (-100_000.5, 1.0, 0.0, 1.0),
+        (0.0, 100_000.5, 0.0, 1.0),
+    ],
 )
-def test_a_fence_without_an_inside_is_refused(x_min, x_max, y_min, y_max):
-    with pytest.raises(ValidationError, match="a fence needs"):
+def test_a_fence_without_an_inside_or_beyond_100_km_is_refused(x_min, x_max, y_min, y_max):
+    with pytest.raises(ValidationError, match=r"a fence needs|than or equal to -?100000"):
         Fence(x_min=x_min, x_max=x_max, y_min=y_min, y_max=y_max)
 
 

@@ -21,10 +21,10 @@ SPEEDS = {getattr(termios, f"B{rate}"): rate for rate in (9600, 19200, 38400, 57
 class SerialBase(ClosedAtExit):
     """``port`` is what a client opens. A thread turns the base until ``close``.
 
-    What goes through at another rate than the base's arrives as garbage.
+    With ``strict``, what goes through at another rate than the base's arrives as garbage.
     """
 
-    def __init__(self):
+    def __init__(self, strict=False):
         # Ours stays open: without it, reading ends when a client leaves.
         self._far, self._near = pty.openpty()
         tty.setraw(self._near)
@@ -34,7 +34,7 @@ class SerialBase(ClosedAtExit):
         self.firmware = Firmware(model, self.rover, start_s=time.monotonic())
         self.rates = []
         """Every rate the base had while bytes went through."""
-        self._garbler = random.Random(0)
+        self._strict, self._garbler = strict, random.Random(0)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -64,7 +64,7 @@ class SerialBase(ClosedAtExit):
         rate = self.firmware.baudrate
         if not self.rates or self.rates[-1] != rate:
             self.rates.append(rate)
-        if self.client_rate == rate:
+        if not self._strict or self.client_rate == rate:
             return data
         # A receiver at another rate takes its samples at the wrong moments: other bytes, and other many.
         return self._garbler.randbytes(max(1, len(data) * self.client_rate // rate))

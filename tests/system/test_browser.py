@@ -1,10 +1,13 @@
 """The pages in a real browser; `make test-browser` installs what this needs, `make test` leaves it out."""
 
 import time
+from base64 import b64decode
 
+import cv2
+import numpy as np
 import pytest
 from kit.browser import Watched, chromium
-from kit.recorded_drives import BEGAN_NS, TICK_NS, state, write_drive
+from kit.recorded_drives import BEGAN_NS, TICK_NS, picture, state, write_drive
 from kit.true_motion import speed, stood_after
 
 from deploy.view.page import drive_page
@@ -23,12 +26,13 @@ def browser():
         yield running
 
 
-def test_report_is_a_page_whose_slider_moves_the_rover_and_its_neurons(browser, tmp_path):
+@pytest.mark.parametrize("size", [(1280, 900), (400, 850)], ids=["desk", "phone"])
+def test_report_is_a_page_whose_slider_moves_the_rover_and_its_neurons(browser, tmp_path, size):
     status = DriverStatus(state="fault", reason=EVIL, tick=320)
     write_drive(tmp_path / "run.mcap", more=[state(status, BEGAN_NS + 400 * TICK_NS)])
     page = tmp_path / "run.html"
     page.write_text(drive_page(read_drive(tmp_path / "run.mcap")))
-    seen = Watched(browser, page.as_uri())
+    seen = Watched(browser, page.as_uri(), *size)
     seen.to(0.0)
     before, avb = seen.outline(), seen.neuron("AVB")
     seen.to(8.0)
@@ -36,9 +40,32 @@ def test_report_is_a_page_whose_slider_moves_the_rover_and_its_neurons(browser, 
     assert abs(after[0] - before[0]) + abs(after[1] - before[1]) > 0.2
     assert all(old != new for old, new in zip(avb, seen.neuron("AVB"), strict=True))
     assert "turn" in seen.page.text_content("#phases li.current")
+    assert seen.page.evaluate("document.documentElement.scrollWidth") <= size[0]
     assert EVIL in seen.page.text_content("#events")  # words of a peer stay words
     assert "hacked" not in seen.page.title()
-    seen.photograph("report")
+    seen.photograph(f"report_{size[0]}")
+    assert seen.complaints == []
+    assert seen.foreign_requests(page.as_uri()) == []
+    seen.page.close()
+
+
+def test_report_shows_the_localisers_picture_of_the_moment_beside_the_path(browser, tmp_path):
+    looks = {t: cv2.imencode(".jpg", np.full((480, 640), 40 * t, np.uint8))[1].tobytes() for t in (0, 3, 6)}
+    taken = [picture(BEGAN_NS + 10 * t * TICK_NS, jpeg) for t, jpeg in looks.items()]
+    write_drive(tmp_path / "run.mcap", more=taken)
+    page = tmp_path / "run.html"
+    page.write_text(drive_page(read_drive(tmp_path / "run.mcap")))
+    seen = Watched(browser, page.as_uri(), 1280, 900)
+    for moment, t, since in ((0.5, 0, False), (4.0, 3, False), (9.0, 6, True), (3.0, 3, False)):
+        seen.to(moment)
+        source = seen.page.get_attribute("#tag-view", "src")
+        assert b64decode(source.removeprefix("data:image/jpeg;base64,")) == looks[t]
+        assert seen.page.evaluate("document.getElementById('tag-view').naturalWidth") == 640
+        assert ("none since" in seen.page.text_content("#tag-now")) == since
+    path, view = (seen.page.locator(part).bounding_box() for part in ("#path", "#tags"))
+    assert view["y"] == path["y"]
+    assert view["x"] > path["x"] + path["width"]
+    seen.photograph("report_pictures")
     assert seen.complaints == []
     assert seen.foreign_requests(page.as_uri()) == []
     seen.page.close()

@@ -25,6 +25,8 @@ RATE_RAD_S = 0.2
 """A camera of 65° has tags in its image for 5 s at this rate."""
 TURN_RAD = math.radians(390.0)
 """One turn, and what the rover needs to accelerate and to find tags that were at the image's edge."""
+SAME_VIEW_RAD = math.radians(75.0)
+"""A rover that turns back sees its tags again so long before it has turned once round."""
 MARGIN_M = 0.03
 """Room around the circle of the outline."""
 SLOW = 2.0
@@ -45,41 +47,89 @@ def look_around(
 ) -> tuple[str, float | None]:
     """Turn until external poses come steadily; return "" or, without any, where the rover looked, in words.
 
+    Under a fence a rover that turned by more than half a turn turns back until it sees the tags from the
+    other side: odometry, in which the fence lies, measures turns badly, and errors of the two turns cancel.
+
     The second value is the turn gain, true turn over odometry's, None if no gyro showed it. The lease is
     granted, and stays so. Raises SafetyStop and KeyboardInterrupt as a drive does.
     """
-    described = config.described or load_description(DEFAULT_ROBOT)
-    needed_m = described.turning_radius_m + MARGIN_M
-    rate = max(RATE_RAD_S, DeadZone(config.rover, config.described).least.omega)
-    assert measurements.newest is not None  # the rover stood
-    gyro, turned, before = _GyroTurn(measurements), 0.0, measurements.newest.sample
-    until_ns = clock.monotonic_ns() + round(SLOW * TURN_RAD / rate * NS_PER_S)
-    next_ns = clock.monotonic_ns()
+    look = _Look(link, measurements, monitor=monitor, detector=detector, config=config, clock=clock)
     try:
-        while abs(turned) < TURN_RAD and clock.monotonic_ns() < until_ns:
-            if (newest := measurements.odometry(POLL_S)) is not None:
-                turned += wrap_angle(newest.sample.pose.theta - before.pose.theta)
-                before = newest.sample
-            gyro.add(measurements)
-            monitor.check()
-            detector.collect_poses()
-            if detector.sees_steadily:
-                return "", gyro.gain(turned)
-            if (echo_m := link.nearest_echo_m(clock.monotonic_ns())) < needed_m:
-                words = (
-                    f"the rover turned by {math.degrees(turned):.0f}° and stopped: sonars show something "
-                    f"{echo_m:.2f} m from its middle, and it needs {needed_m:.2f} m to turn"
-                )
-                return words, gyro.gain(turned)
-            if clock.monotonic_ns() >= next_ns:
-                next_ns += round(TICK_S * NS_PER_S)
-                command = Velocity(0.0, rate)
-                monitor.check_command(command, before.velocity)
-                link.command(command)
+        words = look.turn(1.0)
+        gain, turned = look.gain, look.true_turn
+        if not words and link.gate.fence is not None and turned > math.pi:
+            words = look.turn(-1.0, from_rad=turned - math.tau + SAME_VIEW_RAD)
     finally:
         link.command(STANDSTILL)
-    words = f"the rover turned by {math.degrees(turned):.0f}° on the spot and looked in every direction"
-    return words, gyro.gain(turned)
+    return words, gain
+
+
+class _Look:
+    """A rover that turns on the spot and looks for tags."""
+
+    def __init__(
+        self,
+        link: Link,
+        measurements: Measurements,
+        *,
+        monitor: SafetyMonitor,
+        detector: StartDetector,
+        config: DriveConfig,
+        clock: Clock,
+    ) -> None:
+        self._link, self._measurements, self._clock = link, measurements, clock
+        self._monitor, self._detector = monitor, detector
+        described = config.described or load_description(DEFAULT_ROBOT)
+        self._needed_m = described.turning_radius_m + MARGIN_M
+        self._rate = max(RATE_RAD_S, DeadZone(config.rover, config.described).least.omega)
+        assert measurements.newest is not None  # the rover stood
+        self._gyro, self._before = _GyroTurn(measurements), measurements.newest.sample
+        self._turned = 0.0
+        """By odometry, rad."""
+
+    @property
+    def gain(self) -> float | None:
+        """The turn gain, true turn over odometry's, None if no gyro showed it."""
+        return self._gyro.gain(self._turned)
+
+    @property
+    def true_turn(self) -> float:
+        """The turn, rad; by odometry if no gyro shows it."""
+        return self._turned * (self.gain or 1.0)
+
+    def turn(self, side: float, from_rad: float | None = None) -> str:
+        """Turn to a side until external poses come steadily; return "" or where the rover looked, in words.
+
+        Poses count from the turn ``from_rad`` on, without it from the beginning.
+        """
+        clock, link, began = self._clock, self._link, self._turned
+        next_ns = clock.monotonic_ns()
+        until_ns = next_ns + round(SLOW * TURN_RAD / self._rate * NS_PER_S)
+        while abs(self._turned - began) < TURN_RAD and clock.monotonic_ns() < until_ns:
+            self._measure()
+            self._monitor.check()
+            if from_rad is None or side * (self.true_turn - from_rad) > 0.0:
+                self._detector.collect_poses()
+                if self._detector.sees_steadily:
+                    return ""
+            degrees = math.degrees(abs(self._turned - began))
+            if (echo_m := link.nearest_echo_m(clock.monotonic_ns())) < self._needed_m:
+                return (
+                    f"the rover turned by {degrees:.0f}° and stopped: sonars show something {echo_m:.2f} m "
+                    f"from its middle, and it needs {self._needed_m:.2f} m to turn"
+                )
+            if clock.monotonic_ns() >= next_ns:
+                next_ns += round(TICK_S * NS_PER_S)
+                command = Velocity(0.0, side * self._rate)
+                self._monitor.check_command(command, self._before.velocity)
+                link.command(command)
+        return f"the rover turned by {degrees:.0f}° on the spot and looked in every direction"
+
+    def _measure(self) -> None:
+        if (newest := self._measurements.odometry(POLL_S)) is not None:
+            self._turned += wrap_angle(newest.sample.pose.theta - self._before.pose.theta)
+            self._before = newest.sample
+        self._gyro.add(self._measurements)
 
 
 class _GyroTurn:

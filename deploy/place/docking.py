@@ -102,6 +102,8 @@ class Docking:
         self.estimator = Estimator(config.estimator)
         self._heading_error_rad, self._lane = 0.0, self.place
         """The poses' heading error as the present way assumes it, and the place as the rover drives to it."""
+        self._further_m = 0.0
+        """How far a next approach goes on: what the last one was short of."""
         self._approach, self._retreat = (
             self._leg(dock, way(self.place, self._slower)) for way in (approach, retreat)
         )
@@ -236,6 +238,10 @@ class Docking:
         newest = [seen for measured, seen in self._poses if measured >= since]
         self._approached = end = approached(self.place, pose, verdict.probability, newest)
         found = judge_approach(self.place, pose, verdict, end, contact)
+        if end.by_estimate is not None and not contact:
+            short_m = end.by_estimate.longitudinal_m * (1.0 if self.place.backward else -1.0)
+            limit_m = self.place.position_m
+            self._further_m = min(max(self._approach.further_m + short_m, -limit_m), limit_m)
         if found is None:
             self._waits_since, self._known_reports = t, evidence.reports
             self.stage = Stage.WAIT_FOR_CHARGE
@@ -249,21 +255,22 @@ class Docking:
         if judgement.error is DockError.NONE:
             self.over = True
         else:
-            self._learn_heading_error()
+            self._learn()
             self._begin(Stage.RETRY, self._way_out(self.place.out_m(pose)), index, pose)
 
-    def _learn_heading_error(self) -> None:
-        """Plan the ways of the place by the newest estimate of the poses' heading error; the rover stands."""
-        error = self.estimator.heading_error_rad
-        if error != self._heading_error_rad:
-            self._heading_error_rad, self._lane = error, self.place.driven(error)
-            self._approach, self._retreat = (
-                self._leg(self._dock, way(self._lane, self._slower)) for way in (approach, retreat)
-            )
+    def _learn(self) -> None:
+        """Plan the ways of the place by what is known better than before; the rover stands."""
+        learnt = self.estimator.heading_error_rad, self._further_m
+        if learnt != (self._heading_error_rad, self._approach.further_m):
+            self._heading_error_rad, further_m = learnt
+            self._lane = self.place.driven(self._heading_error_rad)
+            way = approach(self._lane, self._slower, further_m)
+            self._approach = self._leg(self._dock, way)._replace(further_m=further_m)
+            self._retreat = self._leg(self._dock, retreat(self._lane, self._slower))
 
     def _staged(self, index: int, pose: Pose) -> None:
         """Begin an approach, or drive to the staging pose anew if the rover is too far from it."""
-        self._learn_heading_error()
+        self._learn()
         if self._stands_at_staging(pose):
             problem = in_the_way(self._lane, self._approach.way, self._config.described)
             if problem:
@@ -368,3 +375,5 @@ class _Leg(NamedTuple):
     way: Way
     controller: Controller
     estimator: _LegEstimator
+    further_m: float = 0.0
+    """How far the reference of an approach goes on after the place."""

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 from deploy.drive.config import BLIND_S
 from deploy.place.place import AT_PLACE_M, Place
-from deploy.place.room import Room
-from deploy.place.sight import Sight, blind
+from deploy.place.room import Fit, Room
+from deploy.place.sight import Blind, Sight, blind
 from rover_ncp.core.errors import UsageError
 from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose, compose, distance, turned, wrap_angle
@@ -34,6 +34,12 @@ from rover_ncp.robot.description import RobotDescription, load_description
 
 EASE = 0.6
 """Speed of a plan, as a share of the limits of a reference: the policy must be able to catch up."""
+BACK_TURN_RAD_S = 0.75 * OMEGA_MAX
+"""Rate of a first turn the longer way round: the rover loses the tags for as long as it takes."""
+SURE_S = 0.75 * BLIND_S
+"""Ways that lose the tags for longer come later: a rover that is slower than its plan may not end them."""
+NEAR_S = 20.0
+"""A way near the fence costs as much as one that takes so much longer."""
 RAMP_S = 1.0
 """Time from rest to the speed of a piece."""
 SLOW_M, SLOW_M_S = 0.3, 0.04
@@ -62,6 +68,7 @@ class Piece(NamedTuple):
     turn_rad: float
     rest_s: float = PAUSE_S
     speed_m_s: float = EASE * V_MAX
+    rate_rad_s: float = EASE * OMEGA_MAX
 
 
 @dataclass(frozen=True)
@@ -93,9 +100,9 @@ class Fenced(NamedTuple):
     onwards: Way
     """The way that follows: the approach."""
 
-    def rank(self, way: Way) -> tuple[int, Pose | None]:
-        """Return how a way to the staging pose and the approach fit, as `Room.rank`."""
-        return self.room.rank([way.reference, self.onwards.reference], self.odometry, self.turn_gain)
+    def fit(self, way: Way) -> Fit:
+        """Return how a way to the staging pose and the approach fit into the room."""
+        return self.room.fit([way.reference, self.onwards.reference], self.odometry, self.turn_gain)
 
 
 def tail(pose: Pose) -> Pose:
@@ -103,12 +110,16 @@ def tail(pose: Pose) -> Pose:
     return turned(pose, math.pi)
 
 
-def approach(place: Place, slower: float = 1.0) -> Way:
-    """Return the way from the staging pose into the place; ``slower`` as for courses."""
+def approach(place: Place, slower: float = 1.0, further_m: float = 0.0) -> Way:
+    """Return the way from the staging pose into the place; ``slower`` as for courses.
+
+    Its reference goes on for ``further_m``, for a policy that stops before the end of it.
+    """
     first = max(place.staging_m - SLOW_M, 0.0)
-    pieces = [Piece(first, 0.0, LOOK_S), Piece(place.staging_m - first, 0.0, DOCK_S, SLOW_M_S)]
+    slow_m = place.staging_m - first + further_m
+    pieces = [Piece(first, 0.0, LOOK_S), Piece(slow_m, 0.0, DOCK_S, SLOW_M_S)]
     way = _way(place, place.name, place.staging, pieces, backward=place.backward, slower=slower)
-    # The reference ends at the place but for rounding.
+    # The reference ends at the place but for rounding, and for what it goes further.
     *points, last = way.course.checkpoints
     points.append(last.model_copy(update=place.goal._asdict()))
     course = way.course.model_copy(update={"checkpoints": tuple(points)})
@@ -148,7 +159,8 @@ def to_staging(
     """Return the best clear way from ``start`` to the staging pose, or None and why there is none.
 
     The rover turns on the spot, drives straight, and turns on the spot; or it does so by one more point. The
-    best way is the shortest in time, where time without tags in view counts twice. ``sight`` is the camera,
+    best way is the shortest in time, where time without tags in view counts twice. Ways that lose the tags
+    for long, or leave the fence's room if the turn gain is another one, come later. ``sight`` is the camera,
     if it is known. With a fence the rover may begin with the turn to the other side: errors of odometry's
     turns then cancel those of earlier ones.
     """
@@ -160,13 +172,10 @@ def to_staging(
             for each in (pieces, _turned_about(pieces)) if fenced else (pieces,):
                 ways.append(_way(place, "staging", start, each, backward=backward, slower=slower))
     lost = [blind(place, way.reference, sight) for way in ways]
-    fits = [fenced.rank(way) if fenced else (0, None) for way in ways]
-    for way, gap, (_, left) in sorted(
-        zip(ways, lost, fits, strict=True),
-        key=lambda each: (each[2][0], each[0].course.horizon_s + (each[1].seconds if each[1] else 0.0)),
-    ):
-        if fenced is not None and left is not None:
-            problems = problems or (fenced.room.words(left),)
+    fits = [fenced.fit(way) if fenced else Fit(0, near=False) for way in ways]
+    for way, gap, fit in sorted(zip(ways, lost, fits, strict=True), key=lambda each: _cost(*each)):
+        if fenced is not None and fit.left is not None:
+            problems = problems or (fenced.room.words(fit.left),)
             continue
         if gap is not None and gap.seconds > BLIND_S:
             remedy = "start nearer to the tags, or hang up tags that are in view there"
@@ -179,12 +188,19 @@ def to_staging(
     return None, problems
 
 
+def _cost(way: Way, gap: Blind | None, fit: Fit) -> tuple[bool, int, float]:
+    lost_s = gap.seconds if gap else 0.0
+    seconds = way.course.horizon_s + lost_s + NEAR_S * fit.near
+    return fit.left is not None, fit.risk + (lost_s > SURE_S), seconds
+
+
 def _turned_about(pieces: Sequence[Piece]) -> list[Piece]:
     """Return pieces of which the first turn goes the other way round."""
     found = list(pieces)
     for number, piece in enumerate(found):
         if piece.turn_rad:
-            found[number] = piece._replace(turn_rad=piece.turn_rad - math.copysign(math.tau, piece.turn_rad))
+            turn = piece.turn_rad - math.copysign(math.tau, piece.turn_rad)
+            found[number] = piece._replace(turn_rad=turn, rate_rad_s=BACK_TURN_RAD_S)
             break
     return found
 
@@ -219,7 +235,7 @@ def _way(
     v, omega = [0.0] * round(PAUSE_S / TICK_S), [0.0] * round(PAUSE_S / TICK_S)
     for piece in pieces:
         along = _profile(piece.length_m, piece.speed_m_s / slower)
-        turning = _profile(piece.turn_rad, EASE * OMEGA_MAX / slower)
+        turning = _profile(piece.turn_rad, piece.rate_rad_s / slower)
         rest = [0.0] * round(piece.rest_s / TICK_S)
         v += along + [0.0] * len(turning) + rest
         omega += [0.0] * len(along) + turning + rest

@@ -6,6 +6,7 @@ odometry measures wrongly, the rest of the way lies turned in odom.
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -17,8 +18,21 @@ from rover_ncp.wire.protocol import Fence
 
 EDGE_M = 0.12
 """Room at the edges: the gate assumes that a rover goes on for up to 0.7 s at its speed."""
+ROOMY_M = 0.3
+"""Preferred room: a skid-steered rover moves about while it turns, and drives back to its way."""
 GAIN_SHARE = 0.1
 """The turn gain may differ from the estimated one by this share, as on another floor."""
+
+
+class Fit(NamedTuple):
+    """How ways fit into a room."""
+
+    risk: int
+    """0 if they stay inside also with another turn gain, else 1."""
+    near: bool
+    """Whether they come nearer to an edge than `ROOMY_M`."""
+    left: Pose | None = None
+    """Where odometry leaves the room first, None if it stays inside."""
 
 
 class Room(StrictModel):
@@ -27,24 +41,25 @@ class Room(StrictModel):
     fence: Fence
     turn_gain: float | None = Field(default=None, gt=0, description="true turn over odometry's")
 
-    def rank(
-        self, references: Sequence[Reference], odometry: Pose, turn_gain: float
-    ) -> tuple[int, Pose | None]:
-        """Return how ways in a row fit: 0 inside, 1 inside if the turn gain is right, 2 not; and where not.
-
-        ``odometry`` is its pose at the begin, the returned one where it leaves the room first.
-        """
+    def fit(self, references: Sequence[Reference], odometry: Pose, turn_gain: float) -> Fit:
+        """Return how ways in a row fit; ``odometry`` is its pose at the begin."""
         left = self._leaves(references, odometry, turn_gain)
         if left is not None:
-            return 2, left
-        others = ((1.0 + share) * turn_gain for share in (-GAIN_SHARE, GAIN_SHARE))
-        return int(any(self._leaves(references, odometry, gain) is not None for gain in others)), None
+            return Fit(1, True, left)
+        others = [(1.0 + share) * turn_gain for share in (-GAIN_SHARE, GAIN_SHARE)]
+        risk = int(any(self._leaves(references, odometry, gain) is not None for gain in others))
+        near = any(
+            self._leaves(references, odometry, gain, ROOMY_M) is not None for gain in (turn_gain, *others)
+        )
+        return Fit(risk, near)
 
-    def _leaves(self, references: Sequence[Reference], odometry: Pose, turn_gain: float) -> Pose | None:
+    def _leaves(
+        self, references: Sequence[Reference], odometry: Pose, turn_gain: float, edge: float = EDGE_M
+    ) -> Pose | None:
         """Return where odometry leaves the room first; a rover outside may come nearer."""
         path = _odometry_path(references, odometry, turn_gain)
         f, (x, y) = self.fence, path[:, :2].T
-        beyond = np.max([f.x_min - x, x - f.x_max, f.y_min - y, y - f.y_max], axis=0) + EDGE_M
+        beyond = np.max([f.x_min - x, x - f.x_max, f.y_min - y, y - f.y_max], axis=0) + edge
         outside = np.flatnonzero((beyond > 0.0) & (beyond > beyond[0] + 1e-6))
         return Pose(*path[outside[0]].tolist()) if len(outside) else None
 

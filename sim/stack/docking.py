@@ -107,8 +107,9 @@ class DockTrials:
             noise_m=self.ranges.noise_m,
             noise_rad=self.ranges.noise_rad,
         )
-        place = self.localiser.taught(self.place)
-        config = place_config(place, known, self.robot, robot="virtual", policy=self.dock.circuit.name)
+        place, sight = self.localiser.taught(self.place), self.localiser.sight(self.place)
+        name = self.dock.circuit.name
+        config = place_config(place, known, self.robot, robot="virtual", policy=name, sight=sight)
         return with_estimator(config, self.estimator)
 
     def start(self, number: int) -> Pose:

@@ -7,7 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from deploy.place.place import Place
+from deploy.place.sight import Sight
 from deploy.tag.cameras.camera import Picture
+from deploy.tag.field_of_view import sight_of
 from deploy.tag.localiser import Localiser
 from deploy.tag.locate import Locator
 from deploy.tag.tag_map import CameraFile, Mount, TagMap
@@ -97,6 +99,12 @@ class RenderedLocaliser(TagLocaliser):
     def has_none(cls, start: Pose, place: Place) -> bool:
         """Return whether no tag is wholly in the image."""
         return cls.tags_in_view(start, place) == 0
+
+    @classmethod
+    def sight(cls, place: Place) -> Sight | None:
+        """Return the view of the camera by its file, as for a robot's file with camera and tags."""
+        scene = cls.scene(place)
+        return sight_of(scene.camera_file, scene.map, cls.taught(place))
 
     def measure(self, wall_ns: int) -> Measured | None:
         """Return the pose that a picture of the present moment gives."""

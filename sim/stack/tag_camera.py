@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from deploy.place.place import Place
+from deploy.place.sight import Sight
 from rover_ncp.core.geometry import Pose, compose, relative, wrap_angle
 from rover_ncp.robot.lasting_error import Kind, LastingError
 from sim.stack.camera import PoseSource
@@ -79,6 +80,11 @@ class TagLocaliser(PoseSource):
     def taught(cls, place: Place) -> Place:
         """Return the place as the driver knows it: here the very place."""
         return place
+
+    @classmethod
+    def sight(cls, place: Place) -> Sight | None:
+        """Return what the driver knows of the camera's view of a taught place: here nothing."""
+        return None
 
     def measure(self, wall_ns: int) -> Measured | None:
         """Return the pose by the noise model."""

@@ -96,6 +96,15 @@ def test_contact_elsewhere_is_a_miss_and_the_rover_backs_out(tmp_path):
     assert replay(drive.path).same
 
 
+@pytest.mark.parametrize("direction", ["forward", "backward"])
+def test_after_a_miss_the_rover_goes_further_by_what_it_was_short_of(direction):
+    where = place(direction=direction, position_m=0.008, retries=1)
+    drive = VirtualDocking(where, where.staging)
+    result = drive.run()
+    assert (result.dock.success, result.dock.num_retries) == (True, 1)
+    assert abs(drive.off[0]) < 0.004
+
+
 def bumped(drive, pressed):
     """Let a front bumper be pressed when ``pressed(pose, now)`` says so."""
     observe = drive.base.observe

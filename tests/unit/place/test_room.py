@@ -32,7 +32,8 @@ def test_plan_takes_another_way_where_odometry_would_leave_the_fence():
     shortest, _ = to_staging(place(), TURNED)
     inside, _ = to_staging(place(), TURNED, fenced=room)
     true_odometry, _ = to_staging(place(), TURNED, fenced=fenced(TIGHT, TURNED, turn_gain=1.0))
-    assert [room.rank(way)[0] for way in (shortest, inside)] == [2, 0]
+    assert room.fit(shortest).left is not None
+    assert room.fit(inside).left is None
     assert true_odometry.course == shortest.course
 
 
@@ -41,8 +42,18 @@ def test_fence_lies_where_odometry_is():
     shortest, _ = to_staging(place(), BEFORE_STAGING)
     room = fenced(TIGHT, BEFORE_STAGING, 1.0)
     elsewhere = fenced(TIGHT, BEFORE_STAGING._replace(theta=BEFORE_STAGING.theta + math.pi / 2), 1.0)
-    assert room.rank(shortest)[0] == 0
-    assert elsewhere.rank(shortest)[0] == 2
+    assert room.fit(shortest).left is None
+    assert elsewhere.fit(shortest).left is not None
+
+
+def test_way_keeps_away_from_the_fence_unless_it_takes_much_longer():
+    near = {}
+    for start in (Pose(0.77, 2.18, 0.48), Pose(0.87, 1.25, -1.58)):
+        room = fenced(Fence(x_min=0.17, x_max=2.6, y_min=0.6, y_max=start.y + 0.4), start, turn_gain=1.0)
+        direct, way = to_staging(place(), start)[0], to_staging(place(), start, fenced=room)[0]
+        near[start] = room.fit(direct).near, room.fit(way).near
+        assert way.course.horizon_s < direct.course.horizon_s + 20.0
+    assert list(near.values()) == [(True, False), (True, True)]
 
 
 def test_docking_without_a_way_inside_the_fence_does_not_begin():

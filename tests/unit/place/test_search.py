@@ -16,6 +16,7 @@ from deploy.tag.field_of_view import sight_of
 from deploy.tag.localiser import DECIMATE
 from rover_ncp.core.geometry import Pose, distance, wrap_angle
 from rover_ncp.wire.messages import point_cloud
+from rover_ncp.wire.protocol import Fence
 
 AWAY = BEFORE_STAGING._replace(theta=2.5)
 TAGS = {"x": 2.5, "y": 1.0}
@@ -34,6 +35,23 @@ def test_rover_turns_until_poses_come_and_docks(tmp_path):
     assert math.hypot(*drive.off[:2]) < 0.02
     assert "searching" in [status.state for status in drive.link.statuses]
     assert replay(drive.path).same
+
+
+def test_under_a_fence_the_rover_does_not_stay_turned_by_more_than_half_a_turn():
+    """The fence lies in odometry's frame, which is turned by the errors of all turns of odometry."""
+    rounds = []
+    for fence in (None, Fence(x_min=-5, x_max=5, y_min=-5, y_max=5)):
+        headings = []
+
+        def see(pose, now, headings=headings):
+            headings.append(pose.theta)
+            return ahead(pose, now)
+
+        drive = VirtualDocking(place(), BEFORE_STAGING._replace(theta=1.0), see=see)
+        drive.link.change_gate(fence=fence)
+        assert drive.run().dock.success
+        rounds.append(round(np.unwrap(headings)[-1] / math.tau))
+    assert rounds == [1, 0]
 
 
 def test_without_tags_the_rover_turns_once_and_stands_where_it_was():
@@ -69,6 +87,14 @@ def test_way_keeps_the_tags_in_view_though_another_takes_less_time():
     ways = [to_staging(place(tags=tags), start)[0] for tags in (None, TAGS)]
     lost = [blind(place(tags=TAGS), way.reference, None) for way in ways]
     assert lost[1].seconds <= lost[0].seconds
+
+
+def test_way_that_takes_longer_is_driven_where_the_other_would_lose_the_tags_for_almost_a_minute():
+    """A rover that is slower than its plan would be stopped on the other way."""
+    start, slow = Pose(0.73, 1.93, 2.82), 1.5
+    direct, way = (to_staging(place(tags=tags), start, None, slow)[0] for tags in (None, TAGS))
+    lost = [blind(place(tags=TAGS), each.reference, None).seconds for each in (direct, way)]
+    assert lost[1] < 45.0 < lost[0] < 60.0
 
 
 def test_way_that_loses_the_tags_for_a_minute_is_not_begun():

@@ -1,5 +1,4 @@
 """The paper's experiments: tasks, controllers, searches, stored runs, and the claims that the runs test.
 
-This folder is no part of the installed project. Run ``python -m paper --help`` and ``python -m paper.bnn
---help`` at the top of a clone.
+This folder is no part of the installed project. Run ``python -m paper --help`` at the top of a clone.
 """

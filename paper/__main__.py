@@ -1,4 +1,4 @@
-"""The commands ``run``, ``replay`` and ``report``; heavy libraries load only when one of them runs."""
+"""The commands; heavy libraries load only when one of them runs."""
 
 import os
 import sys
@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from paper.store import BudgetName, ResultStore
+from rover_ncp.core.console import Overwrite
 from rover_ncp.core.errors import FileError, RoverNcpError, UsageError
 from rover_ncp.core.files import require_writable
 
@@ -101,9 +102,7 @@ def replay(
 def report(
     *,
     results: Results = RESULTS,
-    long: Annotated[
-        bool, typer.Option("--long", help="Settings, runs, and the tables behind claims.")
-    ] = False,
+    long: Annotated[bool, typer.Option("--long", help="Runs, and the tables behind claims.")] = False,
 ) -> None:
     """Report the paper's claims, and whether the stored runs reproduce them.
 
@@ -116,16 +115,23 @@ def report(
     print((long_report if long else short_report)(ResultStore(results)))
 
 
-def run_command_line(app: typer.Typer, name: str) -> None:
-    """Run this process's command line and end the process; a user's mistake is one line on stderr."""
-    # For the processes of ``run``: for matrices as small as these, the threads of BLAS only wait.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    try:
-        app(prog_name=f"python -m {name}")
-    except RoverNcpError as error:
-        print(f"{name}: {error}", file=sys.stderr)
-        sys.exit(error.exit_code)
+@app.command()
+def bnn(
+    source: Annotated[Path, typer.Argument(metavar="IN.bnn", help="Circuit in the published format.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT.yaml", help="Policy or circuit file to write.")],
+    overwrite: Overwrite = False,
+) -> None:
+    """Convert a published circuit into a policy file, or a circuit file."""
+    from paper.bnn import convert
+
+    convert(source, out, overwrite=overwrite)
 
 
 if __name__ == "__main__":
-    run_command_line(app, "paper")
+    # For the processes of ``run``: for matrices as small as these, the threads of BLAS only wait.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    try:
+        app(prog_name="python -m paper")
+    except RoverNcpError as error:
+        print(f"paper: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)

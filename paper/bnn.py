@@ -12,24 +12,18 @@
 Neurons are numbers in it. They get the names of the wiring whose size they have: up to 11 neurons those of
 the benchmarks, from 12 on those of parking. Published parking files have a thirteenth without any synapse.
 
-    python -m paper.bnn IN.bnn OUT.yaml
-
-writes a circuit with parking's motor neurons as a policy with parking's mappings, and any other one as a
-circuit. The policy's sensors are not clamped: the published code trains circuits so.
+A circuit with parking's motor neurons becomes a policy with parking's mappings, and any other one a circuit.
+The policy's sensors are not clamped: the published code trains circuits so.
 """
 
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import typer
 
-from paper.__main__ import run_command_line
 from rover_ncp.circuit.circuit import DEFAULTS, MAX_NEURONS, Circuit, ParameterKind, SynapseKind
 from rover_ncp.circuit.policy import Policy, parking_policy
 from rover_ncp.circuit.policy_file import circuit_to_yaml, load_circuit, policy_to_yaml
 from rover_ncp.core.config import name_from, read_filled
-from rover_ncp.core.console import Overwrite
 from rover_ncp.core.errors import ConfigError
 from rover_ncp.core.files import require_writable, write_atomic
 
@@ -98,18 +92,8 @@ def load_bnn(path: Path) -> Circuit | Policy:
     return parking_policy(circuit, clamp=False) if {"RGT", "FWD"} <= set(circuit.neurons) else circuit
 
 
-def convert(
-    source: Annotated[Path, typer.Argument(metavar="IN.bnn", help="Circuit in the published format.")],
-    out: Annotated[Path, typer.Argument(metavar="OUT.yaml", help="Policy or circuit file to write.")],
-    overwrite: Overwrite = False,
-) -> None:
-    """Convert a published circuit into a policy file, or a circuit file."""
+def convert(source: Path, out: Path, *, overwrite: bool = False) -> None:
+    """Convert a published circuit into a policy file, or a circuit file. Raises FileError or ConfigError."""
     require_writable(out, overwrite=overwrite)
     found = load_bnn(source)
     write_atomic(out, policy_to_yaml(found) if isinstance(found, Policy) else circuit_to_yaml(found))
-
-
-if __name__ == "__main__":
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    app.command()(convert)
-    run_command_line(app, "paper.bnn")

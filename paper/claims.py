@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 from pydantic import Field
+from scipy.stats import binomtest
 
 from paper.runs import PAIRS
-from paper.statistics import LEVEL, even_odds, fisher, holm, mean_text, welch, wilson
+from paper.statistics import LEVEL, fisher, holm, mean_text, welch, wilson
 from paper.store import BudgetName, Result, ResultStore
 from paper.tasks import TASKS, Net, Vector
 from rover_ncp.circuit.policy import Policy
@@ -207,15 +208,14 @@ def sign(store: ResultStore, *, source: str, destination: str, expected: Sign) -
         f"default search: {own.count(expected)} of {len(own)}",
         None,
         f"n = {len(found)}",
-        even_odds(hits, len(found)),
+        float(binomtest(hits, len(found)).pvalue),
         significant,
     )
 
 
 def constants(store: ResultStore, *, ranges: Mapping[str, tuple[float, float]]) -> Finding:
     """Ask whether each neuron's time constants overlap the paper's."""
-    ours = time_constants(store)
-    if not ours:
+    if not (ours := time_constants(store)):
         return Finding(verdict=Verdict.NOT_TESTED, missing=1)
     same = sum(ours[neuron][0] <= high and low <= ours[neuron][1] for neuron, (low, high) in ranges.items())
     verdict = Verdict.HOLDS if same == len(ranges) else Verdict.DIFFERS
@@ -224,8 +224,7 @@ def constants(store: ResultStore, *, ranges: Mapping[str, tuple[float, float]]) 
 
 def varying(store: ResultStore, *, ratio: float) -> Finding:
     """Ask whether most neurons' time constants vary by more than a ratio."""
-    ours = time_constants(store).values()
-    if not ours:
+    if not (ours := time_constants(store).values()):
         return Finding(verdict=Verdict.NOT_TESTED, missing=1)
     count = sum(high > ratio * low for low, high in ours)
     verdict = Verdict.HOLDS if 2 * count > len(ours) else Verdict.DIFFERS
@@ -298,9 +297,7 @@ def readings(
 
 def clear_signs(store: ResultStore, budget: BudgetName, source: str, destination: str) -> list[Sign]:
     """Return the sign of a pair in each parking circuit of a search where all readings give the same one."""
-    found = [
-        {*readings(policy, drive, source, destination).values()} for policy, drive in drives(store, budget)
-    ]
+    found = [{*readings(*circuit, source, destination).values()} for circuit in drives(store, budget)]
     return [sign for signs in found for sign in signs if len(signs) == 1 and sign is not Sign.NONE]
 
 

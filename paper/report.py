@@ -47,10 +47,9 @@ def short_report(store: ResultStore) -> str:
 
 
 def long_report(store: ResultStore) -> str:
-    """Return the settings, the stored runs and the tables behind the claims. Raises FileError."""
+    """Return the stored runs and the tables behind the claims. Raises FileError."""
     main, clear = sign_tables(store)
     parts = {
-        "Settings and thresholds": settings_table(),
         "The stored runs": runs_table(store),
         "Algorithm 1: parking": settings_grid(store, "parking"),
         "Algorithm 1: inverted pendulum": settings_grid(store, "pendulum"),
@@ -165,7 +164,7 @@ def commits(store: ResultStore) -> str:
     made: dict[str, dict[str, None]] = {}
     for run in store.every():
         name = f"{run.name.budget} {run.name.task}"
-        made.setdefault(_short(run.made_with.get("commit", "unknown")), {})[name] = None
+        made.setdefault(_commit(run), {})[name] = None
     most, *others = sorted(made, key=lambda commit: -len(made[commit]))
     rest = "".join(f"; {', '.join(made[commit])}: {commit}" for commit in others)
     return f"**Commits of the runs**: {most}{rest}."
@@ -190,7 +189,7 @@ def runs_table(store: ResultStore) -> str:
         for task, agent in product(cell.tasks, cell.agents):
             row: Row = (cell.budget, task, agent, 0, *[""] * 4)
             if runs := store.results(task, agent, cell.budget):
-                commits = _counts(_short(run.made_with.get("commit", "unknown")) for run in runs)
+                commits = _counts(_commit(run) for run in runs)
                 steps = f"{np.median([run.steps for run in runs]) / 1e6:.3g}"
                 core_s = f"{np.mean([run.cpu_s for run in runs]):.0f}"
                 row = (*row[:3], len(runs), _score(runs), steps, core_s, commits)
@@ -198,17 +197,8 @@ def runs_table(store: ResultStore) -> str:
     return markdown(rows)
 
 
-def settings_table() -> str:
-    """Return the settings of the experiments, and their thresholds of success."""
-    columns = ("task", "horizon", "iterations", "rollouts", "worst", "parameters", "success")
-    rows: list[Row] = [(*columns, "margin of equality")]
-    for task in TASKS.values():
-        numbers = (task.horizon, *task.settings, task.policy().layout().size)
-        rows.append((task.name, *numbers, f"{task.success:g} ({task.threshold_from})", f"{task.margin:g}"))
-    return markdown(rows)
-
-
-def _short(commit: str) -> str:
+def _commit(run: Result) -> str:
+    commit = run.made_with.get("commit", "unknown")
     return commit[:8] + ("-dirty" if commit.endswith("-dirty") else "")
 
 

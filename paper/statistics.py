@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
-FloatArray = NDArray[np.float64]
+from rover_ncp.course.reference import FloatArray
 
 LEVEL = 0.05
 
@@ -46,11 +45,6 @@ def wilson(hits: int, of: int) -> tuple[float, float]:
     """Return the 95 % interval of a rate."""
     interval = stats.binomtest(hits, of).proportion_ci(method="wilson")
     return float(interval.low), float(interval.high)
-
-
-def even_odds(hits: int, of: int) -> float:
-    """Return p of the sign test: a rate this far from one half by chance."""
-    return float(stats.binomtest(hits, of).pvalue) if of else 1.0
 
 
 def fisher(hits: int, of: int, their_hits: int, their_of: int) -> Estimate:

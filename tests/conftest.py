@@ -1,5 +1,6 @@
 """What holds for all tests."""
 
+import gc
 import json
 import logging
 import os
@@ -69,3 +70,9 @@ def pytest_collection_modifyitems(items):
         if item.path.parent.name in {"system", "ros"}:
             item.add_marker("long")
     items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
+
+
+def pytest_collection_finish():
+    """Search all modules and tests for garbage once and never again: that takes 9 % of the CPU time."""
+    gc.collect()
+    gc.freeze()

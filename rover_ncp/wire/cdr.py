@@ -73,7 +73,7 @@ def _message(ros_type: str, fields: Mapping[str, Any]) -> Any:
         raise TypeError(f"{ros_type} has no {', '.join(sorted(fields.keys() - names))}")
     return _store().types[ros_type](
         *[
-            make(fields.get(name, default)) if make else fields.get(name, default)
+            make(fields[name]) if make and name in fields else fields.get(name, default)
             for name, make, default in parts
         ]
     )
@@ -86,11 +86,11 @@ def _parts(ros_type: str) -> tuple[frozenset[str], list[tuple[str, Callable[[Any
     parts: list[tuple[str, Callable[[Any], Any] | None, Any]] = []
     for name, (kind, of) in definitions:
         if kind == Nodetype.NAME:
-            parts.append((name, functools.partial(_message, of), {}))
+            parts.append((name, functools.partial(_message, of), _message(of, {})))
         elif kind == Nodetype.BASE:
             parts.append((name, None, "" if of[0] == "string" else 0))
         elif of[0][0] == Nodetype.NAME:
-            parts.append((name, functools.partial(_messages, of[0][1]), ()))
+            parts.append((name, functools.partial(_messages, of[0][1]), []))
         else:
             parts.append((name, None, np.zeros(of[1], of[0][1][0])))
     return frozenset(part[0] for part in parts), parts

@@ -126,12 +126,20 @@ def odometry(
         ODOMETRY,
         header=header_of(stamp_ns, frames[0]),
         child_frame_id=frames[1],
-        pose={"pose": pose_of(pose), "covariance": np.diag([x, y, *[_UNKNOWN] * 3, theta]).ravel()},
+        pose={"pose": pose_of(pose), "covariance": _diagonal(x, y, *[_UNKNOWN] * 3, theta)},
         twist={
             "twist": _twist(velocity),
-            "covariance": np.diag([v, lateral_variance, *[_UNKNOWN] * 3, omega]).ravel(),
+            "covariance": _diagonal(v, lateral_variance, *[_UNKNOWN] * 3, omega),
         },
     )
+
+
+def _diagonal(*variances: float) -> FloatArray:
+    """Return the rows of a diagonal matrix, one after another; `np.diag` takes four times as long."""
+    size = len(variances)
+    rows = np.zeros(size * size)
+    rows[:: size + 1] = variances
+    return rows
 
 
 def read_odometry(data: bytes) -> OdometrySample:
@@ -257,7 +265,7 @@ def imu(rate: float, variance: float, stamp_ns: int) -> bytes:
         orientation=rotation_of(0.0),
         orientation_covariance=_NONE,
         angular_velocity={"z": rate},
-        angular_velocity_covariance=np.diag([_UNKNOWN, _UNKNOWN, variance]).ravel(),
+        angular_velocity_covariance=_diagonal(_UNKNOWN, _UNKNOWN, variance),
         linear_acceleration_covariance=_NONE,
     )
 

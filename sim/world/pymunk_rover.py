@@ -26,11 +26,14 @@ class Ground:
     def __init__(self, obstacles: Sequence[Obstacle] = ()) -> None:
         self.space = pymunk.Space()
         self.space.collision_slop = COLLISION_SLOP_M
+        self.is_free = True
+        """Whether there is no obstacle: no ray hits anything."""
         for obstacle in obstacles:
             self.add(obstacle)
 
     def add(self, obstacle: Obstacle) -> pymunk.Shape:
         """Put a rectangle onto the ground and return its shape."""
+        self.is_free = False
         body = pymunk.Body(body_type=pymunk.Body.STATIC)
         body.position = (obstacle.x, obstacle.y)
         body.angle = obstacle.theta
@@ -101,6 +104,8 @@ class PymunkRover(Rover):
         body.angular_velocity = omega
 
     def range_along(self, ray: Pose, most_m: float) -> float | None:
+        if self.ground.is_free:
+            return None
         end = (ray.x + most_m * math.cos(ray.theta), ray.y + most_m * math.sin(ray.theta))
         hit = self.ground.space.segment_query_first((ray.x, ray.y), end, 0.0, _ROVERS)
         return None if hit is None else hit.alpha * most_m

@@ -7,7 +7,7 @@ from deploy.drive.config import DriveConfig
 from deploy.drive.control_loop import Drive
 from deploy.drive.controller import Controller, CourseMission
 from deploy.drive.link import Arrival
-from deploy.drive.records import TICKS_TOPIC, attachments
+from deploy.drive.records import attachments
 from deploy.drive.result import result_of
 from deploy.drive.tick_messages import Publisher
 from deploy.estimator.inputs import Acceptance
@@ -227,8 +227,6 @@ class VirtualDrive:
                 writer.attach(name, content)
             for message in self.recorded:
                 writer.write(message)
-                if message.topic == TICKS_TOPIC:
-                    writer.flush()
 
     def use_in(self, module, monkeypatch):
         """Have each drive of a module be one of this rover, with a link of its own."""

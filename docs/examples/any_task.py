@@ -22,11 +22,11 @@ EPISODES = 8  # of a candidate
 FRESH = 10**6  # the first seed of the episodes that score a mean or the result
 
 
-def play(environment, policy, seed):
+def play(environment, runner, seed):
     """Return the return of one episode."""
-    runner, space = Runner(policy), environment.action_space
+    runner.reset()
     seen, _ = environment.reset(seed=seed)
-    total, over = 0.0, False
+    space, total, over = environment.action_space, 0.0, False
     while not over:
         outputs = np.array(runner.tick([float(number) for number in seen]))
         if isinstance(space, gymnasium.spaces.Discrete):
@@ -40,7 +40,8 @@ def play(environment, policy, seed):
 
 def score(environment, policy, episodes=100, first=FRESH):
     """Return the mean return of the episodes with consecutive seeds."""
-    return sum(play(environment, policy, first + number) for number in range(episodes)) / episodes
+    runner = Runner(policy)
+    return sum(play(environment, runner, first + number) for number in range(episodes)) / episodes
 
 
 def search(environment, policy, generations, seed=0):

@@ -71,7 +71,7 @@ STEP_MAX_S = 0.1
 def step(state: GateState, event: GateEvent, now: float, limits: Limits) -> tuple[GateState, Verdict]:
     """Process one event at ``now`` and return the new state and the verdict for the base."""
     elapsed = min(max(now - state.now, 0.0), STEP_MAX_S)
-    state = _expire(replace(state, now=max(now, state.now)))
+    state = _expire(state._replace(now=max(now, state.now)))
     refusal = dropped = None
     match event:
         case BaseReport():
@@ -79,15 +79,15 @@ def step(state: GateState, event: GateEvent, now: float, limits: Limits) -> tupl
         case BaseLost(reason):
             restarted = state.odometry_restarted or event.restarted
             lost = reason or state.lost
-            state = replace(state, base=None, lost=lost, low_since_s=None, odometry_restarted=restarted)
+            state = state._replace(base=None, lost=lost, low_since_s=None, odometry_restarted=restarted)
         case Enable():
             state, refusal = _enable(state, event, limits)
         case Release(sequence) if state.lease is not None and sequence > state.lease.last_sequence:
             state = _end_lease(state, None)
         case Stop(reason):
-            state = replace(state, stop_reason=reason)
+            state = state._replace(stop_reason=reason)
         case ReleaseStop():
-            state = replace(state, stop_reason=None)
+            state = state._replace(stop_reason=None)
         case VelocityCommand():
             state, dropped = _command(state, event, limits)
         case _:  # time alone, or a release that was repeated or came after the lease ended
@@ -97,12 +97,12 @@ def step(state: GateState, event: GateEvent, now: float, limits: Limits) -> tupl
         state = _end_lease(state, hazard)
     held = hazard or _hold_reason(state, limits)
     if state.held is None and held not in {None, Reason.NO_LEASE}:
-        state = replace(state, stops=_count(state.stops, held))
+        state = state._replace(stops=_count(state.stops, held))
     velocity = STANDSTILL
     if held is None and state.target is not None:
         velocity = approach(state.target, state.out, limits, elapsed)
     halted_s = state.now if velocity == STANDSTILL and not _stands(state.base) else state.halted_s
-    state = _switch_motors(replace(state, held=held, out=velocity, halted_s=halted_s))
+    state = _switch_motors(state._replace(held=held, out=velocity, halted_s=halted_s))
     return state, Verdict(velocity, state.motors, held, refusal, dropped, state.lease)
 
 
@@ -185,8 +185,7 @@ def _take_report(state: GateState, base: BaseReport, limits: Limits) -> GateStat
         low_since_s = state.low_since_s
     elif base.battery_v < limits.battery_min_v:
         low_since_s = state.now if state.low_since_s is None else state.low_since_s
-    return replace(
-        state,
+    return state._replace(
         stalled_v=stall_direction(state, base),
         base=base,
         base_s=state.now,
@@ -231,8 +230,7 @@ def _enable(state: GateState, request: Enable, limits: Limits) -> tuple[GateStat
         last_sequence=sequence,
         contact=contact,
     )
-    return replace(
-        state,
+    return state._replace(
         lease=granted,
         leases=granted.number,
         lease_over=None,
@@ -252,8 +250,7 @@ def _expire(state: GateState) -> GateState:
 
 
 def _end_lease(state: GateState, reason: Reason | None) -> GateState:
-    return replace(
-        state,
+    return state._replace(
         lease=None,
         lease_over=reason,
         lease_over_detail="" if reason is None else describe(reason, state),
@@ -266,7 +263,7 @@ def _switch_motors(state: GateState) -> GateState:
     """Without a lease, switch the motors off at standstill, or `COAST_S` after the lease's end."""
     if state.lease is not None or not state.motors:
         return state
-    return replace(state, motors=not _stands(state.base) and state.now < state.motors_until_s)
+    return state._replace(motors=not _stands(state.base) and state.now < state.motors_until_s)
 
 
 def _stands(base: BaseReport | None) -> bool:
@@ -287,11 +284,11 @@ def _command(state: GateState, command: VelocityCommand, limits: Limits) -> tupl
     """Put a command in force, or return the reason for dropping it."""
     velocity, admitted = command.velocity, _admit(state, command, limits)
     if isinstance(admitted, Reason):
-        return replace(state, dropped=_count(state.dropped, admitted)), admitted
+        return state._replace(dropped=_count(state.dropped, admitted)), admitted
     state, flaw = admitted.state, _flaw(velocity)
     if flaw is not None:
         # The driver that holds the lease is faulty: the command before this one is not carried out further.
-        return replace(state, target=None, no_command=flaw, dropped=_count(state.dropped, flaw)), flaw
+        return state._replace(target=None, no_command=flaw, dropped=_count(state.dropped, flaw)), flaw
     assert velocity is not None  # else it has a flaw
     contact, limited = lasting_contact(state, admitted.lease.contact, velocity), state.limited
     allowed = bounded(contact, velocity, limits)
@@ -299,8 +296,7 @@ def _command(state: GateState, command: VelocityCommand, limits: Limits) -> tupl
         limited = _count(limited, Reason.SPEED)
     if velocity.omega != allowed.omega:
         limited = _count(limited, Reason.TURN)
-    return replace(
-        state,
+    return state._replace(
         lease=replace(admitted.lease, expires_s=state.now + limits.lease_s, contact=contact),
         target=allowed if leads_away(state, contact, velocity) else None,
         no_command=Reason.BUMPER if contact.front or contact.rear else Reason.STALL,
@@ -328,7 +324,7 @@ def _admit(state: GateState, command: VelocityCommand, limits: Limits) -> _Admit
     if age > limits.stale_s:
         return Reason.STALE
     lease = replace(lease, last_sequence=tag.sequence)
-    return _Admitted(replace(state, lease=lease, minima=minima), lease, state.now - age)
+    return _Admitted(state._replace(lease=lease, minima=minima), lease, state.now - age)
 
 
 def _flaw(velocity: Velocity | None) -> Reason | None:

@@ -3,8 +3,6 @@
 Digests are verified before the gate: here a command or a request says whether it is signed by the holder.
 """
 
-from dataclasses import replace
-
 from bridge.base import BaseReport
 from bridge.gate.gate import step
 from bridge.gate.limits import Fence, Limits
@@ -64,7 +62,7 @@ class Gate:
 
     def place(self, now, base):
         """Report a base that has driven to its pose since the last report."""
-        self.state = replace(self.state, base=BaseReport(base.x, base.y, base.theta))
+        self.state = self.state._replace(base=BaseReport(base.x, base.y, base.theta))
         return self.at(now, base)
 
     def stamp(self, now):

@@ -35,12 +35,12 @@ def test_words_for_the_end_of_a_lease_last_until_the_next_lease():
         (Reason.STOPPED, GateState(), "a stop was requested, and is not released"),
         (Reason.NO_BASE, GateState(lost="x" * 300), ("the base is not connected: " + "x" * 300)[:200]),
         (Reason.NO_BASE, GateState(), "the base is not connected"),
-        (Reason.BUMPER, replace(DRIVING, lost="x", stop_reason="Anna"), "a bumper is pressed"),
+        (Reason.BUMPER, DRIVING._replace(lost="x", stop_reason="Anna"), "a bumper is pressed"),
         (Reason.ANOTHER_DRIVER, GateState(), "another driver holds the lease"),
         (Reason.ANOTHER_DRIVER, DRIVING, "deploy holds the lease"),
         (
             Reason.ANOTHER_DRIVER,
-            replace(DRIVING, lease=replace(DRIVING.lease, name="")),
+            DRIVING._replace(lease=replace(DRIVING.lease, name="")),
             "a driver without a name holds the lease",
         ),
         (
@@ -121,6 +121,6 @@ def test_command_is_unsigned_and_a_loss_is_no_restart_unless_they_say_so():
 
 def test_renewal_permits_no_new_contact():
     gate = Gate().driving(9.0)
-    gate.state = replace(gate.state, base=BaseReport(bumpers=(2, 0)))
+    gate.state = gate.state._replace(base=BaseReport(bumpers=(2, 0)))
     assert gate.renew(9.0, secret=bytes(32)).refusal is Reason.BUMPER
     assert gate.state.lease is None

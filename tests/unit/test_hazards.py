@@ -145,7 +145,7 @@ def test_gate_driver_and_page_do_as_the_table_says(cell, tmp_path):
 @pytest.mark.parametrize("cell", cells("dock"))
 def test_docking_is_proven_only_as_the_table_says(cell, tmp_path, monkeypatch):
     for wait in ("REPORT_S", "LATE_S"):  # tests/unit/place/test_judge.py has the real ones
-        monkeypatch.setattr(f"deploy.place.judge.{wait}", 6.0)
+        monkeypatch.setattr(f"deploy.place.judge.{wait}", 3.0)
     wall = [Obstacle(x=2.15, y=1.0, length=0.1, width=0.6)] if "wall" in cell["inject"] else []
     where, path = place(proof=cell["dock"], retries=0, staging_m=0.3), tmp_path / "dock.mcap"
     run = VirtualDocking(where, where.staging, path=path, obstacles=wall)

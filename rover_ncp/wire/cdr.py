@@ -68,32 +68,30 @@ def encode(ros_type: str, **fields: Any) -> bytes:
 
 
 def _message(ros_type: str, fields: Mapping[str, Any]) -> Any:
-    names, parts = _parts(ros_type)
-    if not fields.keys() <= names:
-        raise TypeError(f"{ros_type} has no {', '.join(sorted(fields.keys() - names))}")
-    return _store().types[ros_type](
-        *[
-            make(fields[name]) if make and name in fields else fields.get(name, default)
-            for name, make, default in parts
-        ]
-    )
+    kind, defaults, makers = _parts(ros_type)
+    values = {**defaults, **fields}
+    for name, make in makers.items():
+        if name in fields:
+            values[name] = make(fields[name])
+    return kind(**values)
 
 
 @functools.cache
-def _parts(ros_type: str) -> tuple[frozenset[str], list[tuple[str, Callable[[Any], Any] | None, Any]]]:
-    """Return the names of a type's fields, and of each the maker of messages within it and the default."""
+def _parts(ros_type: str) -> tuple[Callable[..., Any], dict[str, Any], dict[str, Callable[[Any], Any]]]:
+    """Return a type, the defaults of its fields, and the makers of those that are messages themselves."""
     definitions: Any = _store().fielddefs[ros_type][1]
-    parts: list[tuple[str, Callable[[Any], Any] | None, Any]] = []
+    defaults: dict[str, Any] = {}
+    makers: dict[str, Callable[[Any], Any]] = {}
     for name, (kind, of) in definitions:
         if kind == Nodetype.NAME:
-            parts.append((name, functools.partial(_message, of), _message(of, {})))
+            defaults[name], makers[name] = _message(of, {}), functools.partial(_message, of)
         elif kind == Nodetype.BASE:
-            parts.append((name, None, "" if of[0] == "string" else 0))
+            defaults[name] = "" if of[0] == "string" else 0
         elif of[0][0] == Nodetype.NAME:
-            parts.append((name, functools.partial(_messages, of[0][1]), []))
+            defaults[name], makers[name] = [], functools.partial(_messages, of[0][1])
         else:
-            parts.append((name, None, np.zeros(of[1], of[0][1][0])))
-    return frozenset(part[0] for part in parts), parts
+            defaults[name] = np.zeros(of[1], of[0][1][0])
+    return _store().types[ros_type], defaults, makers
 
 
 def _messages(ros_type: str, items: Iterable[Mapping[str, Any]]) -> list[Any]:

@@ -41,6 +41,23 @@ def test_a_second_publisher_of_an_input_is_found(rig):
         wait_for(lambda: any("publishers send odom" in words for words in found.problems("")), 10.0)
 
 
+def test_a_check_hears_each_message_once_and_in_order(rig):
+    """A message that is heard twice is older than the newest one: as if two publishers sent it."""
+    heard = []
+    with ZenohLink(BridgeAddress(rig.robot), lambda message: None) as link, client(rig.robot) as peer:
+        link.listen(INPUTS, lambda key_expr, source, data: heard.append((key_expr, data)))
+        keys = ["pose", "hall/pose"]
+        publishers = {key_expr: peer.declare_publisher(key_expr) for key_expr in keys}
+        wait_for(lambda: all(publisher.matching_status.matching for publisher in publishers.values()))
+        for number in range(50):
+            for publisher in publishers.values():
+                publisher.put(str(number))
+        wait_for(lambda: all((key_expr, b"49") in heard for key_expr in keys))
+        time.sleep(0.2)
+    for key_expr in keys:
+        assert [int(data) for key, data in heard if key == key_expr] == list(range(50))
+
+
 BASE = {
     "battery_state": battery_state(12.34, 1, charging=True),
     "bumpers": bumpers(True, True),

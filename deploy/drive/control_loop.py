@@ -23,7 +23,7 @@ from deploy.drive.mission import Mission
 from deploy.drive.rate_keeper import RateKeeper
 from deploy.drive.records import StartRecord, TickRecord, numbers
 from deploy.drive.safety_monitor import SafetyMonitor
-from deploy.drive.search import look_around
+from deploy.drive.search import Look
 from deploy.drive.start import StartDetector
 from deploy.drive.tick_messages import Publisher
 from deploy.estimator.estimator import Estimate
@@ -216,7 +216,7 @@ class Drive:
             return f"the rover did not turn: {where} it is outside the gate's fence"
         self._request_motors()
         try:
-            looked, self._turn_gain = look_around(
+            look = Look(
                 self._link,
                 self.measurements,
                 monitor=self.monitor,
@@ -224,6 +224,7 @@ class Drive:
                 config=self.config,
                 clock=self._clock,
             )
+            looked, self._turn_gain = look.around()
             return looked
         finally:
             self._link.release()

@@ -36,36 +36,8 @@ MIN_READINGS, MIN_TURN_RAD = 5, 0.3
 """Readings of a gyro before the turn, and odometry's turn, from which a turn gain is known."""
 
 
-def look_around(
-    link: Link,
-    measurements: Measurements,
-    *,
-    monitor: SafetyMonitor,
-    detector: StartDetector,
-    config: DriveConfig,
-    clock: Clock,
-) -> tuple[str, float | None]:
-    """Turn until external poses come steadily; return "" or, without any, where the rover looked, in words.
-
-    Under a fence a rover that turned by more than half a turn turns back until it sees the tags from the
-    other side: odometry, in which the fence lies, measures turns badly, and errors of the two turns cancel.
-
-    The second value is the turn gain, true turn over odometry's, None if no gyro showed it. The lease is
-    granted, and stays so. Raises SafetyStop and KeyboardInterrupt as a drive does.
-    """
-    look = _Look(link, measurements, monitor=monitor, detector=detector, config=config, clock=clock)
-    try:
-        words = look.turn(1.0)
-        gain, turned = look.gain, look.true_turn
-        if not words and link.gate.fence is not None and turned > math.pi:
-            words = look.turn(-1.0, from_rad=turned - math.tau + SAME_VIEW_RAD)
-    finally:
-        link.command(STANDSTILL)
-    return words, gain
-
-
-class _Look:
-    """A rover that turns on the spot and looks for tags."""
+class Look:
+    """A rover that turns on the spot and looks for tags. The lease is granted, and stays so."""
 
     def __init__(
         self,
@@ -87,17 +59,35 @@ class _Look:
         self._turned = 0.0
         """By odometry, rad."""
 
+    def around(self) -> tuple[str, float | None]:
+        """Turn until external poses come steadily; return "" or in words where the rover looked in vain.
+
+        Under a fence a rover that turned by more than half a turn turns back until it sees the tags from the
+        other side: odometry, in which the fence lies, measures turns badly, and errors of the two turns
+        cancel.
+
+        The second value is the turn gain, true turn over odometry's, None if no gyro showed it. Raises
+        SafetyStop and KeyboardInterrupt as a drive does.
+        """
+        try:
+            words = self._turn(1.0)
+            gain, turned = self._gain, self._true_turn
+            if not words and self._link.gate.fence is not None and turned > math.pi:
+                words = self._turn(-1.0, from_rad=turned - math.tau + SAME_VIEW_RAD)
+        finally:
+            self._link.command(STANDSTILL)
+        return words, gain
+
     @property
-    def gain(self) -> float | None:
-        """The turn gain, true turn over odometry's, None if no gyro showed it."""
+    def _gain(self) -> float | None:
         return self._gyro.gain(self._turned)
 
     @property
-    def true_turn(self) -> float:
+    def _true_turn(self) -> float:
         """The turn, rad; by odometry if no gyro shows it."""
-        return self._turned * (self.gain or 1.0)
+        return self._turned * (self._gain or 1.0)
 
-    def turn(self, side: float, from_rad: float | None = None) -> str:
+    def _turn(self, side: float, from_rad: float | None = None) -> str:
         """Turn to a side until external poses come steadily; return "" or where the rover looked, in words.
 
         Poses count from the turn ``from_rad`` on, without it from the beginning.
@@ -108,7 +98,7 @@ class _Look:
         while abs(self._turned - began) < TURN_RAD and clock.monotonic_ns() < until_ns:
             self._measure()
             self._monitor.check()
-            if from_rad is None or side * (self.true_turn - from_rad) > 0.0:
+            if from_rad is None or side * (self._true_turn - from_rad) > 0.0:
                 self._detector.collect_poses()
                 if self._detector.sees_steadily:
                     return ""

@@ -43,21 +43,18 @@ class Room(StrictModel):
 
     def fit(self, references: Sequence[Reference], odometry: Pose, turn_gain: float) -> Fit:
         """Return how ways in a row fit; ``odometry`` is its pose at the begin."""
-        left = self._leaves(references, odometry, turn_gain)
-        if left is not None:
-            return Fit(1, True, left)
-        others = [(1.0 + share) * turn_gain for share in (-GAIN_SHARE, GAIN_SHARE)]
-        risk = int(any(self._leaves(references, odometry, gain) is not None for gain in others))
-        near = any(
-            self._leaves(references, odometry, gain, ROOMY_M) is not None for gain in (turn_gain, *others)
-        )
-        return Fit(risk, near)
-
-    def _leaves(
-        self, references: Sequence[Reference], odometry: Pose, turn_gain: float, edge: float = EDGE_M
-    ) -> Pose | None:
-        """Return where odometry leaves the room first; a rover outside may come nearer."""
         path = _odometry_path(references, odometry, turn_gain)
+        if (left := self._leaves(path, EDGE_M)) is not None:
+            return Fit(1, True, left)
+        others = [
+            _odometry_path(references, odometry, (1.0 + share) * turn_gain)
+            for share in (-GAIN_SHARE, GAIN_SHARE)
+        ]
+        risk = int(any(self._leaves(each, EDGE_M) is not None for each in others))
+        return Fit(risk, any(self._leaves(each, ROOMY_M) is not None for each in (path, *others)))
+
+    def _leaves(self, path: FloatArray, edge: float) -> Pose | None:
+        """Return where odometry's path (n, 3) leaves the room first; a rover outside may come nearer."""
         f, (x, y) = self.fence, path[:, :2].T
         beyond = np.max([f.x_min - x, x - f.x_max, f.y_min - y, y - f.y_max], axis=0) + edge
         outside = np.flatnonzero((beyond > 0.0) & (beyond > beyond[0] + 1e-6))

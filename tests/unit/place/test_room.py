@@ -33,7 +33,7 @@ def test_plan_takes_another_way_where_odometry_would_leave_the_fence():
     inside, _ = to_staging(place(), TURNED, fenced=room)
     true_odometry, _ = to_staging(place(), TURNED, fenced=fenced(TIGHT, TURNED, turn_gain=1.0))
     assert room.fit(shortest).left is not None
-    assert room.fit(inside).left is None
+    assert (room.fit(inside).left, room.fit(inside).risk) == (None, 0)
     assert true_odometry.course == shortest.course
 
 
@@ -42,7 +42,7 @@ def test_fence_lies_where_odometry_is():
     shortest, _ = to_staging(place(), BEFORE_STAGING)
     room = fenced(TIGHT, BEFORE_STAGING, 1.0)
     elsewhere = fenced(TIGHT, BEFORE_STAGING._replace(theta=BEFORE_STAGING.theta + math.pi / 2), 1.0)
-    assert room.fit(shortest).left is None
+    assert (room.fit(shortest).left, room.fit(shortest).risk) == (None, 0)
     assert elsewhere.fit(shortest).left is not None
 
 

@@ -16,6 +16,8 @@ from rover_ncp.core.process import Clock
 from rover_ncp.wire.messages import OdometrySample
 
 MOVE_S, PERIOD_S = 1.5, 0.05
+WAIT_S = 0.02
+"""How long a check waits for odometry before it takes what else arrived."""
 REST_S = 1.0
 """Rest after a motion that sensors are compared on: the lag of a sensor may be so long."""
 
@@ -51,11 +53,8 @@ class Moves:
     def until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Take what arrives until a condition holds; return False if it did not in time."""
 
-        def holds() -> bool:
-            self._take()
-            return condition()
-
-        return self._monitor.until(holds, timeout_s)
+        self._take(0.0)
+        return self._monitor.until(condition, timeout_s, self._take)
 
     def listen(self, seconds: float) -> Samples:
         """Return what arrives in some time, without commands."""
@@ -99,10 +98,10 @@ class Moves:
             turn += newest.sample.velocity.omega * span_s
         return Moved(before.sample, newest.sample, Velocity(way, turn), self._samples)
 
-    def _take(self) -> None:
-        """Take what arrived; values that are not finite are left out."""
+    def _take(self, timeout_s: float) -> None:
+        """Take what arrived, and wait for odometry if none did; values that are not finite are left out."""
         samples = self._samples
-        odometry = self._measurements.odometry(0)
+        odometry = self._measurements.odometry(min(timeout_s, WAIT_S))
         if odometry is not None and all(map(math.isfinite, odometry.sample.pose)):
             samples.odometry.append(_timed(odometry))
         for reading in self._measurements.gyro():

@@ -109,15 +109,27 @@ class SafetyMonitor:
         found = [where or "no namespace" for where in self._link.bridges()]
         return f"; bridges are announced in: {', '.join(found)} (--namespace)" if found else ""
 
-    def until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait for a condition; return False if it did not hold in time. Raises KeyboardInterrupt."""
+    def until(
+        self,
+        condition: Callable[[], bool],
+        timeout_s: float,
+        wait: Callable[[float], object] | None = None,
+    ) -> bool:
+        """Wait for a condition; return False if it did not hold in time. Raises KeyboardInterrupt.
+
+        ``wait`` lets at most so many seconds pass until the condition is looked at again; without it the
+        driver sleeps for `POLL_S`.
+        """
         deadline = self._clock.monotonic() + timeout_s
         while not condition():
             if self._interrupted():
                 raise KeyboardInterrupt
-            if self._clock.monotonic() > deadline:
+            if (left_s := deadline - self._clock.monotonic()) < 0.0:
                 return False
-            self._clock.sleep(POLL_S)
+            if wait is None:
+                self._clock.sleep(POLL_S)
+            else:
+                wait(max(left_s, POLL_S))
         return True
 
     def granted(self) -> None:

@@ -15,6 +15,7 @@ from deploy.estimator.settings import EstimatorSettings
 from deploy.zenoh_client import BridgeFilter
 from kit.paths import DATA
 from rover_ncp.circuit.policy_file import load_policy
+from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.geometry import ORIGIN, STANDSTILL, compose, relative
 from rover_ncp.course.course import TICK_S, Course, load_course
 from rover_ncp.recording.recording import Recorded, RecordingWriter
@@ -172,6 +173,8 @@ class ChangedLink(VirtualLink):
 
 
 BRIDGE = "bridge"
+STAYS_NS = 300_000_000
+"""How long a rover must stand that stays where it is: the gate sends three statuses meanwhile."""
 LOST = object()
 """A tag of `ChangedLink.tag`: the command does not arrive."""
 
@@ -246,6 +249,14 @@ class VirtualDrive:
         return [message.data for message in self.recorded if message.topic == topic]
 
     def stands(self):
-        """Return whether the rover stands still, after the time that braking takes."""
-        self.bridge.sleep(1.0)
-        return max(map(abs, self.rover.velocity)) < 1e-3
+        """Return whether the rover comes to a stand in the time that braking takes, and stays there."""
+        since_ns = self.bridge.now_ns
+
+        def stays():
+            nonlocal since_ns
+            if max(map(abs, self.rover.velocity)) >= 1e-3:
+                since_ns = self.bridge.now_ns
+            return self.bridge.now_ns - since_ns >= STAYS_NS
+
+        self.bridge.wait(1.0 + STAYS_NS / NS_PER_S, stays)
+        return stays()

@@ -175,7 +175,7 @@ def test_check_finds_what_the_table_says(cell):
     measurements = Measurements(link, pose_frame=None)
     monitor = SafetyMonitor(link, measurements, lambda: False, clock=run.bridge)
     try:
-        run.bridge.sleep(3.0)
+        run.bridge.sleep(1.0)
         monitor.wait()
         described = load_description("p3at-sh") if run.robot.arcos else run.robot
         steps = Preflight(

@@ -4,8 +4,8 @@ import math
 from typing import Any
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 
+from deploy.estimator.extended_kalman import ExtendedKalmanFilter
 from deploy.estimator.inputs import (
     Disturbance,
     LongerErrors,

@@ -50,6 +50,21 @@ def test_help_teaches_and_a_command_imports_nothing_heavy_and_no_other_command()
             assert set(MODULES.values()) & set(loaded) == {MODULES[name]}
 
 
+FILTER = """
+import sys
+import deploy.drive.control_loop, deploy.place.docking
+before = "scipy.stats" in sys.modules
+from filterpy.stats import logpdf, norm_cdf
+from scipy.stats import multivariate_normal, norm
+print(before, norm_cdf((-1, 2), 0, 4) == norm(0, 2).cdf(2) - norm(0, 2).cdf(-1))
+print(logpdf([1.0, 2.0], [0.0, 0.0], [[2, 0], [0, 3]]) == multivariate_normal([0, 0], [2, 3]).logpdf([1, 2]))
+"""
+
+
+def test_driver_loads_no_scipy_stats_and_all_of_filterpy_works_still():
+    assert python(["-c", FILTER]).stdout.split() == ["False", "True", "True"]
+
+
 def test_the_version_is_that_of_the_distribution():
     assert python(["-m", "rover_ncp", "--version"]).stdout == f"rover-ncp {version('rover-ncp')}\n"
 

@@ -22,7 +22,7 @@ from rover_ncp.course.course import Course
 from rover_ncp.course.scoring import Failure, Parked, Verdict
 from rover_ncp.course.shapes import OUTLINE, FloatArray, outline_of
 from rover_ncp.recording.recorded import steady
-from rover_ncp.recording.recording import read_recording
+from rover_ncp.recording.recording import Recording, read_recording
 from rover_ncp.robot.description import RobotDescription, recorded_robot
 from rover_ncp.wire.protocol import DriverStatus
 
@@ -88,7 +88,12 @@ class Summary(NamedTuple):
 
 def read_drive(path: Path) -> Drive:
     """Read a recording of ``rover-ncp deploy``. Raises FileError and ConfigError."""
-    recording = read_recording(path, topics=TOPICS | {START_TOPIC})
+    return drive_of(read_recording(path, topics=TOPICS | {START_TOPIC}))
+
+
+def drive_of(recording: Recording) -> Drive:
+    """Return the drive that a recording holds. Raises FileError and ConfigError."""
+    path = recording.path
     if (drives := len(recording.topic(START_TOPIC))) > 1:
         raise FileError(f"{path}: holds {drives} drives, expected one: 'mcap filter' cuts a file by time")
     policy, course = attached_policy(recording), attached_course(recording)

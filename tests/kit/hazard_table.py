@@ -6,7 +6,7 @@ from itertools import repeat
 import pytest
 import yaml
 
-from deploy.view.recorded_drive import read_drive, summarise
+from deploy.view.recorded_drive import drive_of, summarise
 from kit.paths import DATA
 from kit.virtual_drive import short_course
 from rover_ncp.core.errors import FileError
@@ -57,12 +57,10 @@ def gate_words(statuses):
     return f"holds {held[0]}" if held else "drives"
 
 
-def page_words(path):
+def page_words(recording):
     """Return what the page of a recording says, in the table's words."""
-    if not path.exists():
-        return "no page"
     try:
-        found = summarise(read_drive(path))
+        found = summarise(drive_of(recording))
     except FileError as error:
         assert "holds no tick of a drive" in str(error)
         return "no page"

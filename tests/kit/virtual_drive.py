@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+from pathlib import Path
 
 from deploy.drive.config import DriveConfig
 from deploy.drive.control_loop import Drive
@@ -18,7 +19,7 @@ from rover_ncp.circuit.policy_file import load_policy
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.geometry import ORIGIN, STANDSTILL, compose, relative
 from rover_ncp.course.course import TICK_S, Course, load_course
-from rover_ncp.recording.recording import Recorded, RecordingWriter
+from rover_ncp.recording.recording import Recorded, Recording, RecordingWriter
 from rover_ncp.wire.key_table import spec
 from rover_ncp.wire.messages import odometry, read_odometry, read_text, text, twist_stamped
 from rover_ncp.wire.protocol import (
@@ -206,7 +207,7 @@ class VirtualDrive:
 
     def run(self):
         """Drive; return the result as JSON has it."""
-        files = attachments(self.policy, self.course, self.config, self.staging)
+        self._files = attachments(self.policy, self.course, self.config, self.staging)
         publisher = Publisher(
             self.link,
             self.recorded.append,
@@ -220,13 +221,18 @@ class VirtualDrive:
             drive.run()
         finally:
             if self.path:
-                self._write(files)
+                self._write()
         self.result = result_of(drive, {"recording": None, "recording_failure": None, "recording_dropped": 0})
         return self.result
 
-    def _write(self, files):
+    @property
+    def recording(self):
+        """What is recorded, without a file."""
+        return Recording(Path("run.mcap"), self._files, {}, tuple(self.recorded), complete=True)
+
+    def _write(self):
         with RecordingWriter(self.path) as writer:
-            for name, content in files.items():
+            for name, content in self._files.items():
                 writer.attach(name, content)
             for message in self.recorded:
                 writer.write(message)

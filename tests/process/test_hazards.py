@@ -202,7 +202,8 @@ def test_gate_driver_and_page_do_as_the_table_says(robot, cell, tmp_path, capsys
             if leased := path.exists():  # else the drive had no tick; the watcher may receive its end later
                 wait_for(lambda: any(status.lease for status in watcher.statuses) and not watcher.gate.lease)
             gate = gate_words(watcher.statuses) if leased else f"refuses {rule}"
-        found = gate, f"stops {rule}" if code == 4 else "drives", page_words(path)
+        page = page_words(read_recording(path)) if leased else "no page"
+        found = gate, f"stops {rule}" if code == 4 else "drives", page
         return found, longest_gap_s(path) if leased else STALL_S, (code, result)
 
     judge(run, (cell["gate"], cell["driver"], cell["page"]))

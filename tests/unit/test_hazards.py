@@ -53,14 +53,14 @@ COVARIANCE = np.diag(np.square([0.01, 0.01, 0.02]))
 class Cell(VirtualDrive):
     """A drive straight ahead with an injection, which acts from the start or from the sixth command on."""
 
-    def __init__(self, cell, path=None, **settings):
+    def __init__(self, cell, **settings):
         self.robot = load_description(cell["robot"]) if "robot" in cell else ROBOT
         self.robot = WITH_POSE if "localiser" in cell else self.robot
         self.times, self.held, self.then, self.localiser = 0, deque(), lambda: None, None
         self.active, self.began_ns, self.moved_ns, self.first_ns = cell.get("from") == "start", 0, 0, 0
         policy, course = (load_policy("course"), LONG) if "turn" in cell else (AHEAD, BRIEF)
         described = None if self.robot.arcos else self.robot
-        super().__init__(policy, course, path, described=described, **settings)
+        super().__init__(policy, course, described=described, **settings)
         self.link.harm = self._begin
         INJECTIONS[cell["inject"]](self)
         if self.active:
@@ -114,10 +114,10 @@ class Cell(VirtualDrive):
         return max(self.moved_ns - self.began_ns, 0) / NS_PER_S
 
 
-def drive(cell, path=None):
+def drive(cell):
     """Run a cell; return the words of gate and driver, and the drive."""
     pose = "required" if "pose" in cell["inject"] else "none"
-    run = Cell(cell, path, pose=pose)
+    run = Cell(cell, pose=pose)
     try:
         result = run.run()
     except NoRobot:
@@ -131,10 +131,9 @@ def drive(cell, path=None):
 
 
 @pytest.mark.parametrize("cell", cells("gate", without="dock"))
-def test_gate_driver_and_page_do_as_the_table_says(cell, tmp_path):
-    path = tmp_path / "run.mcap"
-    gate, driver, run = drive(cell, path)
-    assert (gate, driver, page_words(path)) == (cell["gate"], cell["driver"], cell["page"])
+def test_gate_driver_and_page_do_as_the_table_says(cell):
+    gate, driver, run = drive(cell)
+    assert (gate, driver, page_words(run.recording)) == (cell["gate"], cell["driver"], cell["page"])
     if gate == "bridge ends":
         return
     assert run.stands()
@@ -143,18 +142,18 @@ def test_gate_driver_and_page_do_as_the_table_says(cell, tmp_path):
 
 
 @pytest.mark.parametrize("cell", cells("dock"))
-def test_docking_is_proven_only_as_the_table_says(cell, tmp_path, monkeypatch):
+def test_docking_is_proven_only_as_the_table_says(cell, monkeypatch):
     for wait in ("REPORT_S", "LATE_S"):  # tests/unit/place/test_judge.py has the real ones
         monkeypatch.setattr(f"deploy.place.judge.{wait}", 3.0)
     wall = [Obstacle(x=2.15, y=1.0, length=0.1, width=0.6)] if "wall" in cell["inject"] else []
-    where, path = place(proof=cell["dock"], retries=0, staging_m=0.3), tmp_path / "dock.mcap"
-    run = VirtualDocking(where, where.staging, path=path, obstacles=wall)
+    where = place(proof=cell["dock"], retries=0, staging_m=0.3)
+    run = VirtualDocking(where, where.staging, obstacles=wall)
     run.active, run.times = True, 0
     INJECTIONS[cell["inject"]](run)
     result = run.run()
     gate = gate_words([parse_json(GateStatus, ros.read_text(data)) for data in run.messages("rover/gate")])
     driver = "docked" if result.dock.success else "not docked"
-    assert (gate, driver, page_words(path)) == (cell["gate"], cell["driver"], cell["page"])
+    assert (gate, driver, page_words(run.recording)) == (cell["gate"], cell["driver"], cell["page"])
     assert run.stands()
 
 

@@ -44,7 +44,11 @@ GYRO = {"rate_hz": 25}
 ROBOT = described("turtlebot4", topics=STOP, gyro=GYRO)
 WITH_POSE = described("turtlebot4", topics=STOP | {"pose": "amcl_pose"}, gyro=GYRO)
 LIMITS = {"sonar_stop_m": 0.3}
-BRIEF = COURSE.model_copy(update={"horizon_s": 4.5})
+BRIEF = {
+    "none": COURSE.model_copy(update={"horizon_s": 3.5}),
+    "required": COURSE.model_copy(update={"horizon_s": 4.5}),
+}
+"""By the setting ``pose``: longer than the slowest safety rule takes. That of required poses takes 3 s."""
 STOP_S = 0.5
 """Most time from a hazard to the stop command: the first requirement of docs/safety.md."""
 COVARIANCE = np.diag(np.square([0.01, 0.01, 0.02]))
@@ -58,7 +62,7 @@ class Cell(VirtualDrive):
         self.robot = WITH_POSE if "localiser" in cell else self.robot
         self.times, self.held, self.then, self.localiser = 0, deque(), lambda: None, None
         self.active, self.began_ns, self.moved_ns, self.first_ns = cell.get("from") == "start", 0, 0, 0
-        policy, course = (load_policy("course"), LONG) if "turn" in cell else (AHEAD, BRIEF)
+        policy, course = (load_policy("course"), LONG) if "turn" in cell else (AHEAD, BRIEF[settings["pose"]])
         described = None if self.robot.arcos else self.robot
         super().__init__(policy, course, described=described, **settings)
         self.link.harm = self._begin
@@ -117,7 +121,7 @@ class Cell(VirtualDrive):
 def drive(cell):
     """Run a cell; return the words of gate and driver, and the drive."""
     pose = "required" if "pose" in cell["inject"] else "none"
-    run = Cell(cell, pose=pose)
+    run = Cell(cell, pose=pose, still_s=0.5)
     try:
         result = run.run()
     except NoRobot:

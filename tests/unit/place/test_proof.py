@@ -3,7 +3,6 @@
 from kit.virtual_docking import VirtualDocking, charging, place
 from kit.virtual_drive import ChangedLink
 
-from deploy.drive.records import attachments
 from deploy.place.outcome import DockError, Stage
 from deploy.view.recorded_drive import read_drive, summarise
 from rover_ncp.core.geometry import Pose
@@ -49,7 +48,7 @@ def test_page_of_a_docking_whose_driver_was_killed_claims_nothing(tmp_path):
     states = {message.log_ns for message in drive.recorded if b"RETRY" in message.data}
     drive.recorded = [message for message in drive.recorded if message.log_ns < min(states)]
     drive.path = tmp_path / "killed.mcap"
-    drive._write(attachments(drive.policy, drive.course, drive.config, drive.staging))
+    drive._write()
     summary = summarise(read_drive(drive.path))
     assert summary.parked == "not parked"
     assert summary.headline == "Not docked at bay: the recording ends before the driver's verdict"

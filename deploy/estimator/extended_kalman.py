@@ -1,7 +1,7 @@
-"""filterpy's extended Kalman filter, imported without scipy.stats.
+"""filterpy's extended Kalman filter, imported without the parts of scipy that it needs for other filters.
 
-``import filterpy`` loads scipy.stats for likelihoods, which no filter here computes. That would cost a driver
-39 MB, and half a second of CPU time before its first message.
+``import filterpy`` loads all of them. That would cost a driver 40 MB, and half a second of CPU time before
+its first message.
 """
 
 import importlib
@@ -10,12 +10,16 @@ from functools import partial
 from types import ModuleType
 from typing import Any
 
+import scipy.linalg  # noqa: F401  # before the placeholders, so that no part of scipy ever finds one
 
-class _Distribution:
-    """A distribution of scipy.stats, which loads scipy.stats when something calls it."""
+_LATER = ("scipy.stats", "scipy.ndimage", "scipy.sparse", "scipy.sparse.linalg")
 
-    def __init__(self, name: str) -> None:
-        self._name = name
+
+class _Later:
+    """An object of a module that is loaded when something calls the object or a method of it."""
+
+    def __init__(self, module: str, name: str) -> None:
+        self._module, self._name = module, name
 
     def __getattr__(self, method: str) -> Any:
         return partial(self._call, method)
@@ -24,23 +28,28 @@ class _Distribution:
         return self._call("__call__", *args, **options)
 
     def _call(self, method: str, *args: Any, **options: Any) -> Any:
-        stats = importlib.import_module("scipy.stats")
-        if getattr(stats, self._name) is self:  # filterpy, while it is imported, tries whether scipy is old
+        module = importlib.import_module(self._module)
+        if isinstance(module, _Placeholder):  # filterpy, while it is imported, tries whether scipy is old
             return None
-        return getattr(getattr(stats, self._name), method)(*args, **options)
+        return getattr(getattr(module, self._name), method)(*args, **options)
+
+
+class _Placeholder(ModuleType):
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return _Later(self.__name__, name)
 
 
 def _import_filter() -> Any:
-    """Import filterpy with such distributions in place of scipy.stats, unless one of both is loaded."""
-    if {"filterpy", "scipy.stats"}.isdisjoint(sys.modules):
-        stats: Any = ModuleType("scipy.stats")
-        stats.norm, stats.multivariate_normal = _Distribution("norm"), _Distribution("multivariate_normal")
-        sys.modules["scipy.stats"] = stats
-        try:
-            importlib.import_module("filterpy.kalman")
-        finally:
-            del sys.modules["scipy.stats"]
-    return importlib.import_module("filterpy.kalman").ExtendedKalmanFilter
+    """Import filterpy with placeholders for those modules that are not loaded yet."""
+    placed = [name for name in _LATER if name not in sys.modules]
+    sys.modules.update({name: _Placeholder(name) for name in placed})
+    try:
+        return importlib.import_module("filterpy.kalman").ExtendedKalmanFilter
+    finally:
+        for name in placed:
+            del sys.modules[name]
 
 
 ExtendedKalmanFilter = _import_filter()

@@ -46,7 +46,9 @@ def _import_filter() -> Any:
     placed = [name for name in _LATER if name not in sys.modules]
     sys.modules.update({name: _Placeholder(name) for name in placed})
     try:
-        return importlib.import_module("filterpy.kalman").ExtendedKalmanFilter
+        from filterpy.kalman import ExtendedKalmanFilter
+
+        return ExtendedKalmanFilter
     finally:
         for name in placed:
             del sys.modules[name]

@@ -52,7 +52,6 @@ class Moves:
 
     def until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Take what arrives until a condition holds; return False if it did not in time."""
-
         self._take(0.0)
         return self._monitor.until(condition, timeout_s, self._take)
 

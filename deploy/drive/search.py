@@ -60,7 +60,7 @@ class Look:
         """By odometry, rad."""
 
     def around(self) -> tuple[str, float | None]:
-        """Turn until external poses come steadily; return "" or in words where the rover looked in vain.
+        """Turn until external poses come steadily; return "" or, if none came, where the rover looked.
 
         Under a fence a rover that turned by more than half a turn turns back until it sees the tags from the
         other side: odometry, in which the fence lies, measures turns badly, and errors of the two turns

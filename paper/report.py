@@ -29,11 +29,8 @@ Row = Sequence[object]
 
 def short_report(store: ResultStore) -> str:
     """Return the generated part of the page. Raises FileError."""
-    judged = judge_claims(store)
-    verdicts = Counter(finding.verdict for finding in judged)
     parts = [
-        f"Of {len(judged)} claims: {', '.join(f'{each} {verdicts[each]}' for each in Verdict)}.",
-        answers(judged),
+        answers(judge_claims(store)),
         *(f"**{name}**\n\n{paper_table(store, name)}" for name in FILE.tables),
     ]
     if runs := store.results("half-cheetah", "circuit"):
@@ -61,15 +58,24 @@ def long_report(store: ResultStore) -> str:
 
 
 def answers(judged: Sequence[Finding]) -> str:
-    """Return the page's questions, each with the claims that answer it."""
+    """Return the page's questions with the verdicts of their claims, then the claims one by one."""
+    short: list[Row] = [("question", "verdicts on its claims")]
     rows: list[Row] = [("claim", "ours", "compared with", "verdict")]
     findings = iter(judged)
     for number, (question, claims) in enumerate(FILE.questions.items(), start=1):
+        answered = [next(findings) for _ in claims]
+        short.append((f"{number}. {question}", _verdicts(answered)))
         rows.append((f"**{number}. {question}**", "", "", ""))
-        for claim, found in zip(claims, findings, strict=False):
-            reason = f" ({found.why})" if found.why else ""
-            rows.append((claim.words, found.figure, found.against, f"{found.verdict}{reason}"))
-    return markdown(rows)
+        for claim, found in zip(claims, answered, strict=True):
+            verdict = f"{found.verdict} ({found.why})" if found.why else found.verdict
+            rows.append((claim.words, found.figure, found.against, verdict))
+    short.append((f"all {len(judged)} claims", _verdicts(judged)))
+    return f"{markdown(short)}\n\n{markdown(rows)}"
+
+
+def _verdicts(findings: Sequence[Finding]) -> str:
+    found = [finding.verdict for finding in findings]
+    return ", ".join(f"{each} {found.count(each)}" for each in Verdict if each in found)
 
 
 def paper_table(store: ResultStore, name: str) -> str:
@@ -163,8 +169,7 @@ def commits(store: ResultStore) -> str:
     """Return which commit made which runs."""
     made: dict[str, dict[str, None]] = {}
     for run in store.every():
-        name = f"{run.name.budget} {run.name.task}"
-        made.setdefault(_commit(run), {})[name] = None
+        made.setdefault(_commit(run), {})[f"{run.name.budget} {run.name.task}"] = None
     most, *others = sorted(made, key=lambda commit: -len(made[commit]))
     rest = "".join(f"; {', '.join(made[commit])}: {commit}" for commit in others)
     return f"**Commits of the runs**: {most}{rest}."

@@ -257,8 +257,12 @@ class Preflight:
         return False, f"{words}, the driver does not know of it; for the robot's description: {line}"
 
     def _check_silence(self) -> tuple[bool, str]:
-        """Test the stop when no more commands arrive."""
-        self._moves.move(Velocity(V_M_S, 0.0))
+        """Test the stop when no more commands arrive, with a robot that moves."""
+        gate = self._link.gate
+        newest = self._moves.move(Velocity(V_M_S, 0.0)).after
+        if not follows(newest.velocity.v, V_M_S):
+            moved = f"commanded {V_M_S} m/s, the base reports {newest.velocity.v:.3g} m/s"
+            return False, f"not tested: {moved}: {self._gate_since(gate)}"
         silent = self._clock.monotonic()
         braking_s = BRAKING_S
         if self._robot is not None:

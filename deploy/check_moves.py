@@ -7,13 +7,14 @@ from typing import NamedTuple
 from deploy.comparisons import Samples
 from deploy.drive.link import Link
 from deploy.drive.measurements import Measurement, Measurements
-from deploy.drive.safety_monitor import SafetyMonitor
+from deploy.drive.safety_monitor import SafetyMonitor, revoked
 from deploy.drive.signed_lease import ACCEPTED_S, NOT_ACCEPTED
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity
 from rover_ncp.core.process import Clock
 from rover_ncp.wire.messages import OdometrySample
+from rover_ncp.wire.protocol import LEASE_LAPSED
 
 MOVE_S, PERIOD_S = 1.5, 0.05
 WAIT_S = 0.02
@@ -62,7 +63,7 @@ class Moves:
         return self._samples
 
     def move(self, velocity: Velocity) -> Moved:
-        """Command a velocity for a while."""
+        """Command a velocity for a while. Raises SafetyStop if the gate accepts no commands."""
         self._samples = Samples([_timed(self.newest)])
         try:
             return self.command(velocity)
@@ -72,9 +73,16 @@ class Moves:
             # A second attempt: a stall of this computer is no fault of the robot. After it the gate has fresh
             # odometry again, without which it refuses the motors.
             self.until(lambda: False, ACCEPTED_S)
+            self._require_not_revoked()
             self._link.request_motors(self._name)
             self.until(lambda: False, ACCEPTED_S)
             return self.command(velocity)
+
+    def _require_not_revoked(self) -> None:
+        """Raise SafetyStop if the gate revoked the lease: after a hazard only a person starts again."""
+        gate = self._link.gate
+        if gate.lease != self._link.lease.number and gate.ended != LEASE_LAPSED:
+            raise revoked(gate)
 
     def rest(self) -> None:
         """Command a rest, whose samples are added to those of the motion before."""

@@ -19,6 +19,8 @@ from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import ORIGIN, Velocity
 from rover_ncp.robot.description import DeadBand, load_description
 from rover_ncp.wire.messages import odometry, read_odometry
+from rover_ncp.wire.protocol import Fence
+from sim.base.faults import Faults, parse_fault
 from sim.base.firmware import Firmware
 from sim.base.models import config_of
 from sim.base.ros2_robot import Ros2Robot
@@ -27,11 +29,14 @@ from sim.world.described import described_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 
 
-def check(model=None, robot="p3at-sh", limits=None, config=None, clock_rate=1.0, odometry=None):
+def check(
+    model=None, robot="p3at-sh", limits=None, config=None, clock_rate=1.0, odometry=None, faults=()
+):
     """Check a robot on the virtual clock; return the findings, the link and the rover."""
     robot = load_description(robot) if isinstance(robot, str) else robot
     rover = PymunkRover(described_rover(robot, motors=True), Ground(()))
-    base = Firmware(robot, rover, config=config) if robot.arcos else Ros2Robot(robot, rover)
+    faults = Faults([parse_fault(fault) for fault in faults])
+    base = Firmware(robot, rover, faults, config=config) if robot.arcos else Ros2Robot(robot, rover)
     if not robot.arcos:
         base._stamp_ns = lambda: round(clock_rate * base.now * NS_PER_S)
     bridge, battery = VirtualBridge(base, limits), Battery()
@@ -96,6 +101,22 @@ def test_robot_that_is_not_well_fails_the_check_that_finds_it(options, name, wor
     assert (findings[-1].name, findings[-1].ok) == (name, False)
     assert all(finding.ok for finding in findings[:-1])
     assert words in findings[-1].detail
+    assert_stopped(link, rover)
+
+
+@pytest.mark.parametrize("hazard", ["stop-button", "bumper", "stall"])
+def test_a_check_that_a_hazard_stopped_does_not_drive_again_when_the_hazard_ends(hazard):
+    findings, link, rover = check(faults=[f"{hazard}@0.5-0.8"])
+    assert (findings[-1].name, findings[-1].ok) == ("forward", False)
+    assert f"the gate stopped the robot: {hazard}" in findings[-1].detail
+    assert rover.pose.x < 0.1  # a whole motion is 0.15 m
+    assert_stopped(link, rover)
+
+
+def test_the_stop_without_commands_is_not_proven_by_a_rover_that_the_fence_holds():
+    findings, link, rover = check(limits=Limits(fence=Fence(x_min=-1.0, x_max=0.27, y_min=-1.0, y_max=1.0)))
+    assert (findings[-1].name, findings[-1].ok) == ("silence", False)
+    assert "geofence" in findings[-1].detail
     assert_stopped(link, rover)
 
 

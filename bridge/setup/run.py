@@ -64,16 +64,21 @@ def run(path: Path, output: Output, *, overwrite: bool, terminal: bool) -> int:
     if camera is not None and camera.file is not None and not (path.parent / camera.file).exists():
         output.say(f"{camera.file} is missing: 'rover-ncp tag calibrate' writes it (docs/tags)")
     if chosen["base"].startswith(ROS2):
-        measured = _measure(dialog, path)
-        if measured is not None:
-            settings = _write(path, chosen | {"measured_base_timeout_s": measured})
+        known_s = settings.measured_base_timeout_s
+        if (measured_s := _measure(dialog, path, known_s)) != known_s:
+            chosen.pop("measured_base_timeout_s", None)
+            found = {} if measured_s is None else {"measured_base_timeout_s": measured_s}
+            settings = _write(path, chosen | found)
     ready = _check(dialog, path)
     result = SetupResult(
         file=str(path), measured_base_timeout_s=settings.measured_base_timeout_s, check=ready
     )
-    output.result(
-        result, f"{path} is ready; next: rover-ncp up" if ready is not False else f"{path}: see above"
-    )
+    words = {
+        True: "is ready; next: rover-ncp up",
+        False: "see above",
+        None: "not checked; next: rover-ncp up",
+    }
+    output.result(result, f"{path}: {words[ready]}")
     return 1 if ready is False else 0
 
 
@@ -221,22 +226,31 @@ def _needs_floor(path: Path) -> bool:
     return model is not None and load_description(model).tested_on == "floor"
 
 
-def _measure(dialog: Dialog, path: Path) -> float | None:
-    """Return the measured base timeout of a ROS 2 robot, None if it was not measured."""
+def _measure(dialog: Dialog, path: Path, known_s: float | None) -> float | None:
+    """Return the base timeout that the file of a ROS 2 robot shall have.
+
+    That is ``known_s`` if nothing was measured, and None if the robot drove on: no earlier measurement counts
+    then.
+    """
     where = "on the floor, with 1 m free ahead" if _needs_floor(path) else "on blocks, its wheels free"
     question = f"Measure when the robot halts by itself? Put it {where}: it drives at 0.1 m/s for up to 7 s"
     if not dialog.yes(
         question, "If the bridge dies, only that stops the robot: without it nothing drives it."
     ):
-        return None
-    code, answer = _run("bridge", "--measure-timeout", "--robot", str(path), "--json")
-    if code != 0 or not answer.get("line"):
-        dialog.say(f"  not measured: {answer.get('error', 'it does not halt by itself in time')}")
+        return known_s
+    _, answer = _run("bridge", "--measure-timeout", "--robot", str(path), "--json")
+    if "line" not in answer:
+        dialog.say(f"  not measured: {answer.get('error', 'see above')}")
+        return known_s
+    drove_on = f"it does not halt by itself in time, so {path} has no measured_base_timeout_s"
+    if not answer["line"]:
+        dialog.say(f"  {drove_on}")
         return None
     if not dialog.yes(
         f"It halted after {answer['timeout_s']:g} s by its odometry. Did its wheels stand then, too?",
         "Odometry that freezes when the commands stop looks the same.",
     ):
+        dialog.say(f"  {drove_on}")
         return None
     return float(answer["timeout_s"])
 

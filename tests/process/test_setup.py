@@ -11,6 +11,7 @@ import pytest
 
 from bridge.setup.find import pioneer_at
 from rover_ncp import cli
+from rover_ncp.core.config import dump_yaml
 from rover_ncp.core.errors import NoRobot
 from rover_ncp.robot.robot_file import load_robot_file
 from sim.park.live import Process
@@ -19,10 +20,10 @@ TURTLEBOT = "the floor"
 """In the question that measures the timeout of a TurtleBot 4, which must not stand on blocks."""
 
 
-def answered(folder, answers):
+def answered(folder, answers, *options):
     """Run ``setup`` on a terminal; ``answers`` has words of questions. Return exit code and text."""
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "rover_ncp", "setup"]
+    command = [sys.executable, "-m", "rover_ncp", "setup", *options]
     child = subprocess.Popen(
         command, cwd=folder, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True
     )
@@ -60,6 +61,23 @@ def test_a_turtlebot_is_found_behind_its_router_and_measured(tmp_path):
     assert 0.3 < settings.measured_base_timeout_s < 1.5
     assert (settings.camera.source, settings.camera.file) == ("http://127.0.0.1:8102/", "camera.yaml")
     assert (tmp_path / f"{settings.tags}.pdf").exists()
+
+
+@pytest.mark.parametrize(
+    ("answers", "left_s"),
+    [({}, 0.69), ({"halts by itself": "y", "wheels stand": "n"}, None)],
+    ids=["not measured", "its wheels turned"],
+)
+def test_a_measured_timeout_that_a_new_measurement_refutes_leaves_the_file(tmp_path, answers, left_s):
+    mock = ["--ros2", "--model", "turtlebot4", "--listen", "127.0.0.1:0"]
+    with Process("mock", mock, tmp_path) as robot:
+        router = robot.wait_for_line("listening on ")
+        settings = {"base": f"ros2/tcp/{router}", "model": "turtlebot4", "measured_base_timeout_s": 0.69}
+        (tmp_path / "robot.yaml").write_text(dump_yaml(settings))
+        code, text = answered(tmp_path, {"sees the tags": "-"} | answers, "--overwrite")
+    assert code == 0, text
+    assert "not checked" in text
+    assert load_robot_file(tmp_path / "robot.yaml").settings.measured_base_timeout_s == left_s
 
 
 def test_a_pioneer_is_asked_for_its_name_and_left_as_it_was(tmp_path):

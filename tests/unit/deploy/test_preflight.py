@@ -29,9 +29,7 @@ from sim.world.described import described_rover
 from sim.world.pymunk_rover import Ground, PymunkRover
 
 
-def check(
-    model=None, robot="p3at-sh", limits=None, config=None, clock_rate=1.0, odometry=None, faults=()
-):
+def check(model=None, robot="p3at-sh", limits=None, config=None, clock_rate=1.0, odometry=None, faults=()):
     """Check a robot on the virtual clock; return the findings, the link and the rover."""
     robot = load_description(robot) if isinstance(robot, str) else robot
     rover = PymunkRover(described_rover(robot, motors=True), Ground(()))

@@ -34,6 +34,7 @@ from bridge.base import (
 from bridge.gate.gate import step
 from bridge.gate.limits import Limits
 from bridge.gate.state import (
+    AT_THE_ROBOT,
     BaseLost,
     GateEvent,
     GateState,
@@ -50,6 +51,7 @@ from rover_ncp.core.bridge_lines import (
     BACK,
     CONNECTED,
     GOT_LEASE,
+    HAZARD,
     LOST,
     LOST_LEASE,
     RELEASED_LEASE,
@@ -359,7 +361,7 @@ def _public(gate: GateState) -> tuple[object, ...]:
 
 
 def _log_lines(before: GateState, after: GateState) -> Iterator[str]:
-    """Yield the log's lines: the driver that holds the lease, and the reason for a stop."""
+    """Yield the log's lines: who holds the lease, the reason for a stop, and a hazard while nobody drives."""
     old, new = before.lease, after.lease
     if new is not None and (old is None or old.number != new.number):
         yield f"{new.name or NAMELESS}{GOT_LEASE}"
@@ -369,6 +371,10 @@ def _log_lines(before: GateState, after: GateState) -> Iterator[str]:
             if after.lease_over
             else RELEASED_LEASE
         )
-    if before.held is None and after.held is not None and after.held is not Reason.NO_LEASE:
+    if after.held is None or after.held is before.held:
+        return
+    cut_off = before.held is None and after.held is not Reason.NO_LEASE
+    if cut_off or (old is None and new is None and after.held in AT_THE_ROBOT):
         words = describe(after.held, after)
-        yield f"{STOPPED}{after.held}" + (f": {words}" if words != REASONS.get(after.held) else "")
+        begin = STOPPED if cut_off else HAZARD
+        yield f"{begin}{after.held}" + (f": {words}" if words != REASONS.get(after.held) else "")

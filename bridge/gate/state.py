@@ -52,6 +52,10 @@ class Reason(StrEnum):
 
 EMERGENCIES = frozenset({Reason.STOPPED, Reason.STOP_BUTTON, Reason.BUMPER, Reason.STALL})
 """For these reasons the base brakes harder than its own deceleration limit."""
+AT_THE_ROBOT = frozenset(
+    {Reason.STOP_BUTTON, Reason.BUMPER, Reason.STALL, Reason.LOW_BATTERY, Reason.FROZEN, Reason.FENCE_LOST}
+)
+"""Hazards that the base reports of itself; a person must look at it before it drives again."""
 
 
 @dataclass(frozen=True)

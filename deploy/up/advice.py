@@ -8,6 +8,7 @@ from rover_ncp.core.bridge_lines import (
     CONNECTED,
     DOCKING,
     GOT_LEASE,
+    HAZARD,
     LOST,
     LOST_LEASE,
     RELEASED_LEASE,
@@ -54,6 +55,10 @@ class LineBreaks:
         self._begun = 0
         self._ours = False
         """Whether a docking that resumed runs."""
+        self._starting = False
+        """Whether it has no lease yet."""
+        self._recalled = False
+        """Whether it must end before it drives, because of what has happened since it was started."""
 
     def take(self, line: str, now_s: float) -> str:
         """Take a line of the bridge's log; return the advice that belongs to it."""
@@ -78,12 +83,18 @@ class LineBreaks:
         """Return the docking that begins now, once."""
         if self._begins_s is None or now_s < self._begins_s:
             return None
-        self._begins_s, self._ours, self._begun = None, True, self._begun + 1
+        self._begins_s, self._begun = None, self._begun + 1
+        self._ours = self._starting = True
         return Begin(self._broken, self._begun)
+
+    def recall(self) -> bool:
+        """Return once whether the docking that resumed must end before it drives."""
+        recalled, self._recalled = self._recalled, False
+        return recalled
 
     def ended(self) -> None:
         """Note that the docking that resumed is over."""
-        self._ours = False
+        self._ours = self._starting = self._recalled = False
 
     def _back(self, now_s: float) -> str:
         place = self._broken
@@ -103,10 +114,11 @@ class LineBreaks:
         if line.endswith(GOT_LEASE):
             found = _DOCKING.fullmatch(line)
             self._docking = found[1] if found else ""
+            self._starting = False
             if not self._ours:
                 self._begun = 0
             self._forget()
-        elif STOP_REQUESTED in line:
+        elif STOP_REQUESTED in line or line.startswith(HAZARD):
             self._forget()
         elif line.startswith(STOPPED):
             if _OF_A_BREAK.match(line.removeprefix(STOPPED)):
@@ -126,7 +138,7 @@ class LineBreaks:
 
     def _forget(self) -> None:
         """Forget a docking that a break ended: something else has happened since."""
-        self._broken = ""
+        self._broken, self._recalled = "", self._recalled or self._starting
         self._cancel()
 
     def _cancel(self) -> None:

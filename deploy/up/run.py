@@ -212,6 +212,11 @@ class _Up:
             lines, ended = self._docking.child.new_lines(), self._docking.child.code is not None
             for line in lines[:1] if ended else lines:  # the verdict is the first line of a result
                 self._docking.say(line)
+            if self._breaks.recall():
+                self._docking.say(
+                    "ends before it drives: a hazard, a stop or a restart of odometry came first"
+                )
+                self._docking.child.send(signal.SIGTERM)
             if ended:
                 self._docking.say(self._docking.child.end if self._docking.child.code else "ended with 0")
                 self._docking.child.close()

@@ -228,7 +228,7 @@ REASONS = {
 """Text of each reason of the gate."""
 UNNAMED = "a client that gave no name"
 LEASE_LAPSED = "lease-lapsed"
-"""The reason of a lease that its driver did not use in time; all other ends of a lease have a cause outside it."""
+"""The reason of a lease whose driver sent no command in time; the causes of others are outside the driver."""
 CONTACTS = frozenset({"bumper", "stall"})
 """The reasons that report that the rover touched something."""
 

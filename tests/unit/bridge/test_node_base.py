@@ -11,9 +11,11 @@ from bridge.bases import choose_base, open_base
 from bridge.gate.limits import Fence, Limits
 from bridge.inbox import Inbox, Query
 from bridge.pioneer.base import ArcosBase
+from rover_ncp.core.bridge_lines import BACK, HAZARD, LOST, STOPPED
 from rover_ncp.core.errors import NoRobot, SafetyStop, UsageError
 from rover_ncp.core.geometry import Velocity
 from rover_ncp.robot.description import load_description
+from sim.base.faults import Faults, parse_fault
 
 ROBOT = load_description("p3at")
 STOP = Setpoint(Velocity(0.0, 0.0), motors=False, emergency=False)
@@ -140,3 +142,14 @@ def test_the_log_names_who_takes_a_drive_over(caplog):
     assert "the peer with the Zenoh id f00d requests a stop: mine" in caplog.text
     assert "a peer that states no Zenoh id requests the release of the stop" in caplog.text
     assert "the lease is that of the peer with the Zenoh id f00d" in caplog.text
+
+
+def test_the_log_names_a_button_that_was_pressed_while_the_line_was_down(caplog):
+    caplog.set_level("INFO", "rover_ncp")
+    rig = Watched()
+    for faults, seconds in (((), 3.0), (("mute", "stop-button"), 1.5), (("stop-button",), 0.5), ((), 0.5)):
+        rig.base._faults = Faults([parse_fault(fault) for fault in faults])
+        rig.sleep(seconds)
+    said = [line for line in caplog.messages if line.startswith((LOST, BACK, HAZARD, STOPPED))]
+    assert said[0].startswith(LOST)
+    assert said[1:] == [BACK, f"{HAZARD}stop-button"]

@@ -10,6 +10,7 @@ DOCKS, RELEASED = "docking at home got the lease", "docking at home released the
 LATE, LOST = "stopped: odometry", "the base is lost: no base report for 0.5 s"
 REVOKED = "docking at home lost the lease: no-base, the base is not connected"
 BACK = "the base sends packets again"
+PRESSED = "hazard: stop-button"
 STOP = "the peer with the Zenoh id f00d requests a stop: rover-ncp stop"
 
 
@@ -43,7 +44,8 @@ def test_a_docking_that_a_lost_line_ended_resumes_after_its_notice(broken):
         [DOCKS, RELEASED, LOST, BACK],  # it had ended before
         [DOCKS, LATE, RELEASED, STOP, LOST, BACK],
         [DOCKS, LATE, RELEASED, LOST, BACK, STOP],
-        [DOCKS, LATE, RELEASED, LOST, BACK, "stopped: bumper"],
+        [DOCKS, LATE, RELEASED, LOST, BACK, PRESSED],
+        [DOCKS, REVOKED, LOST, PRESSED, BACK],
         [DOCKS, LATE, RELEASED, LOST, BACK, LOST],
         [DOCKS, "stopped: bumper", "docking at home lost the lease: bumper, ", LOST, BACK],
         [DOCKS, LATE, RELEASED, LOST, CONNECTED],  # odometry restarted
@@ -55,6 +57,21 @@ def test_nothing_resumes_after_anything_else(lines):
     breaks = made()
     _, now_s = follow(breaks, lines)
     assert breaks.due(now_s + 2 * NOTICE_S) is None
+
+
+@pytest.mark.parametrize(
+    ("line", "recalled"), [(PRESSED, True), (STOP, True), (CONNECTED, True), (DOCKS, False)]
+)
+def test_a_docking_that_has_not_driven_yet_is_recalled_by_what_would_have_prevented_it(line, recalled):
+    breaks = made()
+    _, now_s = follow(breaks, [DOCKS, LATE, RELEASED, LOST, BACK])
+    assert breaks.due(now_s + NOTICE_S)
+    assert not breaks.recall()
+    breaks.take(line, now_s + NOTICE_S + 1.0)
+    assert [breaks.recall(), breaks.recall()] == [recalled, False]
+    breaks.ended()
+    breaks.take(PRESSED, now_s + NOTICE_S + 2.0)
+    assert not breaks.recall()
 
 
 def test_nothing_resumes_unless_the_file_says_so():

@@ -31,7 +31,7 @@ from deploy.tag.localiser import (
 )
 from deploy.tag.pose_link import PoseLink
 from deploy.tag.tag_map import CameraFile, Mount
-from deploy.tag.view import View
+from deploy.tag.view import View, ViewFile
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml, load_yaml
 from rover_ncp.core.console import Output
@@ -46,7 +46,7 @@ UNMEASURED = Mount(x=0.0, y=0.0, z=0.0)
 VIEW_S = 0.5
 """Time between two pictures for people."""
 FILE_EVERY = 2
-"""The file gets one of so many: not every disk is fast."""
+"""The file gets one of so many."""
 
 
 def run_localiser(
@@ -74,6 +74,7 @@ def run_localiser(
     localiser, views, view_s = Localiser(camera, tag_map), 0, 0.0
     with Interrupts() as interrupts, contextlib.ExitStack() as stack:
         link = stack.enter_context(PoseLink(address)) if address is not None else None
+        file = stack.enter_context(ViewFile(picture, output.say)) if picture is not None else None
         began = time.monotonic()
         settings, left_out = device_settings(camera), localiser.rejected
         with opened(source, settings, left_out) as (pictures, live), output.live(lambda: localiser.state):
@@ -87,8 +88,8 @@ def run_localiser(
                     view = View(each.grey, localiser.detections, localiser.state, each.wall_ns)
                     if link is not None and link.watched:
                         link.show(view.messages())
-                    if picture is not None and views % FILE_EVERY == 1:
-                        write_atomic(picture, view.jpeg())
+                    if file is not None and views % FILE_EVERY == 1:
+                        file.show(view)
         result = TagRunResult(
             pictures=localiser.pictures,
             poses=localiser.poses,

@@ -167,8 +167,8 @@ class Drive:
         pose = self.mission.start_pose(seen, self._pose_complaint())
         self._start = start.ref
         """The controller's time is in seconds from this sample."""
-        described = self.config.described
-        declared = (described and described.lasting_error) or self._link.lasting_error
+        described = self.config.described.lasting_error if self.config.described else None
+        declared = self._link.lasting_error(self.config.pose_frame, described)
         self._lasting = declared.at_least(max(unexplained.x, unexplained.y), unexplained.theta)
         record = StartRecord(
             sample=start.ref,

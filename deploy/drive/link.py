@@ -13,8 +13,8 @@ import numpy as np
 
 from deploy.drive.signed_lease import DriverLease
 from rover_ncp.core.errors import FormatError
-from rover_ncp.core.geometry import Velocity
-from rover_ncp.robot.lasting_error import UNDECLARED, LastingError
+from rover_ncp.core.geometry import Velocity, same_frame
+from rover_ncp.robot.lasting_error import UNDECLARED, Declaration, LastingError
 from rover_ncp.wire.messages import read_battery, read_bumpers, read_docked, read_points, read_text
 from rover_ncp.wire.protocol import BaseReply, GateStatus, MotorsReply, parse_json
 
@@ -28,6 +28,10 @@ SONAR_LENGTH = 100
 """Messages of the sonars that are kept: more than come while an echo counts."""
 REPEATED_NS = 500_000_000
 """Stamps that differ by no more are of one report of the battery."""
+
+
+MAX_FRAMES = 16
+"""Frames of external poses whose errors are kept."""
 
 
 class Arrival(NamedTuple):
@@ -124,8 +128,8 @@ class Link(ABC):
         """The newest gate status."""
         self.bumpers = Bumpers()
         self.charge, self.docked = Charge(), DockedTopic()
-        self.lasting_error = UNDECLARED
-        """Of the external poses, as their source declares it."""
+        self._lasting: dict[str, LastingError] = {}
+        """What sources of external poses declare, by the frame of the poses; "" is of any other frame."""
         self._sonar = Inbox[Arrival](SONAR_LENGTH)
         """Messages of the sonars that are not decoded yet: few drives use them."""
         self._echoes = deque[tuple[int, float]](maxlen=SONAR_LENGTH)
@@ -151,7 +155,8 @@ class Link(ABC):
             case "pose":
                 self.poses.put(arrival)
             case "rover/localiser":
-                self.lasting_error = parse_json(LastingError, read_text(arrival.data))
+                declared = parse_json(Declaration, read_text(arrival.data))
+                self.declare(declared, declared.frame)
             case "rover/gate":
                 self.gate = parse_json(GateStatus, read_text(arrival.data))
             case "battery_state":
@@ -167,6 +172,19 @@ class Link(ABC):
             case "bumpers":
                 pressed, times = read_bumpers(arrival.data), self.bumpers.times
                 self.bumpers = Bumpers(pressed, (times[0] + pressed[0], times[1] + pressed[1]))
+
+    def declare(self, error: LastingError, frame: str = "") -> None:
+        """Store the lasting error of the external poses in a frame."""
+        if frame in self._lasting or len(self._lasting) < MAX_FRAMES:
+            self._lasting = {**self._lasting, frame: error}
+
+    def lasting_error(self, frame: str, described: LastingError | None = None) -> LastingError:
+        """Return the lasting error of the external poses in a frame.
+
+        A source that names the frame counts before the robot's description, and that before other sources.
+        """
+        named = [error for name, error in self._lasting.items() if name and same_frame(name, frame)]
+        return named[0] if named else described or self._lasting.get("", UNDECLARED)
 
     def nearest_echo_m(self, now_ns: int) -> float:
         """Return the distance of the nearest new echo of the sonars from base_link; infinite without any."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import zenoh
 
 from deploy.zenoh_client import BridgeAddress, ZenohClient, matches
-from rover_ncp.robot.lasting_error import Kind, LastingError
+from rover_ncp.robot.lasting_error import Declaration, Kind
 from rover_ncp.wire.key_table import KEYS, TAG_OUTLINES, TAG_VIEW
 from rover_ncp.wire.messages import text
 
@@ -18,7 +18,9 @@ DECLARED_S = 0.5
 class PoseLink(ZenohClient):
     """A session with a bridge that sends poses and pictures, and receives nothing."""
 
-    def __init__(self, address: BridgeAddress) -> None:
+    def __init__(self, address: BridgeAddress, frame: str) -> None:
+        """``frame`` is that of the poses."""
+        self._lasting_error = text(Declaration(kind=Kind.TAGS, frame=frame).model_dump_json())
         super().__init__(address, lambda row, data: None, own=[row.name for row in KEYS])
 
     def _declare(self) -> None:
@@ -39,7 +41,7 @@ class PoseLink(ZenohClient):
         """Send a pose with the moment of its measurement, and what is known of the poses' errors."""
         if (now := time.monotonic()) - self._declared_s >= DECLARED_S:
             self._declared_s = now
-            self._lasting.put(text(LastingError(kind=Kind.TAGS).model_dump_json()))
+            self._lasting.put(self._lasting_error)
         self._publisher.put(pose)
 
     @property

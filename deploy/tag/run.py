@@ -73,7 +73,7 @@ def run_localiser(
         require_writable(picture, overwrite=overwrite)
     localiser, views, view_s = Localiser(camera, tag_map), 0, 0.0
     with Interrupts() as interrupts, contextlib.ExitStack() as stack:
-        link = stack.enter_context(PoseLink(address)) if address is not None else None
+        link = stack.enter_context(PoseLink(address, tag_map.frame)) if address is not None else None
         file = stack.enter_context(ViewFile(picture, output.say)) if picture is not None else None
         began = time.monotonic()
         settings, left_out = device_settings(camera), localiser.rejected

@@ -13,7 +13,7 @@ import numpy as np
 import zenoh
 
 from rover_ncp.core.geometry import Pose
-from rover_ncp.robot.lasting_error import Kind, LastingError
+from rover_ncp.robot.lasting_error import Declaration, Kind
 from rover_ncp.wire.messages import pose_with_covariance, text
 
 NOISE = np.array([0.003, 0.003, 0.005])
@@ -25,7 +25,7 @@ def main(truth: str, robot: str = "tcp/127.0.0.1:7447", frame: str = "map") -> N
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", f'["{robot}"]')
-    lasting = text(LastingError(kind=Kind.MOTION_CAPTURE).model_dump_json())
+    lasting = text(Declaration(kind=Kind.MOTION_CAPTURE, frame=frame).model_dump_json())
     noise = np.random.default_rng()
     with zenoh.open(config) as session, Path(truth).open() as lines:
         names = lines.readline().split(",")

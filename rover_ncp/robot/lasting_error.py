@@ -83,5 +83,11 @@ class LastingError(StrictModel):
         return self.model_copy(update=larger)
 
 
+class Declaration(LastingError):
+    """What a source of external poses declares of them on ``rover/localiser``."""
+
+    frame: str = Field(default="", description="frame_id of its poses; empty: of all that have no other")
+
+
 UNDECLARED = LastingError()
 """Of a source that declares nothing."""

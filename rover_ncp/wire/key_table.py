@@ -106,7 +106,7 @@ KEYS: tuple[KeySpec, ...] = (
         "rover/localiser",
         _STRING,
         512,
-        "LastingError as JSON: the error that poses have for seconds, twice a second",
+        "Declaration as JSON: the error that the poses of a frame have for seconds, twice a second",
         frozenset({Role.DRIVER, Role.LOCALISER}),
     ),
     KeySpec("rover/estimate", _POSE, 4096, "the driver's own estimate", DRIVER),

@@ -151,7 +151,8 @@ class DockTrials:
         stream = random_stream(self.seed, Domain.CAMERA, number)
         errors = localiser_errors(self.ranges, self.seed, number)
         camera = self.localiser(rover, self.place, stream, link.localise, errors)
-        base.observe, link.lasting_error = camera.observe, camera.lasting_error
+        base.observe = camera.observe
+        link.declare(camera.lasting_error)
         docking = copy.deepcopy(self._docking)
         drive = new_drive(link, docking, self.dock.circuit.neurons, self._config)
         drive_whole(drive)

@@ -154,7 +154,7 @@ class Stack:
             errors = localiser_errors(self.ranges, self.seed, number)
             camera = CeilingCamera(rover, stream, link.localise, errors)
             watching.append(camera.observe)
-            link.lasting_error = camera.lasting_error
+            link.declare(camera.lasting_error)
 
         def observe(now: float) -> None:
             for watch in watching:

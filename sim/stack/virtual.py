@@ -177,7 +177,7 @@ class VirtualLink(Link):
     ) -> None:
         super().__init__()
         self.bridge, self._start, self._record = bridge, start, record
-        self.lasting_error = PLACED
+        self.declare(PLACED)
         self.odometry = _OdometryInbox(bridge)
         self.first_command_ns: int | None = None
         """When the first command was sent."""

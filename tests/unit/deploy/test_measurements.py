@@ -1,15 +1,22 @@
 """What the driver does with odometry, gyro readings and external poses whose stamps are wrong."""
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from kit.virtual_drive import ChangedLink
 
 from deploy.drive.link import Arrival, Inbox
 from deploy.drive.measurements import Measurements
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.geometry import ORIGIN, Velocity
-from rover_ncp.wire.messages import imu, odometry, pose_with_covariance
+from rover_ncp.robot.lasting_error import LastingError
+from rover_ncp.wire.messages import imu, odometry, pose_with_covariance, text
+from sim.base.firmware import Firmware
+from sim.stack.virtual import VirtualBridge
+from sim.world.described import default_rover
+from sim.world.pymunk_rover import Ground, PymunkRover
 
 WALL_NS = 1_700_000_000 * NS_PER_S
 MS = NS_PER_S // 1000
@@ -93,3 +100,32 @@ def test_message_that_cannot_be_read_is_left_out_and_named(log):
     driver.inboxes["pose"].put(Arrival(MESSAGES["pose"](WALL_NS)[:-9], 0))
     assert driver.measurements.poses() == []
     assert "a message on 'pose' is not used: " in log.text
+
+
+TAGS = {"kind": "tags", "frame": "board-17-a4"}
+
+
+@pytest.mark.parametrize(
+    ("declared", "described_m", "expected_m"),
+    [
+        ([TAGS, {"kind": "motion-capture", "frame": "/course"}], 0.03, 0.002),
+        ([{"kind": "motion-capture", "frame": "course"}, TAGS], None, 0.002),
+        ([TAGS], None, 0.08),  # nobody says anything of the poses that are used
+        ([TAGS], 0.03, 0.03),
+        ([TAGS, {"kind": "motion-capture"}], None, 0.002),
+        (
+            [{"frame": str(number)} for number in range(100)] + [{"kind": "tags", "frame": "course"}],
+            None,
+            0.08,
+        ),
+    ],
+)
+def test_lasting_errors_are_those_that_the_source_of_the_poses_declares(declared, described_m, expected_m):
+    link = ChangedLink(
+        VirtualBridge(Firmware("p3at-sh", PymunkRover(default_rover(), Ground()))), lambda message: None
+    )
+    link._lasting = {}
+    for each in declared:
+        link.put("rover/localiser", text(json.dumps(each)))
+    described = described_m and LastingError(position_m=described_m, heading_rad=0.03, time_s=5.0)
+    assert link.lasting_error("course", described).values.position_m == expected_m

@@ -11,7 +11,7 @@ from deploy.drive.start import median_pose
 from deploy.place.outcome import PoseErrors
 from deploy.place.place import Place, PlacePose, Scatter, TagsAt, is_board
 from rover_ncp.core.config import validated
-from rover_ncp.core.errors import NoPose
+from rover_ncp.core.errors import ConfigError, NoPose
 from rover_ncp.core.geometry import Pose, same_frame, wrap_angle
 from rover_ncp.wire.messages import PoseSample
 
@@ -59,12 +59,22 @@ def survey(samples: Sequence[PoseSample], seconds: float, unreadable: str = "") 
 def set_place(fields: Mapping[str, Any], seen: Survey, source: str) -> Place:
     """Return the place of these fields where the rover was seen. Raises ConfigError for those of ``source``.
 
-    A board is the origin of its frame.
+    A board is the origin of its frame. Obstacles that were given in another frame are an error, too: where they
+    are in this one is not known.
     """
+    before = fields.get("frame", seen.frame)
+    if fields.get("obstacles") and not same_frame(before, seen.frame):
+        raise ConfigError(
+            source,
+            [
+                f"its obstacles are in frame {before!r}, and poses arrive in {seen.frame!r} now: take the "
+                "obstacles out, set the place again, then give them in that frame"
+            ],
+        )
     stored = {"pose": PlacePose(**seen.pose._asdict()), "scatter": seen.scatter, "frame": seen.frame}
     if is_board(seen.frame):
         stored["tags"] = TagsAt(x=0.0, y=0.0)
-    elif fields.get("frame") != seen.frame:
+    elif not same_frame(before, seen.frame):
         stored["tags"] = None
     return validated({**fields, **stored}, Place, source)
 

@@ -8,8 +8,8 @@ from kit.virtual_docking import place
 
 from deploy.drive.measurements import pose_reader
 from deploy.place.plan import approach, in_the_way, retreat, to_staging
-from deploy.place.survey import blurred, complaint, survey
-from rover_ncp.core.errors import FormatError, UsageError
+from deploy.place.survey import blurred, complaint, set_place, survey
+from rover_ncp.core.errors import ConfigError, FormatError, UsageError
 from rover_ncp.core.geometry import ORIGIN, Pose, distance, wrap_angle
 from rover_ncp.course.course import OMEGA_MAX, V_MAX
 from rover_ncp.course.feasibility import Cause, check_course
@@ -101,6 +101,16 @@ def test_check_names_a_dock_that_was_moved_and_another_frame():
     rough = np.array(there) + np.random.default_rng(1).normal(size=(20, 3)) * [0.03, 0.03, 0.0]
     assert blurred(where, survey(samples(rough), 5.0).scatter)
     assert not blurred(where, survey(samples(there), 5.0).scatter)
+
+
+def test_obstacles_are_not_taken_over_into_another_frame():
+    known = place(obstacles=[{"x": 3.0, "y": 1.0, "length": 0.2, "width": 0.2}]).model_dump()
+    seen = [survey(samples([(2.0, 1.1, 0.0)] * 20, frame), 5.0) for frame in ("map", "board-17-a4")]
+    again = set_place(known, seen[0], "home.yaml")
+    assert (again.pose.y, len(again.obstacles)) == (1.1, 1)
+    with pytest.raises(ConfigError, match=r"home.yaml: its obstacles are in frame 'map'"):
+        set_place(known, seen[1], "home.yaml")
+    assert set_place(known | {"obstacles": ()}, seen[1], "home.yaml").frame == "board-17-a4"
 
 
 def test_pose_of_another_frame_names_both_frames():

@@ -63,6 +63,7 @@ class Session:
         self._names = ("", "", "")
         self._report: BaseReport | None = None
         self._config: ConfigPac | None = None
+        self._gyro_seen = False
         self._out = bytearray()
         self._events: list[SessionEvent] = []
         self._reason = ""
@@ -187,7 +188,9 @@ class Session:
         if packet.kind == Kind.SYNC2:
             self._names = decode_names(packet.payload)
             return Input.STRANGER if self._robot() is None or self._contradicts() else Input.NAMES
-        if packet.kind == Kind.CONFIG:
+        # Before its session a base may send what the one before was still owed.
+        opened = self.state in {SessionState.CONFIGURING, SessionState.READY}
+        if packet.kind == Kind.CONFIG and opened:
             self._config = ConfigPac.decode(packet.payload)
         if packet.kind == Kind.GYRO and self.state is SessionState.READY:
             self._gyro_seen = True

@@ -61,6 +61,15 @@ def test_a_configpac_that_was_lost_is_asked_for_until_it_comes_and_then_the_bump
     assert not {Command.CONFIG, Command.GYRO} & asked
 
 
+def test_a_configpac_of_the_session_before_says_nothing_about_this_one():
+    owed = frame(ConfigPac(has_gyro=1, watchdog=5000).encode())
+    bench = Bench().connect()
+    for _ in range(3):
+        bench.hear(owed)
+        assert (bench.session.watchdog_s, bench.session.gyro_silent) == (None, False)
+        bench.wait(0.05)
+
+
 def test_a_base_with_a_gyro_for_its_client_is_asked_to_send_it():
     readings = frame(GyroPac(((502, 30), (500, 30), (501, 30), (501, 30))).encode())
     for has_gyro, asked in ((0, []), (1, [(Command.GYRO, 1)]), (2, [])):

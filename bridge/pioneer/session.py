@@ -189,7 +189,7 @@ class Session:
             self._names = decode_names(packet.payload)
             return Input.STRANGER if self._robot() is None or self._contradicts() else Input.NAMES
         # Before its session a base may send what the one before was still owed.
-        opened = self.state in {SessionState.CONFIGURING, SessionState.READY}
+        opened = self.state in {SessionState.CONFIGURING, SessionState.READY, SessionState.LOST}
         if packet.kind == Kind.CONFIG and opened:
             self._config = ConfigPac.decode(packet.payload)
         if packet.kind == Kind.GYRO and self.state is SessionState.READY:

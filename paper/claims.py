@@ -51,6 +51,8 @@ class Claim(StrictModel):
     """A claim of the paper and the test that decides on it."""
 
     words: str
+    label: str = ""
+    """Its words in the short answer to a question, where they are others."""
     where: str
     test: str
     arguments: dict[str, Any] = Field(default_factory=dict)

@@ -58,24 +58,22 @@ def long_report(store: ResultStore) -> str:
 
 
 def answers(judged: Sequence[Finding]) -> str:
-    """Return the page's questions with the verdicts of their claims, then the claims one by one."""
-    short: list[Row] = [("question", "verdicts on its claims")]
+    """Return the page's questions with their answers, then the claims one by one."""
+    short: list[Row] = [("question", "answer")]
     rows: list[Row] = [("claim", "ours", "compared with", "verdict")]
     findings = iter(judged)
     for number, (question, claims) in enumerate(FILE.questions.items(), start=1):
-        answered = [next(findings) for _ in claims]
-        short.append((f"{number}. {question}", _verdicts(answered)))
-        rows.append((f"**{number}. {question}**", "", "", ""))
-        for claim, found in zip(claims, answered, strict=True):
-            verdict = f"{found.verdict} ({found.why})" if found.why else found.verdict
+        short.append((f"{number}. {question}", ""))
+        rows.append((f"**{short[-1][0]}**", "", "", ""))
+        by_verdict: dict[str, list[str]] = {verdict: [] for verdict in Verdict}
+        for claim, found in zip(claims, findings, strict=False):
+            verdict = str(found.verdict) + (f" ({found.why})" if found.why else "")
             rows.append((claim.words, found.figure, found.against, verdict))
-    short.append((f"all {len(judged)} claims", _verdicts(judged)))
+            figure = found.figure and f" ({found.figure.partition(' [')[0]})"
+            by_verdict[str(found.verdict)].append((claim.label or claim.words) + figure)
+        answer = (f"{verdict}: {', '.join(those)}" for verdict, those in by_verdict.items() if those)
+        short[-1] = (short[-1][0], "; ".join(answer))
     return f"{markdown(short)}\n\n{markdown(rows)}"
-
-
-def _verdicts(findings: Sequence[Finding]) -> str:
-    found = [finding.verdict for finding in findings]
-    return ", ".join(f"{each} {found.count(each)}" for each in Verdict if each in found)
 
 
 def paper_table(store: ResultStore, name: str) -> str:

@@ -69,6 +69,8 @@ TICK_S = 0.02
 """How often the loop turns when nothing arrives."""
 APART_S = 0.01
 """Commands at a higher rate than this are not passed on one by one: a serial line could not carry them."""
+FLICKER_S = 1.0
+"""A hazard that comes again within this time is the same one."""
 MAX_LOG_LINES = 20
 """Lines of requests that are logged in a second: a flood of them must not fill the log."""
 SUSPENDED_S = 0.1
@@ -116,6 +118,8 @@ class Node:
         self._log: list[str] = []
         """Events to log after the base has got its setpoint."""
         self._requests = 0
+        self._hazards_s: dict[str, float] = {}
+        """When each hazard came last while no driver held the lease."""
         """Lines of requests since `_publish_slowly`."""
         self._answers = Answers(
             *(limits, key, self.judge, self._base), wall_ns=self._wall_ns, log=self._log_request
@@ -267,8 +271,15 @@ class Node:
         self._commanded |= self.gate.accepted > before.accepted
         if _public(self.gate) != _public(before):
             self._status_due_s = -math.inf
-            self._log += _log_lines(before, self.gate)
+            self._log += (line for line in _log_lines(before, self.gate) if not self._flickers(line, now))
         return self._verdict
+
+    def _flickers(self, line: str, now: float) -> bool:
+        """Whether a line names a hazard that was named a moment ago: a loose contact shall not fill the log."""
+        before_s = self._hazards_s.get(line, -math.inf)
+        if line.startswith(HAZARD):
+            self._hazards_s[line] = now
+        return now - before_s < FLICKER_S
 
     def _log_request(self, line: str) -> None:
         self._requests += 1

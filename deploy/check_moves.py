@@ -14,11 +14,12 @@ from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity
 from rover_ncp.core.process import Clock
 from rover_ncp.wire.messages import OdometrySample
-from rover_ncp.wire.protocol import LEASE_LAPSED
 
 MOVE_S, PERIOD_S = 1.5, 0.05
 WAIT_S = 0.02
 """How long a check waits for odometry before it takes what else arrived."""
+OF_A_STALL = frozenset({"lease-lapsed", "no-base"})
+"""Reasons for which the gate ends a lease while this computer stalls; others have a cause at the robot."""
 REST_S = 1.0
 """Rest after a motion that sensors are compared on: the lag of a sensor may be so long."""
 
@@ -65,28 +66,26 @@ class Moves:
     def move(self, velocity: Velocity) -> Moved:
         """Command a velocity for a while. Raises SafetyStop if the gate accepts no commands."""
         self._samples = Samples([_timed(self.newest)])
-        try:
-            return self.command(velocity)
-        except SafetyStop as stop:
-            if stop.rule != NOT_ACCEPTED:
-                raise
-            # A second attempt: a stall of this computer is no fault of the robot. After it the gate has fresh
-            # odometry again, without which it refuses the motors.
-            self.until(lambda: False, ACCEPTED_S)
-            self._require_not_revoked()
-            self._link.request_motors(self._name)
-            self.until(lambda: False, ACCEPTED_S)
-            return self.command(velocity)
-
-    def _require_not_revoked(self) -> None:
-        """Raise SafetyStop if the gate revoked the lease: after a hazard only a person starts again."""
-        gate = self._link.gate
-        if gate.lease != self._link.lease.number and gate.ended != LEASE_LAPSED:
-            raise revoked(gate)
+        return self._try_twice(velocity, MOVE_S)
 
     def rest(self) -> None:
         """Command a rest, whose samples are added to those of the motion before."""
-        self.command(STANDSTILL, REST_S)
+        self._try_twice(STANDSTILL, REST_S)
+
+    def _try_twice(self, velocity: Velocity, seconds: float) -> Moved:
+        """Command a velocity, again after a stall of this computer, which is no fault of the robot."""
+        try:
+            return self.command(velocity, seconds)
+        except SafetyStop as stop:
+            if stop.rule != NOT_ACCEPTED:
+                raise
+        self.until(lambda: False, ACCEPTED_S)  # without fresh odometry the gate refuses the motors
+        gate = self._link.gate
+        if not gate.lease and gate.ended not in OF_A_STALL:
+            raise revoked(gate)  # after a hazard only a person starts again
+        self._link.request_motors(self._name)
+        self.until(lambda: False, ACCEPTED_S)
+        return self.command(velocity, seconds)
 
     def command(self, velocity: Velocity, seconds: float = MOVE_S) -> Moved:
         """Command a velocity for some time."""
@@ -103,6 +102,7 @@ class Moves:
             span_s = (newest.ref.measured_ns - last.ref.measured_ns) / NS_PER_S
             way += newest.sample.velocity.v * span_s
             turn += newest.sample.velocity.omega * span_s
+        self._link.lease.check(self._link.gate, self._clock.monotonic_ns())
         return Moved(before.sample, newest.sample, Velocity(way, turn), self._samples)
 
     def _take(self, timeout_s: float) -> None:

@@ -181,10 +181,10 @@ class Link(ABC):
     def lasting_error(self, frame: str, described: LastingError | None = None) -> LastingError:
         """Return the lasting error of the external poses in a frame.
 
-        A source that names the frame counts before the robot's description, and that before other sources.
+        The robot's description counts first, then a source that names the frame, then one that names none.
         """
         named = [error for name, error in self._lasting.items() if name and same_frame(name, frame)]
-        return named[0] if named else described or self._lasting.get("", UNDECLARED)
+        return described or (named[0] if named else self._lasting.get("", UNDECLARED))
 
     def nearest_echo_m(self, now_ns: int) -> float:
         """Return the distance of the nearest new echo of the sonars from base_link; infinite without any."""

@@ -91,8 +91,8 @@ class View:
 class ViewFile:
     """Writes views to one file, in a thread of its own: no pose waits for a disk, or ends with a full one.
 
-    A context manager. A view that comes while another one is being written is left out. ``say`` gets a line
-    when writing begins to fail.
+    A context manager. One view waits while another is being written, and further ones are left out. ``say``
+    gets a line when writing begins to fail.
     """
 
     def __init__(self, path: Path, say: Callable[[str], None]) -> None:
@@ -112,7 +112,7 @@ class ViewFile:
         self._thread.join(FILE_END_S)
 
     def show(self, view: View) -> None:
-        """Write a view, unless one is being written."""
+        """Write a view, unless another one waits."""
         with suppress(queue.Full):
             self._views.put_nowait(view)
 

@@ -76,8 +76,9 @@ class LineBreaks:
                 return ""
             where = "put the rover where the fence begins, end 'rover-ncp up' and start it again, then "
             return f"odometry restarted: {where if self._fenced else ''}start the drive again"
+        place = self._broken if self._begins_s is not None else ""
         self._follow(line, now_s)
-        return ""
+        return f"the docking at {place} does not resume" if place and not self._broken else ""
 
     def due(self, now_s: float) -> Begin | None:
         """Return the docking that begins now, once."""
@@ -114,7 +115,8 @@ class LineBreaks:
         if line.endswith(GOT_LEASE):
             found = _DOCKING.fullmatch(line)
             self._docking = found[1] if found else ""
-            self._starting = False
+            self._recalled = self._recalled or (self._starting and not found)
+            self._starting = self._starting and not found
             if not self._ours:
                 self._begun = 0
             self._forget()

@@ -214,7 +214,7 @@ class _Up:
                 self._docking.say(line)
             if self._breaks.recall():
                 self._docking.say(
-                    "ends before it drives: a hazard, a stop or a restart of odometry came first"
+                    "ends: a hazard, a stop, another driver or a restart of odometry came before it drove"
                 )
                 self._docking.child.send(signal.SIGTERM)
             if ended:

@@ -227,8 +227,6 @@ REASONS = {
 }
 """Text of each reason of the gate."""
 UNNAMED = "a client that gave no name"
-LEASE_LAPSED = "lease-lapsed"
-"""The reason of a lease whose driver sent no command in time; the causes of others are outside the driver."""
 CONTACTS = frozenset({"bumper", "stall"})
 """The reasons that report that the rover touched something."""
 

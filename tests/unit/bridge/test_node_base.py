@@ -153,3 +153,16 @@ def test_the_log_names_a_button_that_was_pressed_while_the_line_was_down(caplog)
     said = [line for line in caplog.messages if line.startswith((LOST, BACK, HAZARD, STOPPED))]
     assert said[0].startswith(LOST)
     assert said[1:] == [BACK, f"{HAZARD}stop-button"]
+
+
+def test_a_loose_contact_does_not_fill_the_log(caplog):
+    caplog.set_level("INFO", "rover_ncp")
+    rig = Watched()
+    rig.sleep(3.0)
+    for number in range(60):
+        rig.base._faults = Faults([parse_fault("bumper")] if number % 2 else [])
+        rig.sleep(0.1)
+    rig.sleep(2.0)
+    rig.base._faults = Faults([parse_fault("bumper")])
+    rig.sleep(0.2)
+    assert caplog.messages.count(f"{HAZARD}bumper") == 2

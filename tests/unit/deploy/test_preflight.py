@@ -12,6 +12,7 @@ from bridge.pioneer.framing import encode_frame
 from bridge.pioneer.packets import Kind
 from deploy.check import Preflight
 from deploy.check_inputs import Battery
+from deploy.check_moves import PERIOD_S
 from deploy.drive.measurements import Measurements
 from deploy.drive.safety_monitor import SafetyMonitor
 from rover_ncp.core.clock_offset import NS_PER_S
@@ -108,6 +109,24 @@ def test_a_check_that_a_hazard_stopped_does_not_drive_again_when_the_hazard_ends
     assert (findings[-1].name, findings[-1].ok) == ("forward", False)
     assert f"the gate stopped the robot: {hazard}" in findings[-1].detail
     assert rover.pose.x < 0.1  # a whole motion is 0.15 m
+    assert_stopped(link, rover)
+
+
+@pytest.mark.parametrize("begin_s", [0.4, 1.3])
+def test_a_check_goes_on_after_a_stall_of_this_computer(begin_s, monkeypatch):
+    """Nothing arrives for 1.2 s, so the gate ends the lease; later commands are not accepted at first."""
+    stalled, command = [], ChangedLink.command
+
+    def stall(link, velocity):
+        if link.gate.lease and not stalled and len(link.sent) >= begin_s / PERIOD_S:
+            stalled.append(link.gate.lease)
+            link.bridge.sleep(1.2)
+        return command(link, velocity)
+
+    monkeypatch.setattr(ChangedLink, "command", stall)
+    findings, link, rover = check()
+    assert stalled
+    assert [finding for finding in findings if not finding.ok] == []
     assert_stopped(link, rover)
 
 

@@ -60,7 +60,8 @@ def test_nothing_resumes_after_anything_else(lines):
 
 
 @pytest.mark.parametrize(
-    ("line", "recalled"), [(PRESSED, True), (STOP, True), (CONNECTED, True), (DOCKS, False)]
+    ("line", "recalled"),
+    [(PRESSED, True), (STOP, True), (CONNECTED, True), ("teleop got the lease", True), (DOCKS, False)],
 )
 def test_a_docking_that_has_not_driven_yet_is_recalled_by_what_would_have_prevented_it(line, recalled):
     breaks = made()
@@ -72,6 +73,13 @@ def test_a_docking_that_has_not_driven_yet_is_recalled_by_what_would_have_preven
     breaks.ended()
     breaks.take(PRESSED, now_s + NOTICE_S + 2.0)
     assert not breaks.recall()
+
+
+def test_a_resume_that_a_hazard_cancels_is_named():
+    breaks = made()
+    _, now_s = follow(breaks, [DOCKS, LATE, RELEASED, LOST, BACK])
+    assert breaks.take(PRESSED, now_s) == "the docking at home does not resume"
+    assert breaks.take(PRESSED, now_s + 0.1) == ""
 
 
 def test_nothing_resumes_unless_the_file_says_so():

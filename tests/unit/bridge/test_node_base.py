@@ -159,7 +159,7 @@ def test_a_loose_contact_does_not_fill_the_log(caplog):
     caplog.set_level("INFO", "rover_ncp")
     rig = Watched()
     rig.sleep(3.0)
-    for number in range(60):
+    for number in range(61):
         rig.base._faults = Faults([parse_fault("bumper")] if number % 2 else [])
         rig.sleep(0.1)
     rig.sleep(2.0)

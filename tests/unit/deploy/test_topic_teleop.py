@@ -79,11 +79,17 @@ def test_a_node_drives_while_it_publishes_and_releases_the_lease_afterwards():
     assert released == pytest.approx(3.9 + 1.0, abs=0.15)
 
 
-def test_a_node_that_never_pauses_moves_nothing_until_it_sends_a_zero():
-    spans = Span(0.0, 3.0, AHEAD), Span(3.0, 3.1, STANDSTILL), Span(3.1, 5.0, AHEAD)
-    run = Run(*spans).run(6.0)
-    assert not run.moved(0.0, 3.0)
-    assert run.moved(3.5, 5.0)
+def test_a_node_that_never_pauses_moves_nothing_until_it_sends_zeros():
+    spans = Span(0.0, 3.0, AHEAD), Span(3.0, 3.5, STANDSTILL), Span(3.5, 5.5, AHEAD)
+    run = Run(*spans).run(6.5)
+    assert not run.moved(0.0, 3.4)
+    assert run.moved(4.0, 5.5)
+
+
+def test_a_zero_of_another_node_behind_the_same_bridge_is_no_pause():
+    """One bridge of ROS 2 publishes for all its nodes, so both have one source."""
+    run = Run(Span(0.0, 4.0, AHEAD), Span(2.0, 2.1, STANDSTILL), Span(3.0, 3.2, STANDSTILL)).run(5.0)
+    assert not run.moved(0.0, 5.0)
 
 
 def test_after_a_stop_a_node_drives_only_after_a_pause():

@@ -99,10 +99,10 @@ def _score(runs: Sequence[Result]) -> str:
     count, mean = len(runs), float(means.mean())
     value = mean_text(mean, float(means.std(ddof=1)) if count > 1 else None)
     share = f"{value} ({sum(run.success for run in runs) / count:.0%}"
-    if count >= MIN_RUNS:
+    if count > MIN_RUNS:
         return f"{share})"
     between = "" if count == 1 else f"; mean {mean_interval(means).text()}"
-    return f"{share}, {count} of {MIN_RUNS} runs{between})"
+    return f"{share}, {count} runs{between})"
 
 
 def settings_grid(store: ResultStore, task: str) -> str:

@@ -275,7 +275,7 @@ class Node:
         return self._verdict
 
     def _flickers(self, line: str, now: float) -> bool:
-        """Whether a line names a hazard that was active a moment ago: a loose contact must not fill the log."""
+        """Whether a line names a hazard that was active a moment ago, as a loose contact makes it."""
         before_s = self._hazards_s.get(line, -math.inf)
         if line.startswith(HAZARD):
             self._hazards_s[line] = now

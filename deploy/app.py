@@ -91,7 +91,11 @@ def run(
         output.say(link.other_model(config.described))
         recorder.open(files)
         with output.live(lambda: drive.progress):
-            drive.run()
+            try:
+                drive.run()
+            finally:
+                if drive.granted:  # a turn that looks for tags moves the rover before the first tick
+                    recorder.begin()
     result = result_of(drive, recorder.fields | {"recording_dropped": recorder.dropped})
     if output.as_json and result.exit_code:
         output.say(result.words.splitlines()[0])  # stderr shows the reason for an exit code other than 0

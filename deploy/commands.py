@@ -319,8 +319,8 @@ def teleop(
     Standard input has to be a terminal, whose settings are restored at the end.
 
     With --topic, each Twist or TwistStamped of one ROS node at a time is passed on. The motors are requested
-    with a zero command 0.3 s after the last other one, or with the first command after 1 s without one, and released after 1 s without one,
-    so that another driver can follow. Ctrl-C ends it.
+    with a zero command 0.3 s after the last other one, or with the first command after 1 s without one. They
+    are released after 1 s without a command, so that another driver can follow. Ctrl-C ends it.
 
     It drives through the same lease, gate and limits as 'rover-ncp deploy'; 'rover-ncp course new' makes a
     course of a recording. Ends with 0, 3 no bridge, no robot, not authorised or another driver, 4 stopped by

@@ -2,8 +2,9 @@
 
 Rules of this file:
 
-1. The lease is requested only with a zero command `HOLD_S` after the last other one, or with the first command
-   after a pause. So a publisher that never paused moves nothing after a start, a hazard or another driver.
+1. The lease is requested only with a zero command `HOLD_S` after the last other one, or with the first
+   command after a pause. So a publisher that never paused moves nothing after a start, a hazard or another
+   driver.
 2. Commands of one publisher count while the lease is held. A command is passed on once, when it arrives.
    `HOLD_S` after the last one the driver sends zeros, and after `PAUSE_S` it releases the lease.
 3. The end of a lease is named in the log, and rule 1 holds again. The command ends with the bridge.

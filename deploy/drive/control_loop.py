@@ -94,6 +94,8 @@ class Drive:
         self._period_ns = round(period_s * NS_PER_S)
         self._link, self.mission, self._publisher = link, mission, publisher
         self.config, self._clock = config, clock
+        self.granted = False
+        """Whether this drive had a lease, so that the rover may have moved."""
         self._touched = False
         """Whether contact revoked the lease since the last tick, and the mission continues."""
         self._used: list[SampleRef] = []
@@ -321,6 +323,7 @@ class Drive:
         docking = f"{'undocking from ' if undock else DOCKING}{place.name}" if place else ""
         self._link.request_motors(docking or f"policy {self.config.policy}")
         self.monitor.granted()
+        self.granted = True
 
     def _take(self, timeout_s: float) -> Measurement[OdometrySample] | None:
         """Give new measurements to the estimator; return the odometry, if it came in time."""

@@ -11,7 +11,6 @@ from deploy.tag.cameras.camera import Device, Picture
 from deploy.tag.detector import Detection, Detector
 from deploy.tag.locate import Located, Rejection
 from deploy.tag.tag_map import CameraFile, TagMap
-from rover_ncp.core.errors import UsageError
 
 DECIMATE = 2.0
 """Tags are searched for in pictures so many times smaller: the drive needs the processor."""
@@ -81,7 +80,7 @@ class Localiser:
     """Turns pictures into poses and counts the others, by reason."""
 
     def __init__(self, camera: CameraFile, tag_map: TagMap) -> None:
-        self._size = (camera.intrinsics.height, camera.intrinsics.width)
+        self._intrinsics = camera.intrinsics
         self._detector, self._locator = Detector(DECIMATE), locator(camera, tag_map)
         self._ids = {tag.id for tag in tag_map.tags}
         self.pictures = self.poses = 0
@@ -100,12 +99,7 @@ class Localiser:
 
         Raises UsageError for a picture of another size than the calibration's.
         """
-        grey = picture.grey
-        if grey.shape != self._size:
-            raise UsageError(
-                f"the camera sends {grey.shape[1]} × {grey.shape[0]} pixels, its calibration is for "
-                f"{self._size[1]} × {self._size[0]}"
-            )
+        self._intrinsics.require_size(picture.grey)
         self.pictures += 1
         found = self._found(picture, now_ns)
         if not isinstance(found, Located):

@@ -174,6 +174,7 @@ def calibrate_yaw(source: str, camera_file: Path, map_file: Path, *, seconds: fl
     ):
         output.announce("collecting: drive about 1 m straight ahead, slowly, tags in view; Ctrl-C when done")
         for each in until(pictures, seconds, lambda: interrupts.raised):
+            camera.intrinsics.require_size(each.grey)
             seen.append(detector.detect(each.grey))
     found = find_yaw(camera, tag_map, seen)
     mount = camera.mount.model_copy(update={"yaw": round(found.yaw, 5)})

@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from rover_ncp.core.config import StrictModel
+from rover_ncp.core.errors import UsageError
 
 Floats = NDArray[np.float64]
 Coordinate = Annotated[float, Field(ge=-1000.0, le=1000.0, description="m")]
@@ -114,6 +115,14 @@ class Intrinsics(StrictModel):
     cy: float
     model: Literal["pinhole", "fisheye"] = "pinhole"
     distortion: tuple[float, ...] = (0.0,) * 5
+
+    def require_size(self, grey: NDArray[np.uint8]) -> None:
+        """Raise UsageError if a picture has another size than those of the calibration."""
+        if grey.shape != (self.height, self.width):
+            raise UsageError(
+                f"the camera sends {grey.shape[1]} × {grey.shape[0]} pixels, its calibration is for "
+                f"{self.width} × {self.height}"
+            )
 
     @model_validator(mode="after")
     def _is_of_a_camera(self) -> Self:

@@ -33,8 +33,11 @@ static const real {{ table }}[TICKS][{{ columns }}] = {
 static double apart(double most, const real *a, const real *b, int count)
 {
     int i;
-    for (i = 0; i < count; i++)
-        most = fmax(most, fabs((double)a[i] - (double)b[i]));
+    for (i = 0; i < count; i++) {
+        double difference = fabs((double)a[i] - (double)b[i]);
+        if (most == most && !(difference <= most)) /* a NaN counts, and stays */
+            most = difference;
+    }
     return most;
 }
 

@@ -2,6 +2,7 @@
 
 import ctypes
 import math
+import re
 import shutil
 import subprocess
 from dataclasses import replace
@@ -109,6 +110,17 @@ def test_check_of_a_build_passes_and_finds_another_circuit(real, tmp_path):
         changed = c_files(circuit, name, PARKING)[f"{name}.c"]
         check = compile_c(files | {f"{name}.c": changed}, tmp_path / str(code), "check", *real)
         assert subprocess.run([check], capture_output=True, timeout=10, check=False).returncode == code
+
+
+@pytest.mark.parametrize("tick", [0, -1])
+def test_check_of_a_build_finds_a_command_that_is_no_number(tick, tmp_path):
+    files = c_files(COURSE, "course", PARKING)
+    before, table = files["course_check.c"].rsplit("commands[TICKS]", 1)
+    rows = re.findall(r"\{([^{}]+)\},", table)
+    damaged = table.replace(rows[tick], "NAN, " + rows[tick].split(", ", 1)[1])
+    check = compile_c(files | {"course_check.c": f"{before}commands[TICKS]{damaged}"}, tmp_path, "check")
+    done = subprocess.run([check], capture_output=True, timeout=10, check=False, text=True)
+    assert (done.returncode, "commands within nan" in done.stdout.replace("-nan", "nan")) == (1, True)
 
 
 def test_the_command_writes_files_that_compile_and_names_them(tmp_path, run_json):

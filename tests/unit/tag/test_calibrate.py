@@ -93,6 +93,12 @@ def test_camera_is_calibrated_from_pictures_and_its_file_keeps_what_is_not_measu
     mount = MOUNT.model_copy(update={"yaw": yaw})
     assert load_yaml(file, CameraFile) == by_hand.model_copy(update={"mount": mount})
 
+    before = file.read_bytes()
+    larger = (cv2.resize(picture, (1280, 960)) for picture in [np.full((480, 640), 200, np.uint8)] * 3)
+    assert cli.run([*calibrate, written(tmp_path / "larger", larger), "--map", str(tags)]) == 2
+    assert "1280 × 960 pixels, its calibration is for 640 × 480" in capsys.readouterr().err
+    assert file.read_bytes() == before
+
 
 def test_straight_drive_measures_the_yaw_of_the_mount():
     camera = CameraFile(intrinsics=TRUE, mount=MOUNT.model_copy(update={"yaw": 0.3}))

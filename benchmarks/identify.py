@@ -45,7 +45,7 @@ def _study(name: str, seed: int, outside: bool, number: int) -> dict[str, Error]
     ranges = load_randomization(name)
     trials = robot(ranges, seed, number)
     done = driven(trials, outside=outside, seed=number)
-    profile = identify(motion_log(done.messages), "mock", done.bands)
+    profile = identify(motion_log(done.messages, None, done.lasting), "mock", done.bands)
     return errors(profile, truth(ranges, trials))
 
 

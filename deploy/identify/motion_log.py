@@ -7,7 +7,7 @@ arrival and stamp of the odometry around them: that of the clocks and the shorte
 
 import logging
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from rover_ncp.core.errors import FileError, FormatError
 from rover_ncp.core.geometry import Pose
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import RobotDescription
+from rover_ncp.robot.lasting_error import UNDECLARED, LastingError
 from rover_ncp.wire.messages import read_odometry, read_pose, read_twist
 
 FloatArray = NDArray[np.float64]
@@ -55,6 +56,8 @@ class MotionLog(NamedTuple):
     """(n, 2) v and omega as odometry reports them with each pose, or from its poses."""
     external: Track
     """Poses from outside in any one frame, by their arrival on the bridge's clock; may be empty."""
+    lasting: LastingError
+    """Of the poses from outside."""
 
 
 class _Arrived(NamedTuple):
@@ -64,10 +67,15 @@ class _Arrived(NamedTuple):
     pose: Pose
 
 
-def motion_log(messages: Iterable[Recorded], robot: RobotDescription | None = None) -> MotionLog:
+def motion_log(
+    messages: Iterable[Recorded],
+    robot: RobotDescription | None = None,
+    lasting: Callable[[str], LastingError] = lambda frame: UNDECLARED,
+) -> MotionLog:
     """Read a drive's messages; skip malformed ones. Raises FileError when there are too few.
 
     Of external poses in several frames, those in the most frequent one are used; the log warns of others.
+    ``lasting`` returns the lasting error of the poses in a frame.
     Where a robot reports mean speeds, those of the moment are from its poses.
     """
     sent, odometry = list[tuple[float, ...]](), list[tuple[float, ...]]()
@@ -99,7 +107,8 @@ def motion_log(messages: Iterable[Recorded], robot: RobotDescription | None = No
     zero_ns = int(odometry[0][0])
     commands = _table(sent, zero_ns, 3)
     samples = _table(odometry, zero_ns, 6)
-    outside = _table([(stamp_ns(*seen), *pose) for seen, pose in _of_one_frame(poses)], zero_ns, 4)
+    frame, found = _of_one_frame(poses)
+    outside = _table([(stamp_ns(*seen), *pose) for seen, pose in found], zero_ns, 4)
     samples[:, 0] = _measured(samples[:, 0])
     if robot is not None and robot.odometry.speed_mean_s:
         samples = samples[np.diff(samples[:, 0], prepend=-math.inf) > 0.0]
@@ -107,16 +116,17 @@ def motion_log(messages: Iterable[Recorded], robot: RobotDescription | None = No
         slope_x, slope_y = np.gradient(x, t), np.gradient(y, t)
         samples[:, 4] = np.cos(theta) * slope_x + np.sin(theta) * slope_y
         samples[:, 5] = np.gradient(np.unwrap(theta), t)
-    return MotionLog(commands[:, 0], commands[:, 1:], _track(samples[:, :4]), samples[:, 4:], _track(outside))
+    own = _track(samples[:, :4])
+    return MotionLog(commands[:, 0], commands[:, 1:], own, samples[:, 4:], _track(outside), lasting(frame))
 
 
-def _of_one_frame(poses: Mapping[str, list[_Arrived]]) -> list[_Arrived]:
-    """Return the poses in the most frequent frame; warn of those in others."""
+def _of_one_frame(poses: Mapping[str, list[_Arrived]]) -> tuple[str, list[_Arrived]]:
+    """Return the most frequent frame and the poses in it; warn of those in others."""
     frame = max(poses, key=lambda name: len(poses[name]), default="")
     if others := {name: len(found) for name, found in poses.items() if name != frame}:
         words = ", ".join(f"{count} in frame {name!r}" for name, count in others.items())
         _log.warning("%s", printable(f"external poses are used in frame {frame!r} only; left out: {words}"))
-    return poses.get(frame, [])
+    return frame, poses.get(frame, [])
 
 
 def _table(rows: Sequence[tuple[float, ...]], zero_ns: int, width: int) -> FloatArray:

@@ -74,7 +74,11 @@ def scatter(poses: Sequence[FloatArray]) -> FloatArray:
 
 
 def standstills_with_poses(log: MotionLog, spans: Sequence[tuple[float, float]]) -> list[Stand]:
-    """Return the stands with both kinds of poses; their noise is pooled over all stands."""
+    """Return the stands with both kinds of poses; their noise is pooled over all stands.
+
+    The lasting error of the external poses does not average out in a stand. It counts as independent from
+    stand to stand, which is pessimistic for those that follow within its time constant.
+    """
     inside: list[tuple[float, float, FloatArray, FloatArray]] = []
     for begin, end in spans:
         own, true = log.odometry.between(begin, end), log.external.between(begin, end)
@@ -84,6 +88,8 @@ def standstills_with_poses(log: MotionLog, spans: Sequence[tuple[float, float]])
         return []
     begins = [*(row[0] for row in inside[1:]), inside[-1][1]]
     t, headings = log.odometry.t, log.odometry.poses[:, 2]
+    error = log.lasting.values
+    lasting = np.square([error.position_m, error.position_m, error.heading_rad])
     own_noise, true_noise = scatter([row[2] for row in inside]), scatter([row[3] for row in inside])
     rounding = np.square([STEP_M, STEP_M, STEP_RAD]) / 12.0
     return [
@@ -94,7 +100,7 @@ def standstills_with_poses(log: MotionLog, spans: Sequence[tuple[float, float]])
             true.mean(axis=0),
             # The mean of reports that do not scatter is still rounded.
             np.maximum(own_noise / len(own), np.where(own_noise > 3.0 * rounding, 0.0, rounding)),
-            true_noise / len(true),
+            true_noise / len(true) + lasting,
             float(np.abs(headings[(t >= end) & (t <= until)] - own[:, 2].mean()).max())
             - NOISE_SIGMAS * math.sqrt(own_noise[2]),
         )

@@ -1,5 +1,6 @@
 """The process that identifies a robot: drives it, and writes its profile."""
 
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -67,7 +68,15 @@ def identify_robot(
         output.say(f"driving for {seconds:.0f} s within {fence_m} m of here; Ctrl-C stops the rover")
         monitor.wait()  # what took long since the first wait is not odometry's age
         bands = excite(link, measurements, monitor, fence_m, robot=robot, begin=recorder.begin)
-    profile = identify(motion_log(received, robot), name_from(out, "rover"), bands)
+        described = None if robot is None else robot.lasting_error
+        log = motion_log(received, robot, partial(link.lasting_error, described=described))
+    if len(log.external.t) and not log.lasting.declared:
+        values = log.lasting.values
+        output.say(
+            "how long the errors of the external poses last is not declared (lasting_error): "
+            f"{100 * values.position_m:g} cm for {values.time_s:g} s are assumed, which shows less"
+        )
+    profile = identify(log, name_from(out, "rover"), bands)
     made = {"from": address.robot, "version": version("rover-ncp")} | ({"model": robot.name} if robot else {})
     profile = profile.model_copy(update={"measured": made | profile.measured})
     write_atomic(out, dump_yaml(profile.model_dump(mode="json", exclude_none=True)))

@@ -132,12 +132,14 @@ class Stack:
         link = VirtualLink(bridge, rover.pose, received.append)
         stream = random_stream(seed, Domain.IDENTIFICATION, number)
         errors = localiser_errors(self.ranges, seed, number)
-        base.observe = CeilingCamera(rover, stream, link.localise, errors).observe
+        camera = CeilingCamera(rover, stream, link.localise, errors)
+        base.observe = camera.observe
+        link.declare(camera.lasting_error)
         measurements = Measurements(link)
         monitor = SafetyMonitor(link, measurements, lambda: False, clock=bridge)
         monitor.wait()
         bands = excite(link, measurements, monitor, FENCE_M, bridge)
-        return self._with_noise(identify(motion_log(received, robot), robot.name, bands))
+        return self._with_noise(identify(motion_log(received, robot, link.lasting_error), robot.name, bands))
 
     def drive(self, number: int) -> Driven:
         """Drive a trial from power-up to the motors' release."""

@@ -1,6 +1,7 @@
 """Random robots, driven as `rover-ncp identify` does on a virtual clock, and the truth about them."""
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import Pose, distance
 from rover_ncp.core.streams import Domain, random_stream
 from rover_ncp.recording.recording import Recorded
+from rover_ncp.robot.lasting_error import LastingError
 from rover_ncp.robot.profile import OF_THE_GROUND, RoverProfile
 from rover_ncp.wire.messages import COURSE_FRAME, pose_with_covariance
 from sim.base.firmware import Firmware
@@ -50,6 +52,7 @@ class Driven(NamedTuple):
     stopped: SafetyStop | None
     base: Firmware
     bands: DeadBands
+    lasting: Callable[[str], LastingError]
 
 
 def driven(trials: Trials, *, outside: bool = False, fence_m: float = FENCE_M, seed: int = 0) -> Driven:
@@ -83,7 +86,7 @@ def driven(trials: Trials, *, outside: bool = False, fence_m: float = FENCE_M, s
         stopped = stop
     messages = [*received]
     bridge.sleep(2.0)
-    return Driven(messages, farthest_m, stopped, base, bands)
+    return Driven(messages, farthest_m, stopped, base, bands, link.lasting_error)
 
 
 def truth(ranges: Randomization, trials: Trials) -> dict[str, float]:

@@ -26,7 +26,7 @@ def drive(preset, number=0, *, outside=False):
         ranges = ranges.model_copy(update={"dead_band_m_s": (0.03, 0.03), "dead_band_rad_s": (0.1, 0.1)})
     trials = robot(ranges, SEED, number, stiction=0.4 if preset == "dead band" else 0.0)
     done = driven(trials, outside=outside)
-    found = identify(motion_log(done.messages), "mock", done.bands)
+    found = identify(motion_log(done.messages, None, done.lasting), "mock", done.bands)
     return done, found, errors(found, truth(ranges, trials)), trials
 
 

@@ -89,6 +89,7 @@ def run(
         )
         drive.wait()
         output.say(link.other_model(config.described))
+        output.say(link.other_profile(config.rover))
         recorder.open(files)
         with output.live(lambda: drive.progress):
             try:

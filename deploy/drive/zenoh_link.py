@@ -25,6 +25,7 @@ from rover_ncp.core.files import DEFAULT_ROBOT
 from rover_ncp.core.geometry import STANDSTILL, Velocity
 from rover_ncp.recording.recording import Recorded, header_stamp_ns
 from rover_ncp.robot.description import RobotDescription
+from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.key_table import KEYS, KeySpec, Kind, Role, spec, topic_key
 from rover_ncp.wire.messages import twist_stamped
 from rover_ncp.wire.protocol import (
@@ -193,6 +194,16 @@ class ZenohLink(Link, ZenohClient):
         return (
             f"warning: the bridge at {self.robot} drives {base.model}, but --model is {name}{assumed}: "
             "its outline, limits and errors may differ"
+        )
+
+    def other_profile(self, profile: RoverProfile | None) -> str:
+        """Return a warning if a profile was measured with another model than the bridge's; else ""."""
+        base, model = self.about_base(), profile and profile.measured.get("model")
+        if base is None or not model or base.model in {"", model}:
+            return ""
+        return (
+            f"warning: the profile was measured with {model}, and the bridge at {self.robot} drives "
+            f"{base.model}: delays, gains and errors of odometry are those of another robot"
         )
 
     def release(self) -> None:

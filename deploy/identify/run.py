@@ -68,7 +68,8 @@ def identify_robot(
         output.say(f"driving for {seconds:.0f} s within {fence_m} m of here; Ctrl-C stops the rover")
         monitor.wait()  # what took long since the first wait is not odometry's age
         bands = excite(link, measurements, monitor, fence_m, robot=robot, begin=recorder.begin)
-        described = None if robot is None else robot.lasting_error
+        base, described = link.about_base(), None if robot is None else robot.lasting_error
+        model = (base and base.model) or (robot and robot.name)
         log = motion_log(received, robot, partial(link.lasting_error, described=described))
     if len(log.external.t) and not log.lasting.declared:
         values = log.lasting.values
@@ -77,7 +78,7 @@ def identify_robot(
             f"{100 * values.position_m:g} cm for {values.time_s:g} s are assumed, which shows less"
         )
     profile = identify(log, name_from(out, "rover"), bands)
-    made = {"from": address.robot, "version": version("rover-ncp")} | ({"model": robot.name} if robot else {})
+    made = {"from": address.robot, "version": version("rover-ncp")} | ({"model": model} if model else {})
     profile = profile.model_copy(update={"measured": made | profile.measured})
     write_atomic(out, dump_yaml(profile.model_dump(mode="json", exclude_none=True)))
     output.result(

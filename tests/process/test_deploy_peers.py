@@ -13,6 +13,8 @@ from deploy.view.server import Viewer
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.errors import NoBridge
 from rover_ncp.core.geometry import ORIGIN, STANDSTILL, Pose, Velocity
+from rover_ncp.robot.description import load_description
+from rover_ncp.robot.profile import RoverProfile
 from rover_ncp.wire.messages import battery_state, bumpers, imu, odometry, text
 from rover_ncp.wire.protocol import BaseReply, GateStatus, MotorsReply, StopReply, TimeoutState, dump_json
 from rover_ncp.wire.zenoh import client_config
@@ -80,6 +82,23 @@ def test_what_the_base_reports_counts_from_the_bridge_alone(rig):
         wait_for(lambda: link.odometry.take(0.1))
     assert {message.topic for message in received} >= {"odom", "rover/gate", "bumpers"}
     assert not [message.topic for message in received if message.data in BASE.values()]
+
+
+def test_a_model_and_a_profile_of_another_robot_are_named(rig):
+    with ZenohLink(BridgeAddress(rig.robot), lambda message: None) as link:
+        wait_for(link.about_base)
+        model = link.about_base().model
+        assert f"drives {model}, but --model is turtlebot4" in link.other_model(
+            load_description("turtlebot4")
+        )
+        other, own, unknown = (
+            RoverProfile(name="rover", measured=measured)
+            for measured in ({"model": "turtlebot4"}, {"model": model}, {})
+        )
+        assert f"measured with turtlebot4, and the bridge at {rig.robot} drives {model}" in (
+            link.other_profile(other)
+        )
+        assert [link.other_profile(profile) for profile in (own, unknown, None)] == [""] * 3
 
 
 @pytest.fixture(params=["false", "silent"])

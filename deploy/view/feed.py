@@ -58,6 +58,8 @@ class Feed:
         """The id of the drive."""
         self._view = ""
         """The newest picture of tags, a JPEG as base64; it belongs to no drive."""
+        self._elsewhere: bool
+        """Whether the drive has another course, so that the page's says nothing of it."""
         self._timeline: Timeline
         self._begin("")
 
@@ -89,6 +91,7 @@ class Feed:
                 "status": timeline.status and timeline.status.model_dump(),
                 "gate": timeline.gate and timeline.gate.model_dump(),
                 "events": event_rows(timeline),
+                "elsewhere": self._elsewhere,
             }
             first = cursor.rows
             if timeline.ticks:
@@ -131,6 +134,7 @@ class Feed:
             return False
         if status.state.startswith(STAGES) or not self._timeline.other:
             self._timeline.other = self._other_than(status)
+            self._elsewhere = status.state.startswith(STAGES) or status.course not in {"", self._course.name}
         return True
 
     def _follows(self, status: DriverStatus) -> bool:
@@ -146,6 +150,7 @@ class Feed:
 
     def _begin(self, drive: str) -> None:
         self._drive = drive
+        self._elsewhere = False
         self._timeline = Timeline(self._policy, self._course)
 
     def _state_html(self, bridge: bool) -> dict[str, Markup]:

@@ -75,7 +75,7 @@ class Watched:
 
     def outline(self):
         """Where the plotted outline of the rover starts: its front left corner, by the estimate."""
-        return self.page.evaluate("(d => [d.x[0], d.y[0]])(document.getElementById('path-plot').data[6])")
+        return self.page.evaluate("(d => [d.x[0], d.y[0]])(document.getElementById('path-plot').data[7])")
 
     def neuron(self, name):
         """What a neuron's vessel looks like: colour, height, number."""

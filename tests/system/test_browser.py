@@ -7,11 +7,13 @@ import cv2
 import numpy as np
 import pytest
 from kit.browser import Watched, chromium
+from kit.paths import DATA
 from kit.recorded_drives import BEGAN_NS, TICK_NS, picture, state, write_drive
 from kit.true_motion import speed, stood_after
 
 from deploy.view.page import drive_page
 from deploy.view.recorded_drive import read_drive
+from rover_ncp.course.course import load_course
 from rover_ncp.wire.protocol import DriverStatus
 from sim.park.live import LiveRun, Process
 
@@ -69,6 +71,26 @@ def test_report_shows_the_localisers_picture_of_the_moment_beside_the_path(brows
     assert seen.complaints == []
     assert seen.foreign_requests(page.as_uri()) == []
     seen.page.close()
+
+
+def test_page_follows_a_drive_of_another_course_that_is_longer_than_its_own(browser, tmp_path):
+    with LiveRun(tmp_path) as running:
+        options = ["--robot", running.robot, "--port", "0", "--course", str(DATA / "short_course.yaml")]
+        watch = running.start_process(lambda: Process("watch", options, running.folder))
+        seen = Watched(browser, watch.wait_for_line("watching at "))
+        plot = "document.getElementById('path-plot').data"
+        assert seen.page.evaluate(f"{plot}[0].x.length") > 0
+        end_s = load_course(DATA / "short_course.yaml").horizon_s
+        running.deploy()
+        seen.until(f"Number(document.getElementById('time').value) > {end_s + 2.0}")
+        before = seen.outline()
+        seen.until(f"Number(document.getElementById('time').value) > {end_s + 4.0}")
+        assert seen.outline() != before
+        assert seen.page.evaluate(f"{plot}[0].x.length") == 0
+        assert "checkpoint" not in seen.page.text_content("#path-now")
+        seen.photograph("watch_elsewhere")
+        assert seen.complaints == []
+        seen.page.close()
 
 
 def test_a_running_rover_is_seen_and_stopped(browser, tmp_path):

@@ -65,7 +65,7 @@ function ground({ goal: [x, y, radius], obstacles }) {
   const rectangles = obstacles.map((corners) => ({
     type: "path", path: `M${corners.map((corner) => corner.join(",")).join("L")}Z`, fillcolor: "#dfe2e7", line: { color: COLOR.grey, width: 1 }, layer: "below",
   }));
-  return [...rectangles, { type: "circle", x0: x - radius, x1: x + radius, y0: y - radius, y1: y + radius, line: GOAL[1], layer: "below" }];
+  return radius === undefined ? rectangles : [...rectangles, { type: "circle", x0: x - radius, x1: x + radius, y0: y - radius, y1: y + radius, line: GOAL[1], layer: "below" }];
 }
 
 const meters = (x, y) => ({ xaxis: axis("x (m)", { range: x }), yaxis: axis("y (m)", { range: y, scaleanchor: "x" }) });

@@ -41,6 +41,7 @@ function receive(updates) {
   if (title !== undefined) $("title").innerHTML = title;
   title = undefined;
   const changed = take(updates), fresh = Boolean(updates.ticks?.t?.length), now = performance.now();
+  player.stretch();
   if (updates.reset) player.set(0);
   outdated = outdated || changed || fresh;
   if (outdated && now >= next) {

@@ -1,7 +1,8 @@
 // The page of a run: takes updates of it, all at once or while a rover drives, and ties all parts to one time.
 const PER_UNIT = new Set(["potentials", "currents", "pulls"]); // one column for each neuron or synapse
 const STREAMS = ["ticks", "odometry", "truth", "commands", "setpoints"];
-const model = { circuit: data.circuit, course: data.course, end: data.course?.horizon ?? 1 };
+const COURSE_END = data.course?.horizon ?? 1;
+const model = { circuit: data.circuit, course: data.course, end: COURSE_END, elsewhere: false };
 const KEPT_PICTURES = 600; // five minutes of a running drive
 let strongest = 1e-9, lastPhase = null, lastPicture = null;
 
@@ -27,7 +28,10 @@ function take(updates) {
   for (const name of STREAMS) if (updates[name]) append(model.drive[name], updates[name]);
   for (const column of updates.ticks?.currents || []) for (const current of column) strongest = Math.max(strongest, Math.abs(current));
   for (const [id, html] of Object.entries(updates.html || {})) $(id).innerHTML = html;
-  const changed = updates.reset || updates.phases || updates.events.length !== model.events.length;
+  model.end = Math.max(updates.reset ? COURSE_END : model.end, model.drive.ticks.t.at(-1) ?? 0); // a drive may last longer
+  const moved = Boolean(updates.elsewhere) !== model.elsewhere;
+  model.elsewhere = Boolean(updates.elsewhere);
+  const changed = moved || updates.reset || updates.phases || updates.events.length !== model.events.length;
   model.events = updates.events;
   if (updates.phases) {
     model.phases = updates.phases;

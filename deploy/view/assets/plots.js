@@ -22,6 +22,9 @@ function placed(points, x, y, theta) {
   return points.map(([a, b]) => (a === null ? [null, null] : [x + c * a - s * b, y + s * a + c * b]));
 }
 
+// Nothing of the page's course is where the rover of another course drives; its outline is known all the same.
+const NOWHERE = { reference: [[], []], checkpoints: [], obstacles: [], deadlines: [], goal: [] };
+
 class PathPlot {
   constructor(holder, model) {
     this.holder = holder;
@@ -29,11 +32,16 @@ class PathPlot {
     this.painted = -1;
   }
 
+  get course() {
+    const { course, elsewhere, drive: { ticks } } = this.model;
+    return elsewhere && ticks.t.length ? { ...course, ...NOWHERE } : course;
+  }
+
   draw() {
-    const { course, drive: { odometry, ticks, truth } } = this.model;
+    const { course, model: { drive: { odometry, ticks, truth } } } = this;
     const lines = Object.entries(PATH_LINES), [estimate, alone, real, doubt] = lines.map(([, line]) => line);
     const empty = [!ticks.t.length, !odometry.t.length, !truth.t.length, !ticks.ellipse];
-    legend($("path-legend"), lines.filter((_, k) => !empty[k]), PATH_MARKS);
+    legend($("path-legend"), lines.filter((_, k) => !empty[k]), course.checkpoints.length ? PATH_MARKS : PATH_MARKS.slice(0, 1));
     const path = ({ x, y, t }, line) => ({ x, y, mode: "lines", line, text: t, hovertemplate: "%{text} s<extra></extra>" });
     const moving = (style) => ({ x: [], y: [], mode: "lines", hoverinfo: "skip", ...style });
     const traces = [
@@ -71,7 +79,7 @@ class PathPlot {
   // Deadlines beside the checkpoints, at `scale` pixels per metre; one that would cover an earlier one is left out.
   deadlines(scale, right) {
     const size = 11, labelled = [];
-    for (const [x, y, text] of this.model.course.deadlines) {
+    for (const [x, y, text] of this.course.deadlines) {
       const width = 0.62 * size * text.length, flipped = scale * (right - x) < width + 7;
       const left = scale * x + (flipped ? -7 - width : 7), top = scale * y;
       // Right of a flipped label, that of an earlier place would be taken for a later one.
@@ -91,7 +99,7 @@ class PathPlot {
 
   // Move what depends on tick i, and describe it in a line of numbers, also for screen readers.
   update(i, t) {
-    const { course, drive: { ticks, truth } } = this.model, j = locate(truth.t, t);
+    const { course, model: { drive: { ticks, truth } } } = this, j = locate(truth.t, t);
     const next = course.checkpoints.find((p) => p[0] >= t - 1e-6);
     // The outline, and a line from its middle to its nose.
     const body = [...course.outline, [null, null], [0, 0], [course.outline[0][0], 0]];

@@ -85,6 +85,7 @@ def test_drive_of_another_course_has_no_currents(short, feed):
     for message in named(short.messages, policy="parking", course="bay"):
         feed.take(message)
     found = feed.updates(Cursor())
+    assert found["elsewhere"]
     assert unescape(found["html"]["subline"]).count("start watch with --policy and --course") == 1
     ticks = found["ticks"]
     assert {value for name in ("currents", "pulls") for column in ticks[name] for value in column} == {None}

@@ -180,7 +180,7 @@ def algorithm1(store: ResultStore, *, task: str, hits: int, of: int) -> Finding:
     successes, total = (sum(column) for column in zip(*counts, strict=True))
     trained = [count for count in counts if count[1] >= MIN_RUNS]
     best, runs = max(trained or counts)
-    figure = f"{successes} of {total} runs of {len(found)} settings, at most {best} of {runs} of one"
+    figure = f"{successes} of {total} runs of {len(found)} settings, the best {best} of {runs}"
     lacks = [max(MIN_RUNS - len(found.get(pair, ())), 0) for pair in PAIRS]
     p = max((fisher(*count, hits, of).p for count in trained), default=0.0)
     if any(lacks) and p < LEVEL:  # else missing runs cannot refute the claim

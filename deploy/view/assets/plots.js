@@ -41,7 +41,8 @@ class PathPlot {
     const { course, model: { drive: { odometry, ticks, truth } } } = this;
     const lines = Object.entries(PATH_LINES), [estimate, alone, real, doubt] = lines.map(([, line]) => line);
     const empty = [!ticks.t.length, !odometry.t.length, !truth.t.length, !ticks.ellipse];
-    legend($("path-legend"), lines.filter((_, k) => !empty[k]), course.checkpoints.length ? PATH_MARKS : PATH_MARKS.slice(0, 1));
+    const known = course.checkpoints.length;
+    legend($("path-legend"), lines.filter((_, k) => !empty[k] && (k < 4 || known)), known ? PATH_MARKS : PATH_MARKS.slice(0, 1));
     const path = ({ x, y, t }, line) => ({ x, y, mode: "lines", line, text: t, hovertemplate: "%{text} s<extra></extra>" });
     const moving = (style) => ({ x: [], y: [], mode: "lines", hoverinfo: "skip", ...style });
     const traces = [

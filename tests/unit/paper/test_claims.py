@@ -91,7 +91,7 @@ def test_algorithm_1_is_refuted_only_if_every_setting_is(store):
     train(PAIRS[-1], 1)
     found = verdict(store, "algorithm1", **arguments)
     assert found.verdict is Verdict.DIFFERS
-    assert found.figure == "1 of 144 runs of 12 settings, at most 1 of 12 of one"
+    assert found.figure == "1 of 144 runs of 12 settings, the best 1 of 12"
     train(PAIRS[0], 10)
     assert verdict(store, "algorithm1", **arguments).verdict is Verdict.UNDECIDED
 
@@ -103,7 +103,7 @@ def test_algorithm_1_is_not_refuted_once_a_setting_succeeds_as_often_whatever_th
         found = verdict(store, "algorithm1", task="pendulum", hits=12, of=12)
         assert found.verdict is Verdict.UNDECIDED
         assert ("runs are missing" in found.why) == (seed < 4)
-    assert found.figure == "5 of 5 runs of 1 settings, at most 5 of 5 of one"
+    assert found.figure == "5 of 5 runs of 1 settings, the best 5 of 5"
 
 
 def test_definition_1_is_read_with_and_without_the_rest_at_three_thresholds():

@@ -19,6 +19,10 @@ from rover_ncp.core.geometry import Pose, distance, wrap_angle
 
 MIN_PICTURES, MIN_TAGS = 6, 6
 """Fewer pictures, or fewer tags in one, leave the focal length and the distortion undetermined."""
+MIN_TILT_DEG = 17.0
+"""Least angle between two pictures' views of the board: from less, any focal length fits."""
+MAX_FOCAL_SHARE = 0.01
+"""Largest standard deviation of the focal length, as a share of it: distances are wrong by as much."""
 STEP_M, MIN_POSES, MIN_WAY_M = 0.03, 10, 0.7
 """Of a drive that measures the yaw: distance of the poses that count, their number, and its length."""
 MAX_TURN_DEG = 6.0
@@ -27,17 +31,21 @@ MAX_CORRECTION = math.radians(45.0)
 
 
 class IntrinsicsFound(NamedTuple):
-    """Intrinsics, the root mean square of the corners' errors in pixels, and the pictures that were used."""
+    """Intrinsics, the root mean square of the corners' errors in pixels, and the pictures that were used.
+
+    ``fx_std`` is the standard deviation of the focal length, pixels.
+    """
 
     intrinsics: Intrinsics
     rms: float
     pictures: int
+    fx_std: float
 
 
 def find_intrinsics(pictures: Sequence[Sequence[Detection]], size: tuple[int, int]) -> IntrinsicsFound:
     """Return the intrinsics from the tags found in pictures of the board; ``size`` is width and height, px.
 
-    Raises UsageError when too few pictures show enough of the board, and ConfigError when no camera fits.
+    Raises UsageError when the pictures do not determine the focal length, ConfigError when no camera fits.
     """
     # The size of its page does not count.
     numbers = Counter(each.id // len(LAYOUT) for tags in pictures for each in tags)
@@ -55,15 +63,30 @@ def find_intrinsics(pictures: Sequence[Sequence[Detection]], size: tuple[int, in
             f"the board is seen well in {len(points)} of {len(pictures)} pictures, expected {MIN_PICTURES}: "
             f"show it from near and far, tilted in every direction, at least {MIN_TAGS} tags in a picture"
         )
-    rms, matrix, distortion, _, _ = cv2.calibrateCamera(points, pixels, size, None, None)
+    rms, matrix, distortion, turns, _, deviations, *_ = cv2.calibrateCameraExtended(
+        points,
+        pixels,
+        size,
+        np.eye(3),
+        np.zeros(5),  # no guesses: both are results
+    )
+    normals = np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])
+    tilt_deg = math.degrees(math.acos(np.clip((normals @ normals.T).min(), -1.0, 1.0)))
+    fx, fx_std = float(matrix[0, 0]), float(deviations[0, 0])
+    if tilt_deg < MIN_TILT_DEG or fx_std > MAX_FOCAL_SHARE * fx:
+        raise UsageError(
+            f"the pictures do not determine the focal length: {fx:.0f} ± {fx_std:.1f} px from views that "
+            f"differ by {tilt_deg:.0f}°, expected ± {MAX_FOCAL_SHARE:.0%} and {MIN_TILT_DEG:.0f}°: tilt the "
+            "board more, in every direction, near and far"
+        )
     found = {
         **dict(zip(("width", "height"), size, strict=True)),
-        **{"fx": float(matrix[0, 0]), "fy": float(matrix[1, 1])},
+        **{"fx": fx, "fy": float(matrix[1, 1])},
         **{"cx": float(matrix[0, 2]), "cy": float(matrix[1, 2])},
         "distortion": tuple(float(value) for value in np.ravel(distortion)[:5]),
     }
     intrinsics = validated(found, Intrinsics, "the calibration by these pictures")
-    return IntrinsicsFound(intrinsics, float(rms), len(points))
+    return IntrinsicsFound(intrinsics, float(rms), len(points), fx_std)
 
 
 class YawFound(NamedTuple):

@@ -66,6 +66,7 @@ class TagCalibration(BaseModel):
     )
     pictures: int = Field(description="pictures that were used")
     fx: float = Field(description="focal length, pixels")
+    fx_std: float | None = Field(default=None, description="pixels, standard deviation of `fx`, if measured")
     yaw: float | None = Field(default=None, description="yaw of the mount, rad, if it was measured")
     yaw_std: float | None = Field(default=None, description="rad, standard deviation of `yaw`")
 

@@ -122,7 +122,7 @@ def calibrate_intrinsics(
     require_writable(camera_file, overwrite=True)
     known = load_yaml(camera_file, CameraFile) if camera_file.exists() else None
     if camera_info is not None:
-        intrinsics, rms, used = load_camera_info(camera_info), None, 0
+        intrinsics, rms, used, fx_std = load_camera_info(camera_info), None, 0, None
     else:
         settings = DeviceSettings() if known is None else device_settings(known)
         settings = settings if size is None else settings._replace(size=size)
@@ -140,14 +140,14 @@ def calibrate_intrinsics(
                     )
                 found.append(detector.detect(each.grey))
                 output.say(f"picture {len(found)}: {len(found[-1])} tags of the board")
-        intrinsics, rms, used = find_intrinsics(found, taken)
+        intrinsics, rms, used, fx_std = find_intrinsics(found, taken)
     camera = CameraFile(intrinsics=intrinsics, mount=UNMEASURED) if known is None else known
     camera = camera.model_copy(update={"intrinsics": intrinsics})
     _write(camera_file, camera)
-    result = TagCalibration(out=str(camera_file), rms_px=rms, pictures=used, fx=intrinsics.fx)
-    quality = "" if rms is None else f"; corners fit to {rms:.2f} px in {used} pictures"
+    result = TagCalibration(out=str(camera_file), rms_px=rms, pictures=used, fx=intrinsics.fx, fx_std=fx_std)
+    quality = f" ± {fx_std:.1f} px; corners fit to {rms:.2f} px in {used} pictures" if rms else " px"
     todo = "; its mount is all zero: measure it by hand" if camera.mount == UNMEASURED else ""
-    output.result(result, f"wrote {camera_file}: focal length {intrinsics.fx:.1f} px{quality}{todo}")
+    output.result(result, f"wrote {camera_file}: focal length {intrinsics.fx:.1f}{quality}{todo}")
 
 
 def _mounted(camera_file: Path) -> CameraFile:

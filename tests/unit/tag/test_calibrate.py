@@ -24,12 +24,12 @@ from sim.camera.render import Renderer
 TRUE = Intrinsics(width=640, height=480, fx=520.0, fy=520.0, cx=325.0, cy=236.0)
 
 
-def board_pictures(count):
-    """Pictures of a board that hangs at x = 0, seen from tilted places."""
+def board_pictures(count, tilt=0.5):
+    """Pictures of a board that hangs at x = 0, seen from places to its sides by up to ``tilt`` rad."""
     tags = board_map(23, "letter").tags
     stream = np.random.default_rng(3)
     for index in range(count):
-        angle, height = 0.5 * math.sin(2.1 * index), 0.12 * math.cos(1.3 * index)
+        angle, height = tilt * math.sin(2.1 * index), 0.24 * tilt * math.cos(1.3 * index)
         away = 0.28 + 0.05 * (index % 3)
         place = {"x": away * math.cos(angle), "y": away * math.sin(angle), "z": height}
         pitch, roll = math.atan2(height, away), 0.3 * math.sin(index)
@@ -81,6 +81,7 @@ def test_camera_is_calibrated_from_pictures_and_its_file_keeps_what_is_not_measu
     assert result["rms_px"] < 0.3
     assert (found.width, found.height) == (TRUE.width, TRUE.height)
     assert (found.fx, found.fy) == pytest.approx((TRUE.fx, TRUE.fy), rel=0.01)
+    assert abs(found.fx - TRUE.fx) < 3.0 * result["fx_std"] < 0.01 * TRUE.fx
     assert (found.cx, found.cy) == pytest.approx((TRUE.cx, TRUE.cy), abs=5.0)
 
     by_hand = CameraFile(intrinsics=TRUE, mount=MOUNT.model_copy(update={"yaw": 0.0}), rate_hz=15.0)
@@ -98,6 +99,14 @@ def test_camera_is_calibrated_from_pictures_and_its_file_keeps_what_is_not_measu
     assert cli.run([*calibrate, written(tmp_path / "larger", larger), "--map", str(tags)]) == 2
     assert "1280 × 960 pixels, its calibration is for 640 × 480" in capsys.readouterr().err
     assert file.read_bytes() == before
+
+
+def test_pictures_of_a_board_that_was_not_tilted_give_no_camera(tmp_path, capsys):
+    file = tmp_path / "camera.yaml"
+    board = written(tmp_path / "board", board_pictures(12, tilt=0.03))
+    assert cli.run(["tag", "calibrate", "--camera-file", str(file), "--camera", board]) == 2
+    assert "do not determine the focal length" in capsys.readouterr().err
+    assert not file.exists()
 
 
 def test_straight_drive_measures_the_yaw_of_the_mount():

@@ -69,15 +69,18 @@ def run(path: Path, output: Output, *, overwrite: bool, terminal: bool) -> int:
             chosen.pop("measured_base_timeout_s", None)
             found = {} if measured_s is None else {"measured_base_timeout_s": measured_s}
             settings = _write(path, chosen | found)
+            if measured_s is None and _described_timeout(path) is not None:
+                dialog.say(f"  {settings.model} has one, which is wrong, too: take it out")
     ready = _check(dialog, path)
     result = SetupResult(
         file=str(path), measured_base_timeout_s=settings.measured_base_timeout_s, check=ready
     )
-    words = {
-        True: "is ready; next: rover-ncp up",
-        False: "see above",
-        None: "not checked; next: rover-ncp up",
-    }
+    unknown = settings.measured_base_timeout_s is None and _described_timeout(path) is None
+    if chosen["base"].startswith(ROS2) and unknown and not settings.no_base_watchdog:
+        unchecked = "no driver may drive the robot until it is measured when it halts by itself"
+    else:
+        unchecked = "not checked; next: rover-ncp up"
+    words = {True: "is ready; next: rover-ncp up", False: "see above", None: unchecked}
     output.result(result, f"{path}: {words[ready]}")
     return 1 if ready is False else 0
 
@@ -224,6 +227,12 @@ def _needs_floor(path: Path) -> bool:
     """Return whether the robot is tested on the floor, by its description."""
     model = load_robot_file(path).model
     return model is not None and load_description(model).tested_on == "floor"
+
+
+def _described_timeout(path: Path) -> float | None:
+    """Return the measured base timeout in the description of the robot's model."""
+    model = load_robot_file(path).model
+    return None if model is None else load_description(model).measured_base_timeout_s
 
 
 def _measure(dialog: Dialog, path: Path, known_s: float | None) -> float | None:

@@ -8,6 +8,7 @@ import sys
 import time
 
 import pytest
+from kit.described import described
 
 from bridge.setup.find import pioneer_at
 from rover_ncp import cli
@@ -64,19 +65,28 @@ def test_a_turtlebot_is_found_behind_its_router_and_measured(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("answers", "left_s"),
-    [({}, 0.69), ({"halts by itself": "y", "wheels stand": "n"}, None)],
-    ids=["not measured", "its wheels turned"],
+    ("halts_s", "answers", "left_s"),
+    [
+        (0.5, {}, 0.69),
+        (0.5, {"halts by itself": "y", "wheels stand": "n"}, None),
+        (None, {"halts by itself": "y"}, None),
+    ],
+    ids=["not measured", "its wheels turned", "it drives on"],
 )
-def test_a_measured_timeout_that_a_new_measurement_refutes_leaves_the_file(tmp_path, answers, left_s):
-    mock = ["--ros2", "--model", "turtlebot4", "--listen", "127.0.0.1:0"]
-    with Process("mock", mock, tmp_path) as robot:
-        router = robot.wait_for_line("listening on ")
-        settings = {"base": f"ros2/tcp/{router}", "model": "turtlebot4", "measured_base_timeout_s": 0.69}
+def test_a_measured_timeout_that_a_new_measurement_refutes_leaves_the_file(
+    tmp_path, halts_s, answers, left_s
+):
+    robot = described("turtlebot4", topics={"cmd_vel_timeout_s": halts_s})
+    model = tmp_path / "mine.yaml"
+    model.write_text(dump_yaml(robot.model_dump(mode="json", exclude_none=True)))
+    mock = ["--ros2", "--model", str(model), "--listen", "127.0.0.1:0"]
+    with Process("mock", mock, tmp_path) as process:
+        router = process.wait_for_line("listening on ")
+        settings = {"base": f"ros2/tcp/{router}", "model": str(model), "measured_base_timeout_s": 0.69}
         (tmp_path / "robot.yaml").write_text(dump_yaml(settings))
         code, text = answered(tmp_path, {"sees the tags": "-"} | answers, "--overwrite")
     assert code == 0, text
-    assert "not checked" in text
+    assert ("not checked; next" if left_s else "no driver may drive the robot") in text
     assert load_robot_file(tmp_path / "robot.yaml").settings.measured_base_timeout_s == left_s
 
 

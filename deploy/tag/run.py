@@ -31,7 +31,8 @@ from deploy.tag.localiser import (
 )
 from deploy.tag.pose_link import PoseLink
 from deploy.tag.tag_map import CameraFile, Mount
-from deploy.tag.view import View, ViewFile
+from deploy.tag.view import View
+from deploy.tag.view_file import ViewFile
 from deploy.zenoh_client import BridgeAddress
 from rover_ncp.core.config import dump_yaml, load_yaml
 from rover_ncp.core.console import Output

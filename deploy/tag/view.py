@@ -1,21 +1,14 @@
 """What a localiser's camera sees, for people: pictures with outlined tags, and the outlines as numbers."""
 
-import queue
-import threading
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from deploy.tag.detector import Detection
-from rover_ncp.core.errors import FileError
-from rover_ncp.core.files import write_atomic
 from rover_ncp.wire.cdr import encode
 from rover_ncp.wire.key_table import TAG_OUTLINES, TAG_VIEW, spec
 from rover_ncp.wire.message_parts import header_of
@@ -26,8 +19,6 @@ SENT_QUALITIES = 70, 40, 10
 """Of the JPEG of a picture that is sent: the next one if the picture is larger than its key allows."""
 GREEN, RED, YELLOW = (0, 200, 0), (0, 0, 255), (0, 255, 255)
 """In OpenCV's order: blue, green, red."""
-FILE_END_S = 2.0
-"""Time that a disk gets for the last picture of a file."""
 LINE_LOOP = 2
 """Type of a `foxglove_msgs/PointsAnnotation` that is a closed polygon."""
 
@@ -86,43 +77,3 @@ class View:
             points.append({"timestamp": stamp, **loop})
             texts.append({"timestamp": stamp, **label})
         return encode(spec(TAG_OUTLINES).type, points=points, texts=texts)
-
-
-class ViewFile:
-    """Writes views to one file, in a thread of its own: no pose waits for a disk, or ends with a full one.
-
-    A context manager. One view waits while another is being written, and further ones are left out. ``say``
-    gets a line when writing begins to fail.
-    """
-
-    def __init__(self, path: Path, say: Callable[[str], None]) -> None:
-        self._path, self._say = path, say
-        self._views = queue.Queue[View | None](maxsize=1)
-        self._thread = threading.Thread(target=self._run, name="view", daemon=True)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        with suppress(queue.Full):  # else the disk hangs
-            self._views.put(None, timeout=FILE_END_S)
-        self._thread.join(FILE_END_S)
-
-    def show(self, view: View) -> None:
-        """Write a view, unless another one waits."""
-        with suppress(queue.Full):
-            self._views.put_nowait(view)
-
-    def _run(self) -> None:
-        fails = False
-        while (view := self._views.get()) is not None:
-            try:
-                write_atomic(self._path, view.jpeg())
-                fails = False
-            except FileError as error:
-                if not fails:
-                    self._say(f"no picture for people: {error}")
-                fails = True

@@ -7,7 +7,8 @@ from kit.bridge_bench import wait_for
 from kit.tags import CAMERA, WALL, picture_of
 
 from deploy.tag.detector import Detector
-from deploy.tag.view import SENT_WIDTH, View, ViewFile
+from deploy.tag.view import SENT_WIDTH, View
+from deploy.tag.view_file import ViewFile
 from deploy.view.timeline import read_jpeg
 from rover_ncp.core.geometry import Pose
 from rover_ncp.wire.cdr import decode

@@ -94,8 +94,7 @@ class Drive:
         self._period_ns = round(period_s * NS_PER_S)
         self._link, self.mission, self._publisher = link, mission, publisher
         self.config, self._clock = config, clock
-        self.granted = False
-        """Whether this drive had a lease, so that the rover may have moved."""
+        self.granted = False  # whether this drive had a lease, so that the rover may have moved
         self._touched = False
         """Whether contact revoked the lease since the last tick, and the mission continues."""
         self._used: list[SampleRef] = []
@@ -169,8 +168,7 @@ class Drive:
         pose = self.mission.start_pose(seen, self._pose_complaint())
         self._start = start.ref
         """The controller's time is in seconds from this sample."""
-        described = self.config.described.lasting_error if self.config.described else None
-        declared = self._link.lasting_error(self.config.pose_frame, described)
+        declared = self._link.lasting_error(self.config.pose_frame, self.config.described)
         self._lasting = declared.at_least(max(unexplained.x, unexplained.y), unexplained.theta)
         record = StartRecord(
             sample=start.ref,

@@ -14,6 +14,7 @@ import numpy as np
 from deploy.drive.signed_lease import DriverLease
 from rover_ncp.core.errors import FormatError
 from rover_ncp.core.geometry import Velocity, same_frame
+from rover_ncp.robot.description import RobotDescription
 from rover_ncp.robot.lasting_error import UNDECLARED, Declaration, LastingError
 from rover_ncp.wire.messages import read_battery, read_bumpers, read_docked, read_points, read_text
 from rover_ncp.wire.protocol import BaseReply, GateStatus, MotorsReply, parse_json
@@ -178,12 +179,13 @@ class Link(ABC):
         if frame in self._lasting or len(self._lasting) < MAX_FRAMES:
             self._lasting = {**self._lasting, frame: error}
 
-    def lasting_error(self, frame: str, described: LastingError | None = None) -> LastingError:
+    def lasting_error(self, frame: str, robot: RobotDescription | None = None) -> LastingError:
         """Return the lasting error of the external poses in a frame.
 
         The robot's description counts first, then a source that names the frame, then one that names none.
         """
         named = [error for name, error in self._lasting.items() if name and same_frame(name, frame)]
+        described = None if robot is None else robot.lasting_error
         return described or (named[0] if named else self._lasting.get("", UNDECLARED))
 
     def nearest_echo_m(self, now_ns: int) -> float:

@@ -68,9 +68,9 @@ def identify_robot(
         output.say(f"driving for {seconds:.0f} s within {fence_m} m of here; Ctrl-C stops the rover")
         monitor.wait()  # what took long since the first wait is not odometry's age
         bands = excite(link, measurements, monitor, fence_m, robot=robot, begin=recorder.begin)
-        base, described = link.about_base(), None if robot is None else robot.lasting_error
+        base = link.about_base()
         model = (base and base.model) or (robot and robot.name)
-        log = motion_log(received, robot, partial(link.lasting_error, described=described))
+        log = motion_log(received, robot, partial(link.lasting_error, robot=robot))
     if len(log.external.t) and not log.lasting.declared:
         values = log.lasting.values
         output.say(

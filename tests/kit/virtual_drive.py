@@ -98,6 +98,9 @@ class ChangedLink(VirtualLink):
     def other_model(self, robot):
         return ""
 
+    def other_profile(self, profile):
+        return ""
+
     def put(self, name, data):
         """Deliver a message, as a peer does that is not the bridge."""
         wall_ns = self.bridge.time_ns()

@@ -11,6 +11,7 @@ from deploy.drive.link import Arrival, Inbox
 from deploy.drive.measurements import Measurements
 from rover_ncp.core.clock_offset import NS_PER_S
 from rover_ncp.core.geometry import ORIGIN, Velocity
+from rover_ncp.robot.description import load_description
 from rover_ncp.robot.lasting_error import LastingError
 from rover_ncp.wire.messages import imu, odometry, pose_with_covariance, text
 from sim.base.firmware import Firmware
@@ -128,5 +129,6 @@ def test_lasting_errors_are_those_that_the_source_of_the_poses_declares(declared
     link._lasting = {}
     for each in declared:
         link.put("rover/localiser", text(json.dumps(each)))
-    described = described_m and LastingError(position_m=described_m, heading_rad=0.03, time_s=5.0)
-    assert link.lasting_error("course", described).values.position_m == expected_m
+    error = described_m and LastingError(position_m=described_m, heading_rad=0.03, time_s=5.0)
+    robot = load_description("turtlebot4").model_copy(update={"lasting_error": error})
+    assert link.lasting_error("course", robot).values.position_m == expected_m

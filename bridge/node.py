@@ -118,9 +118,9 @@ class Node:
         self._log: list[str] = []
         """Events to log after the base has got its setpoint."""
         self._requests = 0
+        """Lines of requests since `_publish_slowly`."""
         self._hazards_s: dict[str, float] = {}
         """When each hazard came last while no driver held the lease."""
-        """Lines of requests since `_publish_slowly`."""
         self._answers = Answers(
             *(limits, key, self.judge, self._base), wall_ns=self._wall_ns, log=self._log_request
         )
@@ -277,7 +277,7 @@ class Node:
     def _flickers(self, line: str, now: float) -> bool:
         """Whether a line names a hazard that was active a moment ago, as a loose contact makes it."""
         before_s = self._hazards_s.get(line, -math.inf)
-        if line.startswith(HAZARD):
+        if line.startswith(HAZARD) and not line.endswith((GOT_LEASE, RELEASED_LEASE)):
             self._hazards_s[line] = now
         return now - before_s < FLICKER_S
 

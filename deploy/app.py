@@ -95,7 +95,7 @@ def run(
             try:
                 drive.run()
             finally:
-                if drive.granted:  # a turn that looks for tags moves the rover before the first tick
+                if drive.looked:  # a turn that looks for tags moves the rover before the first tick
                     recorder.begin()
     result = result_of(drive, recorder.fields | {"recording_dropped": recorder.dropped})
     if output.as_json and result.exit_code:

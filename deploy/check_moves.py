@@ -14,12 +14,13 @@ from rover_ncp.core.errors import SafetyStop
 from rover_ncp.core.geometry import STANDSTILL, Pose, Velocity
 from rover_ncp.core.process import Clock
 from rover_ncp.wire.messages import OdometrySample
+from rover_ncp.wire.protocol import UNNAMED
 
 MOVE_S, PERIOD_S = 1.5, 0.05
 WAIT_S = 0.02
 """How long a check waits for odometry before it takes what else arrived."""
-OF_A_STALL = frozenset({"lease-lapsed", "no-base"})
-"""Reasons for which the gate ends a lease while this computer stalls; others have a cause at the robot."""
+STALL_S = 0.3
+"""A longer time between two commands is a stall of this computer."""
 REST_S = 1.0
 """Rest after a motion that sensors are compared on: the lag of a sensor may be so long."""
 
@@ -66,34 +67,39 @@ class Moves:
     def move(self, velocity: Velocity) -> Moved:
         """Command a velocity for a while. Raises SafetyStop if the gate accepts no commands."""
         self._samples = Samples([_timed(self.newest)])
-        return self._try_twice(velocity, MOVE_S)
+        return self.command(velocity)
 
     def rest(self) -> None:
         """Command a rest, whose samples are added to those of the motion before."""
-        self._try_twice(STANDSTILL, REST_S)
+        self.command(STANDSTILL, REST_S)
 
-    def _try_twice(self, velocity: Velocity, seconds: float) -> Moved:
+    def command(self, velocity: Velocity, seconds: float = MOVE_S) -> Moved:
         """Command a velocity, again after a stall of this computer, which is no fault of the robot."""
         try:
-            return self.command(velocity, seconds)
+            return self._command(velocity, seconds)
         except SafetyStop as stop:
             if stop.rule != NOT_ACCEPTED:
                 raise
         self.until(lambda: False, ACCEPTED_S)  # without fresh odometry the gate refuses the motors
         gate = self._link.gate
-        if not gate.lease and gate.ended not in OF_A_STALL:
-            raise revoked(gate)  # after a hazard only a person starts again
+        if gate.lease not in {0, self._link.lease.number}:
+            raise SafetyStop("another-driver", f"{gate.driver_name or UNNAMED} holds the lease")
+        if not gate.lease and gate.ended != "lease-lapsed":
+            raise revoked(gate)  # the cause is at the robot: only a person starts again
         self._link.request_motors(self._name)
         self.until(lambda: False, ACCEPTED_S)
-        return self.command(velocity, seconds)
+        return self._command(velocity, seconds)
 
-    def command(self, velocity: Velocity, seconds: float = MOVE_S) -> Moved:
-        """Command a velocity for some time."""
+    def _command(self, velocity: Velocity, seconds: float) -> Moved:
+        """Command a velocity for some time. Raises SafetyStop without accepted commands, or after a stall."""
         before = newest = self.newest
         way = turn = 0.0
-        due = self._clock.monotonic()
+        due = sent = self._clock.monotonic()
         end = due + seconds
-        while self._clock.monotonic() < end:
+        while (now := self._clock.monotonic()) < end:
+            if now - sent > STALL_S:
+                break
+            sent = now
             self._link.command(velocity)
             self._link.lease.check(self._link.gate, self._clock.monotonic_ns())
             due += PERIOD_S
@@ -102,7 +108,8 @@ class Moves:
             span_s = (newest.ref.measured_ns - last.ref.measured_ns) / NS_PER_S
             way += newest.sample.velocity.v * span_s
             turn += newest.sample.velocity.omega * span_s
-        self._link.lease.check(self._link.gate, self._clock.monotonic_ns())
+        if now - sent > STALL_S:
+            raise SafetyStop(NOT_ACCEPTED, f"this computer sent no command for {now - sent:.2f} s")
         return Moved(before.sample, newest.sample, Velocity(way, turn), self._samples)
 
     def _take(self, timeout_s: float) -> None:

@@ -179,7 +179,7 @@ def algorithm1(store: ResultStore, *, task: str, hits: int, of: int) -> Finding:
     counts = [(sum(run.success for run in runs), len(runs)) for runs in found.values()] or [(0, 0)]
     successes, total = (sum(column) for column in zip(*counts, strict=True))
     trained = [count for count in counts if count[1] >= MIN_RUNS]
-    best, runs = max(trained or counts)
+    best, runs = max(trained or counts, key=lambda count: count[0] / max(count[1], 1))
     figure = f"{successes} of {total} runs of {len(found)} settings, the best {best} of {runs}"
     lacks = [max(MIN_RUNS - len(found.get(pair, ())), 0) for pair in PAIRS]
     p = max((fisher(*count, hits, of).p for count in trained), default=0.0)

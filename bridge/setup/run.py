@@ -1,6 +1,7 @@
 """The command ``setup``: its questions in order, and what they lead to."""
 
 import json
+import math
 import signal
 import subprocess
 import sys
@@ -63,21 +64,23 @@ def run(path: Path, output: Output, *, overwrite: bool, terminal: bool) -> int:
     camera = settings.camera
     if camera is not None and camera.file is not None and not (path.parent / camera.file).exists():
         output.say(f"{camera.file} is missing: 'rover-ncp tag calibrate' writes it (docs/tags)")
+    drives_on = False
     if chosen["base"].startswith(ROS2):
-        known_s = settings.measured_base_timeout_s
-        if (measured_s := _measure(dialog, path, known_s)) != known_s:
+        measured = _measure(dialog, path)
+        if measured is not None:  # what was known before does not count
             chosen.pop("measured_base_timeout_s", None)
-            found = {} if measured_s is None else {"measured_base_timeout_s": measured_s}
+            found = {} if math.isinf(measured) else {"measured_base_timeout_s": measured}
             settings = _write(path, chosen | found)
-            if measured_s is None and _described_timeout(path) is not None:
-                dialog.say(f"  {settings.model} has one, which is wrong, too: take it out")
+            drives_on = math.isinf(measured)
+            if drives_on and _described_timeout(path) is not None:
+                dialog.say(f"  {settings.model} has a measured_base_timeout_s, which is wrong: take it out")
     ready = _check(dialog, path)
     result = SetupResult(
         file=str(path), measured_base_timeout_s=settings.measured_base_timeout_s, check=ready
     )
-    unknown = settings.measured_base_timeout_s is None and _described_timeout(path) is None
-    if chosen["base"].startswith(ROS2) and unknown and not settings.no_base_watchdog:
-        unchecked = "no driver may drive the robot until it is measured when it halts by itself"
+    timed = settings.measured_base_timeout_s is not None or _described_timeout(path) is not None
+    if chosen["base"].startswith(ROS2) and not settings.no_base_watchdog and (drives_on or not timed):
+        unchecked = "no driver may drive the robot unless it is measured that it halts by itself"
     else:
         unchecked = "not checked; next: rover-ncp up"
     words = {True: "is ready; next: rover-ncp up", False: "see above", None: unchecked}
@@ -235,32 +238,28 @@ def _described_timeout(path: Path) -> float | None:
     return None if model is None else load_description(model).measured_base_timeout_s
 
 
-def _measure(dialog: Dialog, path: Path, known_s: float | None) -> float | None:
-    """Return the base timeout that the file of a ROS 2 robot shall have.
-
-    That is ``known_s`` if nothing was measured, and None if the robot drove on: no earlier measurement counts
-    then.
-    """
+def _measure(dialog: Dialog, path: Path) -> float | None:
+    """Return the base timeout of a ROS 2 robot: infinite if it drives on, None if it was not measured."""
     where = "on the floor, with 1 m free ahead" if _needs_floor(path) else "on blocks, its wheels free"
     question = f"Measure when the robot halts by itself? Put it {where}: it drives at 0.1 m/s for up to 7 s"
     if not dialog.yes(
         question, "If the bridge dies, only that stops the robot: without it nothing drives it."
     ):
-        return known_s
+        return None
     _, answer = _run("bridge", "--measure-timeout", "--robot", str(path), "--json")
     if "line" not in answer:
         dialog.say(f"  not measured: {answer.get('error', 'see above')}")
-        return known_s
+        return None
     drove_on = f"it does not halt by itself in time, so {path} has no measured_base_timeout_s"
     if not answer["line"]:
         dialog.say(f"  {drove_on}")
-        return None
+        return math.inf
     if not dialog.yes(
         f"It halted after {answer['timeout_s']:g} s by its odometry. Did its wheels stand then, too?",
         "Odometry that freezes when the commands stop looks the same.",
     ):
         dialog.say(f"  {drove_on}")
-        return None
+        return math.inf
     return float(answer["timeout_s"])
 
 

@@ -94,7 +94,7 @@ class Drive:
         self._period_ns = round(period_s * NS_PER_S)
         self._link, self.mission, self._publisher = link, mission, publisher
         self.config, self._clock = config, clock
-        self.granted = False  # whether this drive had a lease, so that the rover may have moved
+        self.looked = False  # whether a turn to find tags began before the drive
         self._touched = False
         """Whether contact revoked the lease since the last tick, and the mission continues."""
         self._used: list[SampleRef] = []
@@ -215,6 +215,7 @@ class Drive:
             where = f"at x {x:.2f} m, y {y:.2f} m of odometry"
             return f"the rover did not turn: {where} it is outside the gate's fence"
         self._request_motors()
+        self.looked = True
         try:
             look = Look(
                 self._link,
@@ -321,7 +322,6 @@ class Drive:
         docking = f"{'undocking from ' if undock else DOCKING}{place.name}" if place else ""
         self._link.request_motors(docking or f"policy {self.config.policy}")
         self.monitor.granted()
-        self.granted = True
 
     def _take(self, timeout_s: float) -> Measurement[OdometrySample] | None:
         """Give new measurements to the estimator; return the odometry, if it came in time."""

@@ -55,8 +55,8 @@ class LineBreaks:
         self._begun = 0
         self._ours = False
         """Whether a docking that resumed runs."""
-        self._starting = False
-        """Whether it has no lease yet."""
+        self._starting = ""
+        """Its place, while it has no lease yet."""
         self._recalled = False
         """Whether it must end before it drives, because of what has happened since it was started."""
 
@@ -85,7 +85,7 @@ class LineBreaks:
         if self._begins_s is None or now_s < self._begins_s:
             return None
         self._begins_s, self._begun = None, self._begun + 1
-        self._ours = self._starting = True
+        self._ours, self._starting = True, self._broken
         return Begin(self._broken, self._begun)
 
     def recall(self) -> bool:
@@ -95,7 +95,7 @@ class LineBreaks:
 
     def ended(self) -> None:
         """Note that the docking that resumed is over."""
-        self._ours = self._starting = self._recalled = False
+        self._ours, self._starting, self._recalled = False, "", False
 
     def _back(self, now_s: float) -> str:
         place = self._broken
@@ -115,8 +115,8 @@ class LineBreaks:
         if line.endswith(GOT_LEASE):
             found = _DOCKING.fullmatch(line)
             self._docking = found[1] if found else ""
-            self._recalled = self._recalled or (self._starting and not found)
-            self._starting = self._starting and not found
+            if self._docking == self._starting:
+                self._starting = ""
             if not self._ours:
                 self._begun = 0
             self._forget()
@@ -140,7 +140,7 @@ class LineBreaks:
 
     def _forget(self) -> None:
         """Forget a docking that a break ended: something else has happened since."""
-        self._broken, self._recalled = "", self._recalled or self._starting
+        self._broken, self._recalled = "", self._recalled or bool(self._starting)
         self._cancel()
 
     def _cancel(self) -> None:

@@ -65,18 +65,19 @@ def test_a_turtlebot_is_found_behind_its_router_and_measured(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("halts_s", "answers", "left_s"),
+    ("halts_s", "answers", "described_s", "left_s"),
     [
-        (0.5, {}, 0.69),
-        (0.5, {"halts by itself": "y", "wheels stand": "n"}, None),
-        (None, {"halts by itself": "y"}, None),
+        (0.5, {}, None, 0.69),
+        (0.5, {"halts by itself": "y", "wheels stand": "n"}, None, None),
+        (None, {"halts by itself": "y"}, 0.5, None),
     ],
     ids=["not measured", "its wheels turned", "it drives on"],
 )
 def test_a_measured_timeout_that_a_new_measurement_refutes_leaves_the_file(
-    tmp_path, halts_s, answers, left_s
+    tmp_path, halts_s, answers, described_s, left_s
 ):
     robot = described("turtlebot4", topics={"cmd_vel_timeout_s": halts_s})
+    robot = robot.model_copy(update={"measured_base_timeout_s": described_s})
     model = tmp_path / "mine.yaml"
     model.write_text(dump_yaml(robot.model_dump(mode="json", exclude_none=True)))
     mock = ["--ros2", "--model", str(model), "--listen", "127.0.0.1:0"]
@@ -87,6 +88,7 @@ def test_a_measured_timeout_that_a_new_measurement_refutes_leaves_the_file(
         code, text = answered(tmp_path, {"sees the tags": "-"} | answers, "--overwrite")
     assert code == 0, text
     assert ("not checked; next" if left_s else "no driver may drive the robot") in text
+    assert ("mine.yaml has a measured_base_timeout_s, which is wrong" in text) == (described_s is not None)
     assert load_robot_file(tmp_path / "robot.yaml").settings.measured_base_timeout_s == left_s
 
 

@@ -103,24 +103,32 @@ def test_robot_that_is_not_well_fails_the_check_that_finds_it(options, name, wor
     assert_stopped(link, rover)
 
 
-@pytest.mark.parametrize("hazard", ["stop-button", "bumper", "stall"])
-def test_a_check_that_a_hazard_stopped_does_not_drive_again_when_the_hazard_ends(hazard):
-    findings, link, rover = check(faults=[f"{hazard}@0.5-0.8"])
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        *((f"{hazard}@0.5-0.8", hazard) for hazard in ("stop-button", "bumper", "stall")),
+        ("reset@0.5", "no-base"),
+        ("mute@0.4-1.1", "no-base"),
+    ],
+)
+def test_a_check_that_a_hazard_stopped_does_not_drive_again_when_the_hazard_ends(fault, reason):
+    findings, link, rover = check(faults=[fault])
     assert (findings[-1].name, findings[-1].ok) == ("forward", False)
-    assert f"the gate stopped the robot: {hazard}" in findings[-1].detail
+    assert f"the gate stopped the robot: {reason}" in findings[-1].detail
     assert rover.pose.x < 0.1  # a whole motion is 0.15 m
     assert_stopped(link, rover)
 
 
-@pytest.mark.parametrize("begin_s", [0.4, 1.3])
-def test_a_check_goes_on_after_a_stall_of_this_computer(begin_s, monkeypatch):
-    """Nothing arrives for 1.2 s, so the gate ends the lease; later commands are not accepted at first."""
+@pytest.mark.parametrize("seconds", [0.45, 1.2])
+@pytest.mark.parametrize("begin_s", [0.4, 1.2, 1.45, 4.0])
+def test_a_check_goes_on_after_a_stall_of_this_computer(begin_s, seconds, monkeypatch):
+    """After more than a second the gate has ended the lease; before, the rover stood for a moment."""
     stalled, command = [], ChangedLink.command
 
     def stall(link, velocity):
         if link.gate.lease and not stalled and len(link.sent) >= begin_s / PERIOD_S:
             stalled.append(link.gate.lease)
-            link.bridge.sleep(1.2)
+            link.bridge.sleep(seconds)
         return command(link, velocity)
 
     monkeypatch.setattr(ChangedLink, "command", stall)

@@ -61,7 +61,11 @@ def test_nothing_resumes_after_anything_else(lines):
 
 @pytest.mark.parametrize(
     ("line", "recalled"),
-    [(PRESSED, True), (STOP, True), (CONNECTED, True), ("teleop got the lease", True), (DOCKS, False)],
+    [
+        *((line, True) for line in (PRESSED, STOP, CONNECTED, "teleop got the lease")),
+        ("docking at bay got the lease", True),
+        (DOCKS, False),
+    ],
 )
 def test_a_docking_that_has_not_driven_yet_is_recalled_by_what_would_have_prevented_it(line, recalled):
     breaks = made()

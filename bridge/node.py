@@ -119,7 +119,7 @@ class Node:
         """Events to log after the base has got its setpoint."""
         self._requests = 0
         """Lines of requests since `_publish_slowly`."""
-        self._hazards_s: dict[str, float] = {}
+        self._hazards_s: dict[Reason, float] = {}
         """When each hazard came last while no driver held the lease."""
         self._answers = Answers(
             *(limits, key, self.judge, self._base), wall_ns=self._wall_ns, log=self._log_request
@@ -271,15 +271,16 @@ class Node:
         self._commanded |= self.gate.accepted > before.accepted
         if _public(self.gate) != _public(before):
             self._status_due_s = -math.inf
-            self._log += (line for line in _log_lines(before, self.gate) if not self._flickers(line, now))
+            self._log += _log_lines(before, self.gate)
+            if (hazard := _hazard_without_lease(before, self.gate)) is not None:
+                self._log_hazard(hazard, now)
         return self._verdict
 
-    def _flickers(self, line: str, now: float) -> bool:
-        """Whether a line names a hazard that was active a moment ago, as a loose contact makes it."""
-        before_s = self._hazards_s.get(line, -math.inf)
-        if line.startswith(HAZARD) and not line.endswith((GOT_LEASE, RELEASED_LEASE)):
-            self._hazards_s[line] = now
-        return now - before_s < FLICKER_S
+    def _log_hazard(self, hazard: Reason, now: float) -> None:
+        """Log a hazard, unless it was active a moment ago, as a loose contact makes it."""
+        if now - self._hazards_s.get(hazard, -math.inf) >= FLICKER_S:
+            self._log.append(f"{HAZARD}{_in_words(hazard, self.gate)}")
+        self._hazards_s[hazard] = now
 
     def _log_request(self, line: str) -> None:
         self._requests += 1
@@ -372,7 +373,7 @@ def _public(gate: GateState) -> tuple[object, ...]:
 
 
 def _log_lines(before: GateState, after: GateState) -> Iterator[str]:
-    """Yield the log's lines: who holds the lease, the reason for a stop, and a hazard while nobody drives."""
+    """Yield the log's lines: the driver that holds the lease, and the reason for a stop."""
     old, new = before.lease, after.lease
     if new is not None and (old is None or old.number != new.number):
         yield f"{new.name or NAMELESS}{GOT_LEASE}"
@@ -382,10 +383,16 @@ def _log_lines(before: GateState, after: GateState) -> Iterator[str]:
             if after.lease_over
             else RELEASED_LEASE
         )
-    if after.held is None or after.held is before.held:
-        return
-    cut_off = before.held is None and after.held is not Reason.NO_LEASE
-    if cut_off or (old is None and new is None and after.held in AT_THE_ROBOT):
-        words = describe(after.held, after)
-        begin = STOPPED if cut_off else HAZARD
-        yield f"{begin}{after.held}" + (f": {words}" if words != REASONS.get(after.held) else "")
+    if before.held is None and after.held is not None and after.held is not Reason.NO_LEASE:
+        yield f"{STOPPED}{_in_words(after.held, after)}"
+
+
+def _hazard_without_lease(before: GateState, after: GateState) -> Reason | None:
+    """Return the hazard that the base began to report while no driver held the lease, if any."""
+    began = after.held in AT_THE_ROBOT and after.held is not before.held
+    return after.held if began and before.lease is None and after.lease is None else None
+
+
+def _in_words(reason: Reason, gate: GateState) -> str:
+    words = describe(reason, gate)
+    return f"{reason}" + (f": {words}" if words != REASONS.get(reason) else "")

@@ -85,18 +85,17 @@ def run(
     ):
         publisher = Publisher(link, record, names, frame=mission.frame)
         drive = Drive(
-            link, mission, publisher, config, lambda: interrupts.raised, period_s=period_s, id=uuid4().hex
+            *(link, mission, publisher, config, lambda: interrupts.raised),
+            period_s=period_s,
+            id=uuid4().hex,
+            begin=recorder.begin,
         )
         drive.wait()
         output.say(link.other_model(config.described))
         output.say(link.other_profile(config.rover))
         recorder.open(files)
         with output.live(lambda: drive.progress):
-            try:
-                drive.run()
-            finally:
-                if drive.looked:  # a turn that looks for tags moves the rover before the first tick
-                    recorder.begin()
+            drive.run()
     result = result_of(drive, recorder.fields | {"recording_dropped": recorder.dropped})
     if output.as_json and result.exit_code:
         output.say(result.words.splitlines()[0])  # stderr shows the reason for an exit code other than 0

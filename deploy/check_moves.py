@@ -94,11 +94,9 @@ class Moves:
         """Command a velocity for some time. Raises SafetyStop without accepted commands, or after a stall."""
         before = newest = self.newest
         way = turn = 0.0
-        due = sent = self._clock.monotonic()
+        due = now = self._clock.monotonic()
         end = due + seconds
-        while (now := self._clock.monotonic()) < end:
-            if now - sent > STALL_S:
-                break
+        while now < end:
             sent = now
             self._link.command(velocity)
             self._link.lease.check(self._link.gate, self._clock.monotonic_ns())
@@ -108,8 +106,8 @@ class Moves:
             span_s = (newest.ref.measured_ns - last.ref.measured_ns) / NS_PER_S
             way += newest.sample.velocity.v * span_s
             turn += newest.sample.velocity.omega * span_s
-        if now - sent > STALL_S:
-            raise SafetyStop(NOT_ACCEPTED, f"this computer sent no command for {now - sent:.2f} s")
+            if (now := self._clock.monotonic()) - sent > STALL_S:
+                raise SafetyStop(NOT_ACCEPTED, f"this computer sent no command for {now - sent:.2f} s")
         return Moved(before.sample, newest.sample, Velocity(way, turn), self._samples)
 
     def _take(self, timeout_s: float) -> None:

@@ -63,8 +63,7 @@ def answers(judged: Sequence[Finding]) -> str:
     rows: list[Row] = [("claim", "ours", "compared with", "verdict")]
     findings = iter(judged)
     for number, (question, claims) in enumerate(FILE.questions.items(), start=1):
-        short.append((f"{number}. {question}", ""))
-        rows.append((f"**{short[-1][0]}**", "", "", ""))
+        rows.append((f"**{number}. {question}**", "", "", ""))
         by_verdict: dict[str, list[str]] = {verdict: [] for verdict in Verdict}
         for claim, found in zip(claims, findings, strict=False):
             verdict = str(found.verdict) + (f" ({found.why})" if found.why else "")
@@ -72,7 +71,7 @@ def answers(judged: Sequence[Finding]) -> str:
             figure = found.figure and f" ({found.figure.partition(' [')[0]})"
             by_verdict[str(found.verdict)].append((claim.label or claim.words) + figure)
         answer = (f"{verdict}: {', '.join(those)}" for verdict, those in by_verdict.items() if those)
-        short[-1] = (short[-1][0], "; ".join(answer))
+        short.append((f"{number}. {question}", "; ".join(answer)))
     return f"{markdown(short)}\n\n{markdown(rows)}"
 
 

@@ -22,7 +22,7 @@ from rover_ncp.core.console import Output, print_line
 from rover_ncp.core.errors import NoRobot, UsageError
 from rover_ncp.core.files import require_writable, shipped_names, write_atomic
 from rover_ncp.core.process import Interrupts
-from rover_ncp.robot.description import load_description
+from rover_ncp.robot.description import RobotDescription, load_description
 from rover_ncp.robot.robot_file import RobotSettings, commented, load_robot_file
 from rover_ncp.wire.address import ROS2, parse_address
 from rover_ncp.wire.probe import Listener, listener_at
@@ -228,14 +228,19 @@ def _tags(dialog: Dialog, path: Path, known: dict[str, Any]) -> str | None:
 
 def _needs_floor(path: Path) -> bool:
     """Return whether the robot is tested on the floor, by its description."""
-    model = load_robot_file(path).model
-    return model is not None and load_description(model).tested_on == "floor"
+    described = _described(path)
+    return described is not None and described.tested_on == "floor"
 
 
 def _described_timeout(path: Path) -> float | None:
     """Return the measured base timeout in the description of the robot's model."""
+    described = _described(path)
+    return None if described is None else described.measured_base_timeout_s
+
+
+def _described(path: Path) -> RobotDescription | None:
     model = load_robot_file(path).model
-    return None if model is None else load_description(model).measured_base_timeout_s
+    return None if model is None else load_description(model)
 
 
 def _measure(dialog: Dialog, path: Path) -> float | None:

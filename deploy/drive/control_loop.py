@@ -38,7 +38,7 @@ from rover_ncp.core.geometry import ORIGIN, Velocity
 from rover_ncp.core.process import Clock
 from rover_ncp.course.course import TICK_S
 from rover_ncp.course.scoring import Parked, Verdict
-from rover_ncp.robot.lasting_error import UNDECLARED
+from rover_ncp.robot.lasting_error import NOT_DECLARED, UNDECLARED
 from rover_ncp.wire.messages import OdometrySample
 from rover_ncp.wire.protocol import CONTACTS, DriverStatus
 
@@ -75,7 +75,7 @@ class Drive:
     """One drive over an open link. ``run`` returns when it is over; the attributes hold the result.
 
     ``period_s`` is how long a tick lasts by the clock; a benchmark lets the course's time run faster. ``id``
-    tells this drive from others in its status.
+    tells this drive from others. ``begin`` is called if the rover turns to find tags, before the first tick.
     """
 
     def __init__(
@@ -89,12 +89,12 @@ class Drive:
         clock: Clock = time,
         period_s: float = TICK_S,
         id: str = "",
+        begin: Callable[[], None] = lambda: None,
     ) -> None:
-        self._id = id
+        self._id, self._begin = id, begin
         self._period_ns = round(period_s * NS_PER_S)
         self._link, self.mission, self._publisher = link, mission, publisher
         self.config, self._clock = config, clock
-        self.looked = False  # whether a turn to find tags began before the drive
         self._touched = False
         """Whether contact revoked the lease since the last tick, and the mission continues."""
         self._used: list[SampleRef] = []
@@ -215,7 +215,7 @@ class Drive:
             where = f"at x {x:.2f} m, y {y:.2f} m of odometry"
             return f"the rover did not turn: {where} it is outside the gate's fence"
         self._request_motors()
-        self.looked = True
+        self._begin()
         try:
             look = Look(
                 self._link,
@@ -254,7 +254,7 @@ class Drive:
             "a profile of 'identify'": self.config.rover is None,
         }
         if self.placed and not self._lasting.declared:
-            return "how long the errors of the external poses last is not declared (lasting_error)"
+            return NOT_DECLARED
         remedies = [remedy for remedy, missing in absent.items() if missing]
         return f"{' or '.join(remedies) or 'more or better external poses'} would reduce it"
 

@@ -29,8 +29,6 @@ SONAR_LENGTH = 100
 """Messages of the sonars that are kept: more than come while an echo counts."""
 REPEATED_NS = 500_000_000
 """Stamps that differ by no more are of one report of the battery."""
-
-
 MAX_FRAMES = 16
 """Frames of external poses whose errors are kept."""
 

@@ -22,6 +22,7 @@ from rover_ncp.core.files import require_writable, write_atomic
 from rover_ncp.core.process import Interrupts
 from rover_ncp.recording.recording import Recorded
 from rover_ncp.robot.description import RobotDescription
+from rover_ncp.robot.lasting_error import NOT_DECLARED
 from rover_ncp.robot.profile import RoverProfile
 
 SETTINGS_FILE = "identify.yaml"
@@ -72,11 +73,9 @@ def identify_robot(
         model = (base and base.model) or (robot and robot.name)
         log = motion_log(received, robot, partial(link.lasting_error, robot=robot))
     if len(log.external.t) and not log.lasting.declared:
-        values = log.lasting.values
-        output.say(
-            "how long the errors of the external poses last is not declared (lasting_error): "
-            f"{100 * values.position_m:g} cm for {values.time_s:g} s are assumed, which shows less"
-        )
+        error = log.lasting.values
+        assumed = f"{100 * error.position_m:g} cm for {error.time_s:g} s are assumed"
+        output.say(f"{NOT_DECLARED}: {assumed}, which shows less")
     profile = identify(log, name_from(out, "rover"), bands)
     made = {"from": address.robot, "version": version("rover-ncp")} | ({"model": model} if model else {})
     profile = profile.model_copy(update={"measured": made | profile.measured})

@@ -59,8 +59,8 @@ def survey(samples: Sequence[PoseSample], seconds: float, unreadable: str = "") 
 def set_place(fields: Mapping[str, Any], seen: Survey, source: str) -> Place:
     """Return the place of these fields where the rover was seen. Raises ConfigError for those of ``source``.
 
-    A board is the origin of its frame. Obstacles that were given in another frame are an error, too: nobody
-    knows where they are in this one.
+    A board is the origin of its frame. Obstacles that were given in another frame are an error, too: their
+    poses in this one are not known.
     """
     before = fields.get("frame", seen.frame)
     if fields.get("obstacles") and not same_frame(before, seen.frame):

@@ -146,7 +146,8 @@ def calibrate_intrinsics(
     camera = camera.model_copy(update={"intrinsics": intrinsics})
     _write(camera_file, camera)
     result = TagCalibration(out=str(camera_file), rms_px=rms, pictures=used, fx=intrinsics.fx, fx_std=fx_std)
-    quality = f" ± {fx_std:.1f} px; corners fit to {rms:.2f} px in {used} pictures" if rms else " px"
+    measured = rms is not None
+    quality = f" ± {fx_std:.1f} px; corners fit to {rms:.2f} px in {used} pictures" if measured else " px"
     todo = "; its mount is all zero: measure it by hand" if camera.mount == UNMEASURED else ""
     output.result(result, f"wrote {camera_file}: focal length {intrinsics.fx:.1f}{quality}{todo}")
 

@@ -89,5 +89,7 @@ class Declaration(LastingError):
     frame: str = Field(default="", description="frame_id of its poses; empty: of all that have no other")
 
 
+NOT_DECLARED = "how long the errors of the external poses last is not declared (lasting_error)"
+"""Message for a source that declares nothing."""
 UNDECLARED = LastingError()
 """Of a source that declares nothing."""

@@ -110,9 +110,9 @@ TAGS = {"kind": "tags", "frame": "board-17-a4"}
     ("declared", "described_m", "expected_m"),
     [
         ([TAGS, {"kind": "motion-capture", "frame": "/course"}], None, 0.002),
-        ([TAGS, {"kind": "motion-capture", "frame": "/course"}], 0.03, 0.03),  # somebody knows better
+        ([TAGS, {"kind": "motion-capture", "frame": "/course"}], 0.03, 0.03),  # the description counts first
         ([{"kind": "motion-capture", "frame": "course"}, TAGS], None, 0.002),
-        ([TAGS], None, 0.08),  # nobody says anything of the poses that are used
+        ([TAGS], None, 0.08),  # no source declares the errors of the poses that are used
         ([TAGS], 0.03, 0.03),
         ([TAGS, {"kind": "motion-capture"}], None, 0.002),
         (
